@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 CODE := src tests benchmarks examples training integrations docs_hooks.py
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check bench docs torch test-shapes test-torch test-slow test-wheel test-ros test-usd test-film test-page clean
+.PHONY: demo test check bench docs torch test-quick test-all test-torch test-slow test-wheel test-ros test-usd test-film test-page clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -55,14 +55,18 @@ check: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
+# Types, shapes and dtypes are checked at every call, see tests/shapes.py.
 test: check
-	$(BIN)/pytest
+	MOMAPOS_SHAPES=1 $(BIN)/pytest
 
-# Every function and record of the package checks types, shapes and dtypes; see tests/shapes.py. Tests
-# that only start processes, which are not checked, are left out.
-PROCESSES := benchmarks/test_scripts.py examples notebooks test_public_names.py
-test-shapes: $(VENV)/.dev
-	MOMAPOS_SHAPES=1 $(BIN)/pytest $(addprefix --ignore=tests/,$(PROCESSES))
+# One folder of tests: make test-quick PATH=planning/placement. The variable replaces the search path
+# of commands, which the recipe therefore sets again.
+test-quick: $(VENV)/.dev
+	$(if $(filter command,$(firstword $(origin PATH))),,$(error name a folder of tests, as in: make test-quick PATH=planning/placement))
+	PATH="$(CURDIR)/$(BIN):$$(command -p getconf PATH)" $(BIN)/pytest tests/$(PATH)
+
+# Before a larger change is called done.
+test-all: test test-wheel test-slow test-torch test-usd test-ros test-film test-page docs
 
 # What make test leaves out, since a fresh machine lacks it or it takes minutes.
 # Torch trains the front network and runs URDFormer.

@@ -1,12 +1,12 @@
-"""From a scan to boxes: what is found in built-in kitchens, how well, and how fast.
+"""Measure box detection in scans of built-in kitchens: recall, accuracy and time.
 
     python benchmarks/boxes.py FOLDER [--count 20] [--frames 50] [--shared] [--out docs/data]
 
-Kitchens are generated, furnished with a table and a microwave where there is room, scanned by the
-synthetic scanner and kept in FOLDER, so that a second run only measures. With --shared the shared
-kitchens are measured too, and told apart. A thing is found where a box covers it with an
-intersection over union of at least 0.5 (furniture) or 0.25 (small things), after rows of furniture
-are cut by the fronts that the pictures show.
+Kitchens are generated, furnished with a table and a microwave where they fit, scanned by the
+synthetic scanner and stored in FOLDER; a second run only measures. With --shared the shared
+kitchens are measured separately. An object counts as found if a box covers it with an intersection
+over union of at least 0.5 (furniture) or 0.25 (small objects), after rows of furniture are split by
+the fronts in the images.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Geometry, Link, Urdf, box_urdf
 from momapos.perception.fusion.gravity import align_to_gravity
 from momapos.perception.fusion.tsdf import fuse
-from momapos.perception.pipeline import divide
+from momapos.perception.pipeline import split_rows
 from momapos.perception.reconstruction.front_network import FrontNetwork
 from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import ScanConfig
@@ -50,7 +50,7 @@ FURNITURE = ("fridge", "oven", "dishwasher", "microwave", "table")
 SMALL = ("cup", "apple", "bottle", "cereal box")
 OVERLAP, OVERLAP_SMALL = 0.5, 0.25
 COVERED = 0.7
-"""A thing is in a row that was found when one box holds this share of it [-]."""
+"""An object is part of a detected row if one box covers this share of it [-]."""
 TABLE, LEG = (1.4, 0.8, 0.74), 0.06  # [m]
 MICROWAVE = (0.48, 0.36, 0.28)  # [m]
 ALIKE = {
@@ -60,22 +60,22 @@ ALIKE = {
     "counter": {"counter", "cabinet"},
     "cereal box": {"box"},
 }
-"""Labels that are right for a category, where it is not the category alone."""
+"""Correct labels of a category, if there are others than its own name."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """A scene, and the folder of its scan."""
+    """A scene and the folder of its scan."""
 
     key: str
     scene: Scene
     folder: Path
     shared: bool
-    """Whether it is one of the shared kitchens."""
+    """Whether it is a shared kitchen."""
 
 
 def rooms(folder: Path, count: int, frames: int, *, with_shared: bool) -> Iterator[Room]:
-    """Kitchens with their scans, made where they are not there yet."""
+    """Yield kitchens with their scans, which are generated if missing."""
     for k in range(count):
         layout, seed = LAYOUTS[k % len(LAYOUTS)], 100 + k // len(LAYOUTS)
         key = f"{layout}_{seed}"
@@ -102,7 +102,7 @@ def _scanned(scene: Scene, folder: Path, frames: int, seed: int) -> Path:
 
 
 def furnished(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Put a microwave on a counter and a table on the floor, where there is room."""
+    """Put a microwave on a counter and a table on the floor if they fit."""
     bounds = np.array([item.bounds for item in scene.objects])
     for item in scene.objects:
         low, high = item.bounds
@@ -136,13 +136,13 @@ def _clear(
     bounds: Float[np.ndarray, "n 2 3"], center: Float[np.ndarray, "3"],
     size: Float[np.ndarray, "3"], gap: float,
 ) -> bool:  # fmt: skip
-    """Whether a box is at least `gap` [m] to the side of all others."""
+    """Return whether a box has a horizontal gap of at least `gap` [m] to all others."""
     away = np.maximum(bounds[:, 0] - center, center - bounds[:, 1]) - size / 2
     return bool(((away[:, :2] > gap).any(axis=1) | (away[:, 2] > -1e-3)).all())
 
 
 def _table() -> Articulated:
-    """A top on four legs; its frame is on the floor below the middle."""
+    """Return a table: a top on four legs; its frame is on the floor below the center."""
     x, y, z = TABLE
     legs = [(sx * (x - LEG) / 2, sy * (y - LEG) / 2) for sx in (-1, 1) for sy in (-1, 1)]
     shapes = [Geometry("box", (x, y, 0.04), pose((0.0, 0.0, z - 0.02)))]
@@ -154,7 +154,7 @@ def _table() -> Articulated:
 def detect(
     folder: Path, look: ArticulationPredictor, config: ScanConfig
 ) -> tuple[list[Detection], dict[str, float]]:
-    """Everything from reading a scan to boxes, with the seconds of each stage."""
+    """Read a scan and detect boxes; return them with the seconds of each stage."""
     marks = {"": time.perf_counter()}
     scan = read_scan(folder)
     marks["read"] = time.perf_counter()
@@ -169,7 +169,7 @@ def detect(
     room = find_room(cloud, config.room)
     found = boxes(cloud, instances, room, config.boxes)
     marks["boxes"] = time.perf_counter()
-    pieces, _ = divide(found, cloud, frames, look, config)
+    pieces, _ = split_rows(found, cloud, frames, look, config)
     if len(pieces) > len(found):
         found = boxes(cloud, pieces, room, config.boxes)
     marks["rows"] = time.perf_counter()
@@ -177,7 +177,7 @@ def detect(
 
 
 def overlap(true: UprightBox, box: UprightBox) -> tuple[float, float]:
-    """Intersection over union, and the share of the true box in the other one."""
+    """Return the intersection over union, and the share of the true box within the other one."""
     steps = (np.arange(12) + 0.5) / 12 - 0.5
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     points = _turn(grid * true.size, true.yaw) + true.center
@@ -195,7 +195,7 @@ def _turn(points: Float[np.ndarray, "n 3"], yaw: float) -> Float[np.ndarray, "n 
 
 
 def body_bounds(item: SceneObject) -> Float[np.ndarray, "2 3"]:
-    """Corners of an object in the world without its handles, which are slender [m]."""
+    """Return the corners of an object without its handles, in the world [m]."""
     low, high = [], []
     for link, T in item.link_poses().items():
         for hull in item.model.hulls[link]:
@@ -207,7 +207,7 @@ def body_bounds(item: SceneObject) -> Float[np.ndarray, "2 3"]:
 
 
 def face_errors(item: SceneObject, box: UprightBox) -> list[float]:
-    """Distances of a box's six faces from the true ones [m]; none for boxes that are turned."""
+    """Return the distances of a box's six faces from the true ones [m]; none for rotated boxes."""
     quarter = box.yaw / (np.pi / 2)
     if abs(quarter - round(quarter)) > 0.03:
         return []
@@ -219,7 +219,7 @@ def face_errors(item: SceneObject, box: UprightBox) -> list[float]:
 
 
 def judge(room: Room, found: list[Detection], *, report: bool) -> list[dict[str, Any]]:
-    """How well each object of a room was found."""
+    """Evaluate the detection of each object in a room."""
     truth = json.loads((room.folder / "truth.json").read_text())["objects"]
     rows = []
     for true in truth:
@@ -254,12 +254,12 @@ def judge(room: Room, found: list[Detection], *, report: bool) -> list[dict[str,
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Rates and errors by category."""
+    """Return rates and errors by category."""
     groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
         groups[row["category"]].append(row)
         if row["category"] in SMALL:
-            groups["small things"].append(row)
+            groups["small objects"].append(row)
         if row["category"] in FURNITURE:
             groups["furniture"].append(row)
     out = {}
@@ -279,11 +279,11 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="where scenes and scans are kept")
+    parser.add_argument("folder", type=Path, help="folder of scenes and scans")
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--frames", type=int, default=50)
-    parser.add_argument("--shared", action="store_true", help="the shared kitchens too")
-    parser.add_argument("--verbose", action="store_true", help="name what was missed")
+    parser.add_argument("--shared", action="store_true", help="also measure the shared kitchens")
+    parser.add_argument("--verbose", action="store_true", help="print missed objects")
     parser.add_argument("--out", type=Path, default=None, help="folder for boxes.json")
     args = parser.parse_args()
     rows, seconds, look = [], [], FrontNetwork()
@@ -300,7 +300,7 @@ def main() -> None:
         for name, row in table[title].items():
             figures = " ".join(f"{key} {value:.3f}" for key, value in row.items() if key != "count")
             print(f"  {name:16s} {row['count']:4d}  {figures}")
-    # The first room pays for loading the kernels.
+    # The first room includes loading the kernels.
     stages = {key: float(np.median([s[key] for s in seconds[1:] or seconds])) for key in seconds[0]}
     to_boxes = sum(seconds for stage, seconds in stages.items() if stage != "rows")
     print("median seconds", stages, "to boxes, before rows are cut:", to_boxes)

@@ -1,13 +1,13 @@
-"""Is anything called infeasible that the grid with all families of grasps can solve?
+"""Count tasks reported infeasible that a grid with all grasp families can solve.
 
-    python benchmarks/completeness.py [--robots fetch ...] [--half tuned|measured] [--tasks 40]
+    python benchmarks/completeness.py [--robots fetch ...] [--set development|test] [--tasks 40]
                                       [--cells 4] [--kitchens] [--out DIR]
 
-Every door and drawer of the kitchens of placement.py and of the objects of objects.py that is
-called infeasible is asked of the whole grid again, with all families, without a limit of time that
-matters, and with a reachability map that rules out only what is so many of its cells beyond the
-boundary; inverse kinematics locks redundant joints at 33 values instead of 9. What that solves was
-wrongly called infeasible. Answers that ran out of time are counted apart.
+Every door and drawer of the kitchens of placement.py and the objects of objects.py that is reported
+infeasible is searched again by the whole grid, with all grasp families, practically no time limit,
+and a reachability map that excludes only tool poses at least --cells cells beyond its boundary;
+inverse kinematics locks redundant joints at 33 values instead of 9. Tasks that this solves were
+wrongly reported infeasible. Timeouts are counted separately.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
-from objects import HALVES, half_of, tasks
+from objects import SETS, set_of, tasks
 from placement import ROBOTS, SCENES, machine, scene_of
 
 CONFIG = PipelineConfig(timeout=120.0)
@@ -37,22 +37,22 @@ GRID = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=3600.0)
 
 
 def openings(
-    half: str | None, robots: list[str], *, kitchens: bool
+    subset: str | None, robots: list[str], *, kitchens: bool
 ) -> Iterator[tuple[str, str, Scene, str, str]]:
-    """Robot, name, room, object and joint of every opening: those of the kitchens first."""
+    """Yield robot, name, room, object and joint of every opening, kitchens first."""
     scenes = {name: scene_of(name) for name in SCENES}
     for robot in robots:
         for name, scene in scenes.items():
             for item, joint in openable(scene):
                 yield robot, Path(name).stem, scene, item, joint
-    for robot, name, scene, joint in [] if kitchens else tasks(half, robots):
+    for robot, name, scene, joint in [] if kitchens else tasks(subset, robots):
         yield robot, name, scene, "object", joint
 
 
-def ask(
+def search_again(
     robot: Robot, reach: ReachMap, name: str, scene: Scene, item: str, joint: str, cells: float
 ) -> dict[str, Any]:
-    """The answer, and what the grid says where that is a "no"."""
+    """Return the answer and, if it is infeasible, the result of the grid."""
     row: dict[str, Any] = {"robot": robot.name, "scene": name, "task": f"{item}/{joint}"}
     try:
         task = make_task(scene, "open", item, joint)
@@ -68,7 +68,7 @@ def ask(
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """Count by robot, as Markdown."""
+    """Return the counts by robot, as Markdown."""
     lines = [
         f"machine: {machine()}", "",
         "| robot | openings | solved | infeasible | wrongly | out of time |",
@@ -88,23 +88,23 @@ def report(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--half", choices=HALVES, default=HALVES[0])
-    parser.add_argument("--tasks", type=int, help="as many openings, from the first")
-    parser.add_argument("--kitchens", action="store_true", help="without the objects")
-    parser.add_argument("--cells", type=float, default=4.0, help="doubt in the map [cells]")
+    parser.add_argument("--set", choices=SETS, default=SETS[0])
+    parser.add_argument("--tasks", type=int, help="number of openings, from the first")
+    parser.add_argument("--kitchens", action="store_true", help="kitchens only")
+    parser.add_argument("--cells", type=float, default=4.0, help="uncertainty of the map [cells]")
     parser.add_argument("--out", type=Path, help="folder for completeness.json")
     args = parser.parse_args()
     rows: list[dict[str, Any]] = []
     robots = {name: load_robot(name) for name in args.robots}
     maps = {n: load_reach_map(r, default_cache_dir(), None) for n, r in robots.items()}
-    asked = openings(args.half, args.robots, kitchens=args.kitchens)
-    for robot, name, scene, item, joint in list(asked)[: args.tasks]:
-        rows.append(ask(robots[robot], maps[robot], name, scene, item, joint, args.cells))
+    tasks = openings(args.set, args.robots, kitchens=args.kitchens)
+    for robot, name, scene, item, joint in list(tasks)[: args.tasks]:
+        rows.append(search_again(robots[robot], maps[robot], name, scene, item, joint, args.cells))
         wrong = rows[-1].get("grid") == "solved"
-        if wrong and (item != "object" or half_of(name) == HALVES[0]):
+        if wrong and (item != "object" or set_of(name) == SETS[0]):
             print(json.dumps(rows[-1]), flush=True)
     print(report(rows))
     if args.out is not None:

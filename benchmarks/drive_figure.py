@@ -1,4 +1,4 @@
-"""A drive from above: the room, the way as planned, the way as driven, the footprint along it."""
+"""Draw a drive from above: the room, the planned and the driven path, and footprints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from drive_rooms import Question
 from momapos.apps.plots.palette import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT
 from momapos.apps.plots.robot_plot import draw_footprint
-from momapos.apps.plots.room_plot import name_objects, room, room_bounds
+from momapos.apps.plots.room_plot import draw_room, name_objects, room_bounds
 from momapos.core.geometry.planar import place_points
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.scene.scene import Scene
@@ -22,7 +22,7 @@ from momapos.planning.navigation.footprint_map import NavigationMap
 from momapos.planning.navigation.global_path import plan_path
 
 EVERY = 0.25
-"""The footprint is drawn after this much way, a radian counting as half a meter [m]."""
+"""Path length between two drawn footprints; a radian counts as 0.5 m [m]."""
 
 
 def draw_drive(
@@ -36,7 +36,7 @@ def draw_drive(
     axes.set_aspect("equal")
     axes.set_xlim(low[0] - 0.1, high[0] + 0.1)
     axes.set_ylim(low[1] - 0.1, high[1] + 0.1)
-    room(axes, scene)
+    draw_room(axes, scene)
     poses = record.poses
     step = np.diff(poses, axis=0)
     turn = np.abs(wrap_angle(step[:, 2]))
@@ -52,8 +52,8 @@ def draw_drive(
     )
     planned = plan_path(nav_map, question.start, question.goal)
     if planned is not None:
-        way: dict[str, Any] = {"color": WAYPOINT, "lw": 1.3, "ls": (0, (4, 2)), "zorder": 14}
-        axes.plot(*planned.poses.T[:2], label=f"planned, {planned.length:.2f} m", **way)
+        line: dict[str, Any] = {"color": WAYPOINT, "lw": 1.3, "ls": (0, (4, 2)), "zorder": 14}
+        axes.plot(*planned.poses.T[:2], label=f"planned, {planned.length:.2f} m", **line)
     driven = f"driven, {record.length:.2f} m"
     axes.plot(*poses.T[:2], color=SELECTED, lw=1.8, zorder=13, label=driven)
     draw_footprint(axes, nav_map.robot, question.start, dashed=True)

@@ -1,4 +1,4 @@
-"""What drives are asked for: rooms, starts and goals, people; and whether there is a way at all."""
+"""Draw the questions of drive.py: rooms, starts, goals and people; check whether a path exists."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.grasps.task_boxes import room_boxes
+from momapos.planning.grasps.task_boxes import scene_boxes
 from momapos.planning.navigation.cost_map import (
     CELL,
     FloorPlan,
@@ -29,23 +29,23 @@ from momapos.planning.navigation.cost_map import (
 from momapos.planning.navigation.footprint_map import HEADINGS, NavigationMap
 from momapos.planning.navigation.outline_gaps import gaps
 
-FARTHER_THAN = 1.5
-"""Geodesic length of a drive at least [m]."""
-ROOM = 0.01
-"""Gap around start and goal at least [m]; placement asks for the same."""
+MIN_LENGTH = 1.5
+"""Minimum geodesic length of a drive [m]."""
+MIN_GAP = 0.01
+"""Minimum gap around start and goal [m], as in placement."""
 PERSON = 0.25
 """Radius of a person [m]."""
 PACE = 0.3, 0.6
-"""How fast people walk [m/s]."""
+"""Range of walking speeds [m/s]."""
 AWAY, PATIENCE = 0.4, 3.0
-"""How far from the robot people stop [m], and how long they wait there [s]."""
+"""Distance from the robot at which people stop [m], and how long they wait there [s]."""
 _FINE, _TURNS = CELL / 2, 72
-"""Cells [m] and headings [-] of the grid that says whether there is a way."""
+"""Cell size [m] and number of headings [-] of the grid that checks whether a path exists."""
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A drive that is asked for."""
+    """A requested drive."""
 
     start: Float[np.ndarray, "3"]
     goal: Float[np.ndarray, "3"]
@@ -56,12 +56,12 @@ class Question:
 
     @property
     def detour(self) -> float:
-        """How much longer than the straight line the way is [m]."""
+        """Return how much longer the path is than the straight line [m]."""
         return self.disc - float(np.hypot(*(self.goal - self.start)[:2]))
 
 
 def rooms(folder: Path, layouts: int) -> Iterator[Scene]:
-    """The built-in kitchens, and one of each of some generated layouts."""
+    """Yield the built-in kitchens and one kitchen of each generated layout."""
     for name in builtin_names():
         yield load_scene(name)
     for seed, layout in enumerate(LAYOUTS[:layouts]):
@@ -69,23 +69,23 @@ def rooms(folder: Path, layouts: int) -> Iterator[Scene]:
 
 
 def questions(nav_map: NavigationMap, scene: Scene, rng: np.random.Generator) -> Iterator[Question]:
-    """Random starts and goals that the disc can drive between."""
+    """Yield random starts and goals that the disc can drive between."""
     robot = nav_map.robot
     plan = floor_plan(
-        room_boxes(scene), height=base_height(robot), floor_polygon=scene.floor_polygon
+        scene_boxes(scene), height=base_height(robot), floor_polygon=scene.floor_polygon
     )
-    # Half a cell less than nothing: a footprint that fits between two centers counts as well.
+    # Minus half a cell: a footprint that fits between two cell centers also counts.
     fits = FloorPlan(nav_map.origin, np.asarray(~(nav_map.gap > -CELL / 2).any(0)))
     states = np.argwhere(nav_map.free)
     while True:
         h, i, j = states[rng.integers(len(states), size=2)].T
         xy = nav_map.origin + (np.stack([j, i], -1) + rng.uniform(0, 1, (2, 2))) * CELL
         ends = np.column_stack([xy, wrap_angle(HEADINGS[h] + rng.uniform(-0.1, 0.1, 2))])
-        if (gaps(ends, nav_map.prisms, nav_map.planning_obstacles) < ROOM).any():
+        if (gaps(ends, nav_map.prisms, nav_map.planning_obstacles) < MIN_GAP).any():
             continue
         cost = build_cost_map(plan, ends[0, :2], radius=inscribed_radius(robot.footprint))
         length = float(cost.lengths(ends[1:, :2])[0])
-        if FARTHER_THAN <= length < np.inf:
+        if MIN_LENGTH <= length < np.inf:
             real = build_cost_map(fits, ends[0, :2], radius=0.0)
             yield Question(ends[0], ends[1], length, float(real.lengths(ends[1:, :2])[0]))
 
@@ -93,9 +93,9 @@ def questions(nav_map: NavigationMap, scene: Scene, rng: np.random.Generator) ->
 def connected(
     nav_map: NavigationMap, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
 ) -> bool:
-    """Whether a fine grid of free poses joins a start and a goal, by steps of one cell or turn.
+    """Return whether a fine grid of free poses connects start and goal by steps of one cell or turn.
 
-    It asks for no way that the base can drive, so it errs on the side of there being one.
+    It ignores the kinematics of the base, so it may find a path that the base cannot drive.
     """
     high = nav_map.origin + np.array(nav_map.gap.shape[:0:-1]) * CELL
     x, y = (np.arange(nav_map.origin[k] + _FINE / 2, high[k], _FINE) for k in (0, 1))
@@ -126,10 +126,10 @@ def connected(
 
 
 class People:
-    """Two people who walk to and fro between free places, and stop before they walk into a robot.
+    """Two people who walk back and forth between free places, and stop in front of the robot.
 
-    They take the robot for a disc and keep a step away from it; one who has to wait for long turns
-    back. They begin at least a meter from it.
+    They treat the robot as a disc and keep a step away from it; after a long wait they turn back.
+    They start at least a meter from it.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class People:
         self.robot, self.radius, self.time = start[:2], nav_map.prisms.radius, 0.0
         self.begin, self.toward, self.length = self._walks(nav_map, rng)
         self.pace = rng.uniform(*PACE, size=2)
-        self.gone, self.way, self.waited = np.zeros(2), np.ones(2), np.zeros(2)
+        self.gone, self.direction, self.waited = np.zeros(2), np.ones(2), np.zeros(2)
 
     def _walks(
         self, nav_map: NavigationMap, rng: np.random.Generator
@@ -159,24 +159,26 @@ class People:
         return begin, toward, lengths
 
     def meet(self, robot: Float[np.ndarray, "3"]) -> None:
-        """Look where the robot is."""
+        """Observe the position of the robot."""
         self.robot = robot[:2]
 
     def __call__(self, time: float) -> Float[np.ndarray, "2 5"]:
-        """Walk on until a time [s], and say where they are."""
+        """Advance to a time [s] and return the states of the people."""
         dt, self.time = time - self.time, time
         where = self.begin + self.toward * self.gone[:, None]
         to_robot = self.robot - where
         near = np.hypot(*to_robot.T) < self.radius + PERSON + AWAY
-        ahead = self.way * (to_robot * self.toward).sum(1) > 0
+        ahead = self.direction * (to_robot * self.toward).sum(1) > 0
         stopped = near & ahead
         self.waited = np.where(stopped, self.waited + dt, 0.0)
         turned = self.waited > PATIENCE
-        self.gone += np.where(stopped, 0.0, self.way * self.pace * dt)
-        turned |= (self.gone >= self.length) & (self.way > 0) | (self.gone <= 0) & (self.way < 0)
-        self.way = np.where(turned, -self.way, self.way)
+        self.gone += np.where(stopped, 0.0, self.direction * self.pace * dt)
+        turned |= (self.gone >= self.length) & (self.direction > 0) | (self.gone <= 0) & (
+            self.direction < 0
+        )
+        self.direction = np.where(turned, -self.direction, self.direction)
         self.waited[turned] = 0.0
         self.gone = np.clip(self.gone, 0.0, self.length)
-        velocity = np.where(stopped, 0.0, self.way * self.pace)[:, None] * self.toward
+        velocity = np.where(stopped, 0.0, self.direction * self.pace)[:, None] * self.toward
         where = self.begin + self.toward * self.gone[:, None]
         return np.column_stack([where, velocity, np.full(2, PERSON)])

@@ -1,17 +1,17 @@
-"""Plans executed in physics: openings of five real and two built-in kitchens, for four robots.
+"""Execute plans in physics: openings of five real and two built-in kitchens, for four robots.
 
     python benchmarks/execution.py [--robots fetch ...] [--tasks 20] [--hold weld]
                                    [--verb open|close|pick|place]
                                    [--errors] [--there] [--noisy] [--rooms built-in]
                                    [--out bench_out]
 
-The base drives from its start to the base pose of every plan, and the arm is planned anew there:
-once with exact sensors (not with --noisy), once with noisy ones and furniture that moves up to 30 %
-more or less easily. With --there it stands at the base poses from the beginning, and all is
-executed once, in such furniture. With --errors the world also differs from the scene: handle 1 cm,
-hinge 3 cm and 5 degrees, mass and friction 50 %. Closing begins where opening ends. What is picked
-and placed is every object without joints that is no longer than 40 cm. Prints, and writes as JSON,
-what came of each; failures with their reasons.
+The base drives from its start to the base pose of every plan, and the arm's motion is replanned
+there: once with exact sensors (not with --noisy), once with noisy ones and joint friction that is
+up to 30 % off. With --there the base starts at the base poses, and each plan is executed once, with
+this friction. With --errors the world also differs from the scene: handle 1 cm, hinge 3 cm and 5
+degrees, mass and friction 50 %. Closing begins where opening ends. Picked and placed objects are
+those without joints that are at most 40 cm long. Prints the result of each run, with the reason of
+a failure, and writes it as JSON.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.navigation.driving import DriveConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
-from momapos.workflows.run import QUIET, run_plan
+from momapos.workflows.run import NO_NOISE, run_plan
 from placement import shared
 from rows import keep_rows
 
@@ -53,42 +53,42 @@ REAL = (
 BUILT_IN = ("kitchen_small", "kitchen_island")
 ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
 RIGID = ("pick", "place")
-SMALL = 0.4
-"""What is longer in any direction is left out: counters, walls [m]."""
+MAX_EDGE = 0.4
+"""Longer objects, such as counters and walls, are not picked [m]."""
 SPREAD = 0.3
 ERRORS = ModelErrorConfig(handle=0.01, axis=0.03, tilt=float(np.radians(5.0)), resistance=0.5)
 
 
 def scenes(rooms: str) -> list[Scene]:
-    """The built-in kitchens, and with `all` the real ones where this machine has them."""
+    """Return the built-in kitchens and, with `all`, the real ones if they are available."""
     if rooms == "built-in":
         return [load_scene(name) for name in BUILT_IN]
     root = shared() / "bestman"
     if not root.is_dir():
-        print(f"{root} is not there (MOMAPOS_SHARED names its parent): built-in kitchens alone")
+        print(f"{root} does not exist (MOMAPOS_SHARED names its parent): built-in kitchens only")
     real = [load_scene(root / name) for name in REAL] if root.is_dir() else []
     return [*(load_scene(name) for name in BUILT_IN), *real]
 
 
-def loose(scene: Scene) -> list[tuple[str, None]]:
-    """Every object without joints that somebody might want to lift with one hand."""
+def movable_objects(scene: Scene) -> list[tuple[str, None]]:
+    """Return every object without joints that is small enough for one hand."""
     return [
         (item.name, None)
         for item in scene.objects
-        if not item.model.joints and np.ptp(item.bounds, axis=0).max() < SMALL
+        if not item.model.joints and np.ptp(item.bounds, axis=0).max() < MAX_EDGE
     ]
 
 
 def chosen(
     verb: str, robots: tuple[str, ...], most: int | None, seed: int, where: str
 ) -> list[tuple[Robot, Scene, str, str | None]]:
-    """All tasks for all robots, or as many; in random order, so that a part is a fair sample."""
+    """Return the tasks of all robots in random order, so that a subset is a fair sample."""
     rooms = scenes(where)
     every = [
         (robot, scene, item, joint)
         for robot in map(load_robot, robots)
         for scene in rooms
-        for item, joint in (loose(scene) if verb in RIGID else openable(scene))
+        for item, joint in (movable_objects(scene) if verb in RIGID else openable(scene))
     ]
     order = np.random.default_rng(seed).permutation(len(every))
     return [every[i] for i in order[:most]]
@@ -97,7 +97,7 @@ def chosen(
 def measure(
     robot: Robot, scene: Scene, item: str, joint: str | None, args: argparse.Namespace
 ) -> list[dict[str, object]]:
-    """Plan once, execute twice, or once where the base stands there from the beginning."""
+    """Plan once and execute twice, or once if the base starts at the base pose."""
     what = item if joint is None else f"{item}/{joint}"
     base = {"robot": robot.name, "scene": scene.name, "task": what, "hold": args.hold}
     errors = ERRORS if args.errors else ModelErrorConfig()
@@ -123,7 +123,7 @@ def measure(
             record = run_plan(
                 plan, scene, robot, reach, seed=args.seed,
                 start=np.array(plan.base_pose) if args.there else None,
-                driving=DriveConfig(noise=QUIET) if args.there or not noise else DriveConfig(),
+                driving=DriveConfig(noise=NO_NOISE) if args.there or not noise else DriveConfig(),
                 physics=ExecutionConfig(hold=args.hold, furniture=furniture, errors=errors),
                 clock=time.process_time,
             )  # fmt: skip
@@ -157,7 +157,7 @@ def measure(
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """Summarize in words."""
+    """Return a summary."""
     lines = [f"machine: {platform.machine()}, {len(os.sched_getaffinity(0))} cores"]
     plans = {(r["robot"], r["scene"], r["task"]): r["status"] for r in rows}
     lines.append(f"plans: {dict(Counter(plans.values()))}")
@@ -195,7 +195,7 @@ def report(rows: list[dict[str, Any]]) -> str:
 
 
 def _endings(rows: list[dict[str, Any]]) -> list[tuple[str, int]]:
-    """How the runs that failed ended."""
+    """Count the endings of failed runs."""
     ended = (str(r.get("ending", "not executed")) for r in rows if not r["success"])
     return Counter(ended).most_common()
 
@@ -205,7 +205,7 @@ def _name(row: dict[str, Any]) -> str:
 
 
 def _of_drives(rows: list[dict[str, Any]]) -> list[str]:
-    """What came of the drives, and why a base pose was given up."""
+    """Summarize the drives, and why base poses were abandoned."""
     visits = [(r, visit) for r in rows for visit in r["visits"]]
     if not visits:
         return []
@@ -221,21 +221,21 @@ def _of_drives(rows: list[dict[str, Any]]) -> list[str]:
     for r, visit in visits:
         if visit["reason"]:
             kind = "arm" if visit["arrived"] else "drive"
-            lines.append(f"  given up, {kind}: {_name(r)}: {visit['reason']}")
+            lines.append(f"  abandoned, {kind}: {_name(r)}: {visit['reason']}")
     return lines
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
+    parser.add_argument("--tasks", type=int, help="number of openings, drawn at random")
     parser.add_argument("--verb", choices=("open", "close", *RIGID), default="open")
     parser.add_argument("--rooms", choices=("all", "built-in"), default="all")
     parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
-    parser.add_argument("--errors", action="store_true", help="the world is not as modeled")
-    parser.add_argument("--there", action="store_true", help="begin at the base poses")
-    parser.add_argument("--noisy", action="store_true", help="only with noise")
+    parser.add_argument("--errors", action="store_true", help="simulate with modeling errors")
+    parser.add_argument("--there", action="store_true", help="start at the base poses")
+    parser.add_argument("--noisy", action="store_true", help="with noise only")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="folder for execution.json")
     args = parser.parse_args()

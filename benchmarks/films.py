@@ -1,10 +1,10 @@
-"""How long a film of a run takes to draw, against how long the run and the film last.
+"""Measure how long rendering a film of a run takes.
 
     python benchmarks/films.py [--out docs/images]
 
-The demo's plan is carried out in physics, and its run is written as a filmstrip (`film.png`), as a
-GIF and as an MP4, both 1280 x 720. With `--out` the strip and the GIF, made smaller for a page
-(`demo.gif`), are kept there: they are the pictures of the README and of docs/execution.md.
+The demo's plan is executed in physics, and its run is written as a filmstrip (`film.png`), a GIF and
+an MP4, both 1280 x 720. With `--out` the strip and a smaller GIF (`demo.gif`) are stored there; the
+README and docs/execution.md show them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from PIL import Image, ImageSequence
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
 from momapos.simulation.film import write_film
 from momapos.simulation.film_files import GIF, MP4, STRIP
@@ -30,13 +30,13 @@ from momapos.workflows.run import run_plan
 PAGE = (640, 360)
 """Size of the README's GIF [px]."""
 STRIP_WIDTH = 1800
-"""Of the strip in the docs [px]."""
+"""Width of the strip in the docs [px]."""
 COLORS, EVERY = 64, 2
-"""Of pictures that are kept; of a film every second one is."""
+"""Colors of stored frames, and the step between frames of a film that are stored [-]."""
 
 
-def carried_out() -> RunTrace:
-    """The demo in physics, as `momapos run` does it."""
+def executed() -> RunTrace:
+    """Run the demo in physics, like `momapos run`."""
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     reach, trace = load_reach(robot), RunTrace()
     plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge"))
@@ -47,27 +47,27 @@ def carried_out() -> RunTrace:
 
 
 def lasts(film: bytes, ending: str) -> tuple[int, float]:
-    """How many pictures a film has, and how long it plays [s]."""
+    """Return the number of frames of a film, and its duration [s]."""
     if ending == MP4:
         import av
 
         with av.open(io.BytesIO(film)) as file:
             stream = file.streams.video[0]
             return stream.frames, float(stream.duration * stream.time_base)
-    with Image.open(io.BytesIO(film)) as pictures:
-        times = [one.info.get("duration", 0) / 1000 for one in ImageSequence.Iterator(pictures)]
+    with Image.open(io.BytesIO(film)) as frames:
+        times = [one.info.get("duration", 0) / 1000 for one in ImageSequence.Iterator(frames)]
     return len(times), sum(times)
 
 
 def smaller(film: bytes) -> bytes:
-    """A GIF for a page."""
+    """Return a smaller GIF for a page."""
     content = io.BytesIO()
-    with Image.open(io.BytesIO(film)) as pictures:
-        wait = EVERY * pictures.info["duration"]
+    with Image.open(io.BytesIO(film)) as frames:
+        wait = EVERY * frames.info["duration"]
         first, *others = (
             one.convert("RGB").resize(PAGE, Image.Resampling.LANCZOS)
             .quantize(COLORS, dither=Image.Dither.NONE)
-            for k, one in enumerate(ImageSequence.Iterator(pictures)) if k % EVERY == 0
+            for k, one in enumerate(ImageSequence.Iterator(frames)) if k % EVERY == 0
         )  # fmt: skip
     first.save(
         content, "GIF", save_all=True, append_images=others, loop=0, duration=wait, optimize=True
@@ -76,10 +76,10 @@ def smaller(film: bytes) -> bytes:
 
 
 def run(out: Path | None) -> None:
-    """Film the demo, and tell."""
+    """Render the demo and print the times."""
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-    trace = carried_out()
+    trace = executed()
     whole = sum(act.duration for act in trace.acts)
     print(f"the run: {whole:.1f} s", flush=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -92,7 +92,7 @@ def run(out: Path | None) -> None:
             played = (
                 ""
                 if ending == STRIP
-                else "{} pictures, plays {:.1f} s, ".format(*lasts(film, ending))
+                else "{} frames, duration {:.1f} s, ".format(*lasts(film, ending))
             )
             print(f"{ending[1:]}: {played}drawn in {took:.1f} s ({own:.1f} s of processor), "
                   f"{len(film) / 1e6:.1f} MB", flush=True)  # fmt: skip

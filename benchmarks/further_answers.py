@@ -1,9 +1,9 @@
-"""How long does each further answer of `iter_placements` take?
+"""Measure the time of each further answer of `iter_placements`.
 
     python benchmarks/further_answers.py [--answers 40] [--out DIR]
 
-Six openings of the built-in kitchen by four robots; of each, so many answers after the second,
-which waits for the whole room to be modeled.
+Six openings of the built-in kitchen by four robots; --answers counts the answers after the second,
+which includes modeling the whole scene.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.iterate import iter_placements
+from momapos.planning.keyword_forms import iter_placements
 from momapos.planning.reachability.map_store import load_reach_map
 from placement import machine
 from rows import keep_rows
@@ -36,7 +36,7 @@ ASKED = (
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--answers", type=int, default=40)
     parser.add_argument("--out", type=Path, help="folder for further_answers.json")

@@ -1,10 +1,9 @@
-"""Pictures of the page for docs/gallery.md: ten tasks, each as its command shows it.
+"""Capture the images of docs/gallery.md: ten tasks as the web page shows them.
 
     python benchmarks/gallery.py [--out docs/images/gallery] [--only NAME ...]
 
-`view`, the page with its controls (docs/view.md), lies beside their folder.
-Needs a Chromium, which draws them. The commands are run in an empty folder, in their order: what
-one writes a later one shows.
+The image `view` of the page with its controls (docs/view.md) is written next to their folder. Needs
+Chromium. The commands run in order in an empty folder: later ones show files of earlier ones.
 """
 
 from __future__ import annotations
@@ -37,41 +36,40 @@ from momapos.core.geometry.planar import rotation
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--no-sandbox"]  # fmt: skip
 DRAWN, KEPT = (1280, 720), (800, 450)
-"""Size of a picture as it is drawn, and as it is kept [px]."""
+"""Size of a rendered and of a stored image [px]."""
 COLORS = 256
-"""Of a picture that is kept: a cloud of points would take three times as much with more."""
+"""Colors of a stored image; with more, a point cloud would take three times the space [-]."""
 SMALL = {"width": 800, "height": 450}
-"""Of the window, by which the size of words goes [px]."""
+"""Window size, which determines the text size [px]."""
 LONG = 300.0
-"""Nothing takes so long [s]."""
+"""Timeout [s]."""
 FIELD = np.radians(50.0)
-"""How much the camera sees from top to bottom: less than in the page, for these are of one task
-[rad]."""
+"""Vertical field of view: smaller than that of the page, since each image shows one task [rad]."""
 SETTLED = 3.0
-"""What is on its way to a browser is there after so long, or something of it [s]."""
+"""Time within which at least a part of the pending data reaches the browser [s]."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """One picture."""
+    """One image."""
 
     name: str
     commands: tuple[str, ...]
-    """The last one shows it; those before write what it shows."""
+    """The last command shows the page; those before write the files that it shows."""
     act: Callable[[Page], None]
-    """What is then done on the page."""
+    """Action on the page."""
     away: float = 3.7
-    """How far the camera is from what it looks at [m]."""
+    """Distance of the camera from its target [m]."""
     above: float = 25.0
-    """How steeply it looks down [deg]."""
+    """Angle at which it looks down [deg]."""
     aside: float = 0.0
-    """How far to the right of the task it looks [m]."""
+    """Offset of its target to the right of the task [m]."""
     around: float = 0.0
-    """How far it stands round to the right, against where the page looks from [deg]."""
+    """Rotation around the target to the right of the page's own view [deg]."""
 
 
 def placed(**layers: bool) -> Callable[[Page], None]:
-    """Place, and show some layers only."""
+    """Plan, and show some layers only."""
 
     def act(page: Page) -> None:
         page.place()
@@ -93,10 +91,10 @@ def shown(**layers: bool) -> Callable[[Page], None]:
     return act
 
 
-def asked(
+def planned(
     verb: str, target: str, robot: str, *, to: str = "", **layers: bool
 ) -> Callable[[Page], None]:
-    """Ask another question, and place."""
+    """Set another task, and plan."""
 
     def act(page: Page) -> None:
         page.panel.robot.value, page.panel.verb.value = robot, verb
@@ -110,20 +108,20 @@ def asked(
     return act
 
 
-def beside(page: Page) -> None:
-    """Two robots' answers side by side."""
-    asked("open", "fridge/door_hinge", "segway_ur5e", way=True)(page)
-    page.compare.keep()
-    asked("open", "fridge/door_hinge", "fetch", way=True)(page)
-    page.panel.beside.value = True
+def side_by_side(page: Page) -> None:
+    """Show two robots' answers side by side."""
+    planned("open", "fridge/door_hinge", "segway_ur5e", path=True)(page)
+    page.compare.add()
+    planned("open", "fridge/door_hinge", "fetch", path=True)(page)
+    page.panel.side_by_side.value = True
     page.compare.arrange()
 
 
 def on_the_floor(**layers: bool) -> Callable[[Page], None]:
-    """How the fridge is opened: layers on the floor, and nothing that stands on them."""
+    """Show layers on the floor without the objects on them."""
 
     def act(page: Page) -> None:
-        asked("open", "fridge/door_hinge", page.panel.robot.value)(page)
+        planned("open", "fridge/door_hinge", page.panel.robot.value)(page)
         shown(**layers)(page)
         page.robot.remove()
 
@@ -131,8 +129,8 @@ def on_the_floor(**layers: bool) -> Callable[[Page], None]:
 
 
 def in_the_middle(page: Page) -> None:
-    """A moment at which the hand pulls."""
-    motion = page.motion.story
+    """Show a moment at which the hand pulls."""
+    motion = page.shown.story
     assert motion is not None
     times = np.linspace(0.0, motion.duration, 400)
     pulls = [motion.at(float(t)).force for t in times]
@@ -141,7 +139,7 @@ def in_the_middle(page: Page) -> None:
 
 
 def points(page: Page) -> None:
-    """The points of a scan by thing, without the scene that was made of it."""
+    """Show the points of a scan by object, without the reconstructed scene."""
     page.panel.furniture.value = False
     page.room.set_visible(False)
     page.robot.remove()
@@ -150,21 +148,21 @@ def points(page: Page) -> None:
 ROBOTS = ("segway_ur5e", "fetch", "tiago", "husky_ur5e", "ranger_rm63")
 ITEMS = (
     Item("fridge", ("view kitchen_small --robot segway_ur5e",),
-         asked("open", "fridge/door_hinge", "segway_ur5e", way=True, waypoints=True,
+         planned("open", "fridge/door_hinge", "segway_ur5e", path=True, waypoints=True,
                tolerance=True)),
     Item("oven", ("view kitchen_small --robot fetch",),
-         asked("open", "oven/door_hinge", "fetch", to="max", way=True, waypoints=True)),
+         planned("open", "oven/door_hinge", "fetch", to="max", path=True, waypoints=True)),
     Item("drawer", ("view kitchen_small --robot tiago",),
-         asked("open", "cabinet_right/drawer_top_slide", "tiago", way=True, waypoints=True)),
+         planned("open", "cabinet_right/drawer_top_slide", "tiago", path=True, waypoints=True)),
     Item("reach", ("view kitchen_small --robot husky_ur5e",),
-         asked("open", "fridge/door_hinge", "husky_ur5e", reach=True, waypoints=True), away=4.5),
+         planned("open", "fridge/door_hinge", "husky_ur5e", reach=True, waypoints=True), away=4.5),
     Item("candidates", ("view kitchen_small --robot ranger_rm63",),
          on_the_floor(candidates=True), away=3.4, above=55.0),
     Item("opening", ("view kitchen_small --robot segway_ur5e",),
          on_the_floor(opening=True), above=50.0),
     Item("graph", ("view kitchen_small --robot segway_ur5e",),
-         asked("open", "fridge/door_hinge", "segway_ur5e", importance=True)),
-    Item("compare", ("view kitchen_small --robot segway_ur5e",), beside,
+         planned("open", "fridge/door_hinge", "segway_ur5e", importance=True)),
+    Item("compare", ("view kitchen_small --robot segway_ur5e",), side_by_side,
          away=9.8, aside=2.9, above=38.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
                  "run plan.json --out run.json", "view run.json"), in_the_middle,
@@ -175,7 +173,7 @@ ITEMS = (
 
 
 def done(page: Page) -> None:
-    """Wait until nothing is worked at any more."""
+    """Wait until no work is running."""
     for work in (page.work, page.layers):
         if not work.wait(LONG):
             raise TimeoutError("the page did not finish")
@@ -183,15 +181,15 @@ def done(page: Page) -> None:
 
 @contextmanager
 def browsing(executable: str) -> Iterator[Any]:
-    """A Chromium without a window."""
+    """Start Chromium without a window."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
         yield browser
         browser.close()
 
 
-def picture(item: Item, browser: Any) -> Image.Image:
-    """What the page shows of an item."""
+def image_of(item: Item, browser: Any) -> Image.Image:
+    """Return the page's image of an item."""
     for command in item.commands[:-1]:
         main(shlex.split(command))
     _, source, *options = shlex.split(item.commands[-1])
@@ -204,7 +202,7 @@ def picture(item: Item, browser: Any) -> Image.Image:
         done(page)
         item.act(page)
         done(page)
-        if page.panel.result.content.startswith("**It cannot"):
+        if page.panel.result.content.startswith("**Error"):
             raise RuntimeError(f"{item.name}: {page.panel.result.content}")
         aim(page, item)
         tab = browser.new_page(viewport=SMALL)
@@ -220,7 +218,7 @@ def picture(item: Item, browser: Any) -> Image.Image:
 
 
 def whole_page(browser: Any) -> Image.Image:
-    """The page with its controls and an answer."""
+    """Return an image of the page with its controls and an answer."""
     with served(
         host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=ROBOTS[:1],
         scene="kitchen_small", robot=ROBOTS[0], cache=user_cache(), folder=Path.cwd(),
@@ -231,7 +229,9 @@ def whole_page(browser: Any) -> Image.Image:
         tab = browser.new_page(viewport=dict(zip(("width", "height"), DRAWN, strict=True)))
         tab.goto(address)
         tab.get_by_text("Solved").wait_for(timeout=1000 * LONG)
-        remark = tab.locator(".mantine-Notification-closeButton")  # of a browser without graphics
+        remark = tab.locator(
+            ".mantine-Notification-closeButton"
+        )  # warning of a browser without a GPU
         if remark.count():
             remark.first.click(force=True, timeout=1000 * LONG)
         before, ends = b"", time.monotonic() + LONG
@@ -246,27 +246,27 @@ def whole_page(browser: Any) -> Image.Image:
 
 
 def fewer_colors(drawn: Image.Image) -> Image.Image:
-    """A picture that takes less space."""
-    # The median cut would turn thin red lines orange: few pixels have their color.
+    """Return an image with fewer colors."""
+    # The median cut would turn thin red lines orange, since few pixels have their color.
     return drawn.quantize(
         COLORS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
     )
 
 
 def keep(drawn: Image.Image, file: Path) -> None:
-    """Write a picture, and tell how large it is."""
+    """Write an image and print its size."""
     drawn.save(file, optimize=True)
     print(f"{file}: {file.stat().st_size / 1e3:.0f} kB", flush=True)
 
 
 def aim(page: Page, item: Item) -> None:
-    """Look at robot and object from where the page looks at the room."""
+    """Aim the camera at robot and object, from the side of the page's own view."""
     scene, question = page.shown.scene, page.shown.question
     assert scene is not None
     assert question is not None
     eye, target = viewpoint(scene)
-    thing = scene.object(question.target.partition("/")[0]).bounds.mean(0)
-    middle = np.append((thing[:2] + page.robot.base[:2]) / 2, 0.8)
+    target = scene.object(question.target.partition("/")[0]).bounds.mean(0)
+    middle = np.append((target[:2] + page.robot.base[:2]) / 2, 0.8)
     back = (eye - target)[:2] / np.linalg.norm((eye - target)[:2])
     back = rotation(np.radians(item.around)) @ back
     steep = np.radians(item.above)
@@ -279,11 +279,11 @@ def aim(page: Page, item: Item) -> None:
 
 
 def settled(client: Any) -> np.ndarray:
-    """What a browser draws when nothing is on its way any more, light included."""
+    """Return the browser's image once all data, including light, has arrived."""
     before, ends = np.zeros(0), time.monotonic() + LONG
     while time.monotonic() < ends:
         time.sleep(SETTLED)
-        pixels = render(client, DRAWN, patience=LONG)
+        pixels = render(client, DRAWN, timeout=LONG)
         if np.array_equal(pixels, before):
             break
         before = pixels
@@ -301,7 +301,7 @@ if __name__ == "__main__":
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, chdir(folder), browsing(args.chromium) as browser:
         for item in (one for one in ITEMS if one.name in args.only):
-            drawn = picture(item, browser).resize(KEPT, Image.Resampling.LANCZOS)
+            drawn = image_of(item, browser).resize(KEPT, Image.Resampling.LANCZOS)
             keep(fewer_colors(drawn), out / f"{item.name}.png")
         if "view" in args.only:
             keep(whole_page(browser), out.parent / "view.png")

@@ -1,12 +1,11 @@
-"""How long ranking takes, and how much the scores depend on the seed.
+"""Measure the time of ranking, and how much the scores depend on the seed.
 
     python benchmarks/importance.py [--scenes DIR] [--repeats 5]
 
-Synthetic rooms: boxes of 0.1 to 0.8 m, strewn over a floor that grows with their number, or all
-standing at one place. Kitchens of the simulator: the BestMan scenes and what is derived from them,
-where DIR (the folder that holds bestman/, by default $MOMAPOS_SHARED) has them. Times are of the
-processor, with the kernels compiled and the scene's hulls made; the first ranking of a scene makes
-them.
+Synthetic rooms: boxes of 0.1 to 0.8 m, scattered over a floor that grows with their number, or all
+at one place. Kitchens of the simulator: the BestMan scenes and their variants in DIR (the folder
+that holds bestman/, by default $MOMAPOS_SHARED). Processor times, with compiled kernels and with
+the scene's hulls, which the first ranking of a scene builds.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ REAL = (
 
 
 def boxes(count: int, *, strewn: bool) -> Scene:
-    """A room of boxes."""
+    """Build a room of boxes."""
     rng = np.random.default_rng(0)
     items = []
     for k in range(count):
@@ -53,7 +52,7 @@ def boxes(count: int, *, strewn: bool) -> Scene:
 
 
 def milliseconds(work: Callable[[], object], repeats: int) -> float:
-    """Median processor time of some work [ms]."""
+    """Return the median processor time of some work [ms]."""
     times = []
     for _ in range(repeats):
         began = time.process_time()
@@ -63,7 +62,7 @@ def milliseconds(work: Callable[[], object], repeats: int) -> float:
 
 
 def measure(scene: Scene, target: str, repeats: int) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     first = milliseconds(lambda: build_graph(scene), 1)
     graph = build_graph(scene)
     kinds = np.bincount(graph.kind, minlength=len(KINDS))
@@ -77,7 +76,7 @@ def measure(scene: Scene, target: str, repeats: int) -> str:
 
 
 def noise(scene: Scene, target: str) -> str:
-    """Standard deviation of deepwalk's scores over seeds, and how many change sides at alpha."""
+    """Return the standard deviation of deepwalk's scores over seeds, and how many cross alpha."""
     if len(scene.objects) > 100:
         return "-"
     walks = ImportanceConfig(scorer="deepwalk")

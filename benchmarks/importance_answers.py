@@ -1,10 +1,10 @@
-"""What importance costs and saves in an answer: misses, rounds, time of modeling.
+"""Measure the effect of importance on an answer: misses, rounds and modeling time.
 
     python benchmarks/importance_answers.py [--robot segway_ur5e] [--runs everything reach]
 
 Every door and drawer with a handle in the five kitchens of the BestMan simulator and the built-in
-ones, by each scorer and with everything modeled. A miss is a plan that the exact check with all
-objects refuses. Times are processor time, warm.
+ones, with each scorer and with all objects modeled. A miss is a plan that the exact check with all
+objects rejects. Processor times, warm.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from momapos.model.scene.scene_names import builtin_names
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task, openable
 from momapos.planning.importance.config import ImportanceConfig, ScorerName
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.verification.exact_check import PlanVerifier
 from placement import SCENES, machine, shared
@@ -42,7 +42,7 @@ RUNS: tuple[tuple[str, ScorerName, float], ...] = (
 
 
 def questions() -> list[tuple[str, Task]]:
-    """All openings: the scene's name or path, and the task."""
+    """Return all openings: the scene's name or path, and the task."""
     names = [str(shared() / "bestman" / name) for name in SCENES] + list(builtin_names())
     found = []
     for name in names:
@@ -50,13 +50,13 @@ def questions() -> list[tuple[str, Task]]:
         for item, joint in openable(scene):
             try:
                 found.append((name, make_task(scene, "open", item, joint)))
-            except MomaposError:  # it stands open
+            except MomaposError:  # it is open already
                 continue
     return found
 
 
 def modeling_seconds(name: str, keep: tuple[str, ...]) -> float:
-    """Time to make hulls and boxes of some objects of a scene that was just read [s]."""
+    """Return the time to build hulls and boxes of some objects of a new scene [s]."""
     scene = load_scene(name)
     began = time.process_time()
     for item in scene.objects:
@@ -65,12 +65,12 @@ def modeling_seconds(name: str, keep: tuple[str, ...]) -> float:
     return time.process_time() - began
 
 
-def row(label: str, robot: Robot, asked: list[tuple[str, Task]], config: PipelineConfig) -> str:
-    """One line of the table."""
+def row(label: str, robot: Robot, tasks: list[tuple[str, Task]], config: PipelineConfig) -> str:
+    """Return one line of the table."""
     reach = load_reach_map(robot, default_cache_dir(), None)
-    scenes: dict[str, Scene] = {name: load_scene(name) for name, _ in asked}
+    scenes: dict[str, Scene] = {name: load_scene(name) for name, _ in tasks}
     solved, missed, seconds, keys, cost = 0, 0, [], [], 0.0
-    for name, task in asked:
+    for name, task in tasks:
         plan_base_placement(scenes[name], robot, task, reach, config=config)
         plan = plan_base_placement(
             scenes[name], robot, task, reach, config=config, clock=time.process_time
@@ -83,18 +83,18 @@ def row(label: str, robot: Robot, asked: list[tuple[str, Task]], config: Pipelin
             missed += exact.first_violation(plan.base_pose, plan.motion) is not None
             solved, cost = solved + 1, cost + (plan.navigation_cost or 0.0)
     cells = [
-        label, f"{solved} of {len(asked)}", str(missed), f"{cost / max(1, solved):.2f} m",
+        label, f"{solved} of {len(tasks)}", str(missed), f"{cost / max(1, solved):.2f} m",
         f"{100 * np.mean([len(k.names) / len(k.scores) for k in keys]):.0f} %",
         f"{np.mean([k.rounds for k in keys]):.2f}",
         str(sum(k.alpha < config.importance.alpha for k in keys)),
         f"{1e3 * np.median(seconds):.0f} / {1e3 * np.percentile(seconds, 95):.0f} ms",
-        f"{1e3 * np.mean(_modeling(asked, keys)):.0f} ms",
+        f"{1e3 * np.mean(_modeling(tasks, keys)):.0f} ms",
     ]  # fmt: skip
     return f"| {' | '.join(cells)} |"
 
 
-def _modeling(asked: list[tuple[str, Task]], keys: list[KeyObjects]) -> list[float]:
-    pairs = zip(asked, keys, strict=True)
+def _modeling(tasks: list[tuple[str, Task]], keys: list[KeyObjects]) -> list[float]:
+    pairs = zip(tasks, keys, strict=True)
     return [modeling_seconds(name, key.names) for (name, _), key in pairs]
 
 
@@ -105,17 +105,17 @@ def main() -> None:
     labels = [label for label, _, _ in RUNS]
     parser.add_argument("--runs", nargs="+", choices=labels, default=labels, help="lines")
     args = parser.parse_args()
-    robot, asked = load_robot(args.robot), questions()
-    rooms = len({Path(name).stem for name, _ in asked})
-    print(f"machine: {machine()}; {args.robot}, {len(asked)} tasks in {rooms} rooms\n")
+    robot, tasks = load_robot(args.robot), questions()
+    rooms = len({Path(name).stem for name, _ in tasks})
+    print(f"machine: {machine()}; {args.robot}, {len(tasks)} tasks in {rooms} rooms\n")
     print(
-        "| modeled | solved | refused by the whole room | drive | S | rounds | alpha lowered "
+        "| modeled | solved | rejected with all objects | drive | S | rounds | alpha lowered "
         "| median / 95th percentile | modeling |"
     )
     print("|" + "---|" * 9)
     for label, scorer, alpha in (run for run in RUNS if run[0] in args.runs):
         config = PipelineConfig(importance=ImportanceConfig(scorer=scorer, alpha=alpha))
-        print(row(label, robot, asked, config), flush=True)
+        print(row(label, robot, tasks, config), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How well scores tell the objects that matter: ROC, precision and recall, and their picture."""
+"""Evaluate how well scores identify the objects that matter: ROC, precision, recall, figure."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ ALPHA = 0.45
 """The paper's threshold [-]."""
 ALPHAS = np.linspace(0.0, 1.0, 101)
 SHARES = (0.0, 0.01, 0.05)
-"""An object matters when more than this share of the poses is lost where it is a box [-]."""
+"""An object matters if modeling it as a box loses more than this share of the poses [-]."""
 PAPER = "deepwalk k0=0.5"
 SHOWN = {
     PAPER: ("deepwalk", "#2a7ab8"),
     "distance": ("distance", "#b87800"),
     "size": ("size / distance", "#008060"),
-    "reach": ("reach: size / distance to the handle's way", "#a5371e"),
+    "reach": ("reach: size / distance to the handle's path", "#a5371e"),
     "names": ("names", "#8a4b9c"),
 }
-"""Scorers in the picture: name and color."""
-FEW = 0.02
-"""Curves leave out an S of less than this share of the objects: chance decides there [-]."""
+"""Scorers in the figure: name and color."""
+MIN_SHARE = 0.02
+"""Curves omit an S of less than this share of the objects, where chance dominates [-]."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """All pairs of a task and an object, as one scorer sees them, once for each seed."""
+    """All pairs of a task and an object for one scorer, once per seed."""
 
     score: Float[np.ndarray, " n"]
     matters: Bool[np.ndarray, " n"]
     task: Int[np.ndarray, " n"]
-    """Index of the task and seed that a pair belongs to."""
+    """Index of the pair's task and seed."""
 
 
 def pairs(tasks: list[dict[str, Any]], scorer: str, share: float = SHARES[1]) -> Pairs:
@@ -49,7 +49,7 @@ def pairs(tasks: list[dict[str, Any]], scorer: str, share: float = SHARES[1]) ->
 
 
 def roc_area(p: Pairs) -> float:
-    """How often what matters scores above what does not; ties count half."""
+    """Return how often an object that matters scores above one that does not; ties count 0.5."""
     many, few = p.matters.sum(), (~p.matters).sum()
     if not many or not few:
         return float("nan")
@@ -57,13 +57,13 @@ def roc_area(p: Pairs) -> float:
 
 
 def roc_within(p: Pairs) -> float:
-    """The same for each task by itself, then the mean: how good the order is without alpha."""
+    """Return the mean of the same measure within each task: the quality of the order."""
     one = [Pairs(p.score[k], p.matters[k], p.task[k]) for t in set(p.task) for k in [p.task == t]]
     return float(np.nanmean([roc_area(part) for part in one]))
 
 
 def curve(p: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Precision, recall and the share in S at every score that occurs, the highest first."""
+    """Return precision, recall and the share in S at every score, the highest first."""
     order = np.argsort(-p.score, kind="stable")
     hits = np.cumsum(p.matters[order])
     last = np.append(np.diff(p.score[order]) != 0, True)
@@ -72,13 +72,13 @@ def curve(p: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def average_precision(p: Pairs) -> float:
-    """Area under precision over recall, in steps."""
+    """Return the area under the stepwise precision-recall curve."""
     precision, recall, _ = curve(p)
     return float((np.diff(recall, prepend=0.0) * precision).sum())
 
 
 def at(p: Pairs, alpha: float) -> dict[str, float]:
-    """What a threshold gives: precision, recall, F1, and the share of objects that are in S."""
+    """Return precision, recall, F1 and the share of objects in S at a threshold."""
     chosen = p.score >= alpha
     hits = float((chosen & p.matters).sum())
     precision = hits / chosen.sum() if chosen.any() else 1.0
@@ -88,12 +88,12 @@ def at(p: Pairs, alpha: float) -> dict[str, float]:
 
 
 def measures(tasks: list[dict[str, Any]], scorer: str, share: float) -> dict[str, Any]:
-    """All figures of one scorer."""
+    """Return all measures of one scorer."""
     p = pairs(tasks, scorer, share)
     count = sum(len(task["objects"]) for task in tasks)
     everywhere = [at(p, alpha) for alpha in ALPHAS]
     best = int(np.argmax([row["f1"] for row in everywhere]))
-    # The highest alpha that still finds nine of ten: what S costs when little may be missed.
+    # The highest alpha with a recall of 90 %: the size of S if few misses are allowed.
     safe = int(np.flatnonzero([row["recall"] >= 0.9 for row in everywhere]).max())
     return {
         "pairs": count,
@@ -108,7 +108,7 @@ def measures(tasks: list[dict[str, Any]], scorer: str, share: float) -> dict[str
 
 
 def summary(tasks: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Figures of all scorers, over all rooms and by their source, for each share."""
+    """Return the measures of all scorers, over all rooms and by source, for each share."""
     rows = []
     for share in SHARES:
         for source in ("all", "shared", "built-in"):
@@ -124,7 +124,7 @@ def summary(tasks: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """The figures as Markdown: by source for the usual share, over all rooms for the others."""
+    """Format the measures as Markdown: by source for the default share, over all rooms for others."""
     lines: list[str] = []
     group: tuple[str, ...] = ()
     for r in rows:
@@ -150,7 +150,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def draw(tasks: list[dict[str, Any]], path: Path) -> None:
-    """Precision over recall, and both over alpha, by scorer."""
+    """Draw precision over recall, and both over alpha, by scorer."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -166,7 +166,7 @@ def draw(tasks: list[dict[str, Any]], path: Path) -> None:
         precision, recall, kept = curve(p)
         lines = [(recall, precision, kept), (*alphas[:2], alphas[3]), (alphas[0], *alphas[2:])]
         for axis, (x, y, share) in zip(axes, lines, strict=True):
-            fair = np.asarray(share) >= FEW
+            fair = np.asarray(share) >= MIN_SHARE
             label = name if axis is axes[0] else None
             axis.plot(np.asarray(x)[fair], np.asarray(y)[fair], color=color, lw=1.8, label=label)
         rate = float(p.matters.mean())
@@ -177,7 +177,7 @@ def draw(tasks: list[dict[str, Any]], path: Path) -> None:
 
 
 def _dress(axes: np.ndarray, rate: float) -> None:
-    """Titles, grids, and what chance and the paper's alpha would give."""
+    """Add titles, grids, and reference lines of chance and of the paper's alpha."""
     titles = (
         ("recall", "precision", "Precision over recall"),
         ("alpha", "precision", "Precision over alpha"),

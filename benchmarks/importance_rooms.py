@@ -1,4 +1,4 @@
-"""Rooms for the ground truth of importance: the shared kitchens, and built-in ones furnished."""
+"""Rooms for the ground truth of importance: shared kitchens, and furnished built-in ones."""
 
 from __future__ import annotations
 
@@ -20,42 +20,42 @@ from momapos.planning.grasps.tasks import openable
 from placement import SCENES, shared
 
 OBJECTS = 30
-"""Objects of a built-in kitchen once it is furnished, walls not counted [-]."""
+"""Number of objects of a furnished built-in kitchen, without walls [-]."""
 ON_COUNTERS = {
     "cup": (0.08, 0.08, 0.1), "box": (0.08, 0.18, 0.25), "kettle": (0.18, 0.16, 0.24),
     "bread_bin": (0.35, 0.25, 0.2), "jar": (0.1, 0.1, 0.16),
 }  # fmt: skip
 ON_FLOOR = {"stool": (0.35, 0.35, 0.65), "bin": (0.3, 0.25, 0.5), "crate": (0.4, 0.3, 0.3)}
-"""What is added, with sizes [m]."""
+"""Added objects and their sizes [m]."""
 FLOOR_SHARE = 0.4
-"""How much of what is added stands on the floor [-]."""
+"""Share of added objects on the floor [-]."""
 COUNTERS = ("counter", "kitchen island", "cabinet", "dishwasher")
 TOP = (0.7, 1.1)
-"""Heights of surfaces that things are put on [m]."""
+"""Range of heights of supporting surfaces [m]."""
 TRIES = 300
 
 
 @dataclass(frozen=True)
 class Room:
-    """A scene, where it comes from, and what may be opened in it."""
+    """A scene, its source and its openable parts."""
 
     key: str
     source: str
     """shared or built-in."""
     scene: Scene
     targets: tuple[tuple[str, str], ...]
-    """(object, joint), in the order in which they are asked for."""
+    """(object, joint), in the order in which they are tried."""
     most: int
-    """How many of these make a task, each with an object of its own [-]."""
+    """Maximum number of tasks, each with another object [-]."""
 
 
 def is_wall(item: SceneObject) -> bool:
-    """Whether an object is part of the building: it can be neither removed nor modeled."""
+    """Return whether an object is part of the building, which is never removed or modeled."""
     return "wall" in item.category and "cabinet" not in item.category
 
 
 def shared_rooms() -> Iterator[Room]:
-    """The shared kitchens; every object that can be opened is a target."""
+    """Yield the shared kitchens; every openable object is a target."""
     for name in SCENES:
         scene = load_scene(shared() / "bestman" / name)
         targets = tuple(openable(scene))
@@ -63,7 +63,7 @@ def shared_rooms() -> Iterator[Room]:
 
 
 def built_in_rooms(folder: Path, count: int, targets: int, workers: int) -> Iterator[Room]:
-    """Generated kitchens of all layouts in turn, with some targets in each."""
+    """Yield generated kitchens of all layouts in turn, with some targets in each."""
     which = [(LAYOUTS[k % len(LAYOUTS)], 1 + k // len(LAYOUTS)) for k in range(count)]
     files = [folder / f"{layout}_{seed}.json" for layout, seed in which]
     folder.mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,7 @@ def _generate(row: tuple[tuple[str, int], Path]) -> None:
 
 
 def furnish(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Add small things on counters and a few on the floor, until there are 30 objects."""
+    """Add small objects on counters and on the floor, until there are 30 objects."""
     wanted = OBJECTS - sum(not is_wall(item) for item in scene.objects)
     for k in range(max(0, wanted)):
         on_floor = rng.random() < FLOOR_SHARE
@@ -97,15 +97,15 @@ def furnish(scene: Scene, rng: np.random.Generator) -> Scene:
         if spot is None:
             continue
         model = Articulated(box_urdf(f"{kind}_{k}", tuple(size.tolist())))
-        thing = SceneObject(f"{kind}_{k}", kind.replace("_", " "), pose(spot), model)
-        scene = replace(scene, objects=(*scene.objects, thing))
+        added = SceneObject(f"{kind}_{k}", kind.replace("_", " "), pose(spot), model)
+        scene = replace(scene, objects=(*scene.objects, added))
     return scene
 
 
 def _spot(
     scene: Scene, size: Float[np.ndarray, "3"], rng: np.random.Generator, *, on_floor: bool
 ) -> tuple[float, float, float] | None:
-    """A center where a box stands clear of all others by 2 cm [m]; None where none was found."""
+    """Return a center at which a box is 2 cm clear of all others [m]; None if none was found."""
     bounds = np.array([item.bounds for item in scene.objects])
     tops = [
         item.bounds for item in scene.objects

@@ -1,14 +1,13 @@
-"""Which objects really matter, and which score tells them best.
+"""Measure which objects really matter for a task, and which score identifies them best.
 
     python benchmarks/importance_truth.py [--rooms 60] [--targets 2] [--cell 0.1] [--turn 30]
         [--scenes DIR] [--cache FILE] [--out DIR] [--figure FILE]
 
-The truth: an object outside S stays a box, so it matters for a task by the share of feasible base
-poses that are lost where this one object is a box and all others are models. A pose is feasible
-where the base stands clear at every value of the joint and an arm path is found; the approach from
-home and the exact check are left out. Results are kept room by room in
-the cache file, so that a run that was cut short goes on where it stopped; delete it when the method
-changes.
+Ground truth: an object outside S stays a box. It matters for a task by the share of feasible base
+poses that are lost if this object is a box and all others are models. A pose is feasible if the
+base is free at every value of the joint and an arm path is found; the approach from home and the
+exact check are omitted. Results are stored per room in the cache file, so that an interrupted run
+can continue; delete the file when the method changes.
 """
 
 from __future__ import annotations
@@ -47,9 +46,9 @@ from momapos.planning.task_setup import collision_world, placement_geometry
 
 CONFIG = PipelineConfig()
 GRASPS = 8
-"""Grasps tried at one pose, best reached first [-]."""
-FEWEST = 10
-"""A task with fewer feasible poses says too little and is passed over [-]."""
+"""Number of grasps tried at one pose, best reached first [-]."""
+MIN_POSES = 10
+"""Tasks with fewer feasible poses are skipped [-]."""
 SEEDS = 3
 PLAIN: tuple[ScorerName, ...] = ("distance", "size", "reach", "names")
 K0 = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -58,27 +57,27 @@ Rows = Int[np.ndarray, " m"]
 
 @dataclass(frozen=True)
 class Question:
-    """A task of one robot, and the base poses that are looked at."""
+    """A task of one robot, and the grid of base poses."""
 
     scene: Scene
     robot: Robot
     reach: ReachScorer
     task: Task
     cell: float
-    """Side of a cell of the grid [m]."""
+    """Cell size of the grid [m]."""
     turn: float
-    """Turn between yaws of the grid [deg]."""
+    """Yaw step of the grid [deg]."""
 
     @cached_property
     def others(self) -> tuple[SceneObject, ...]:
-        """What can be a box, the nearest to the target first."""
+        """Return the objects that can be boxes, the nearest to the target first."""
         target = self.scene.object(self.task.object).bounds
         items = [o for o in self.scene.objects if o.name != self.task.object and not is_wall(o)]
         return tuple(sorted(items, key=lambda item: _gap(item.bounds, target)))
 
     @cached_property
     def poses(self) -> Float[np.ndarray, "n 3"]:
-        """The grid over all that the arm's length allows, in the task's frame."""
+        """Return the grid over all poses within the arm's length, in the task's frame."""
         motion = task_motion(self.scene, self.robot, self.task, CONFIG.motion)
         geometry = placement_geometry(self.scene, self.robot, motion, CONFIG.place.clearance)
         corners = sampling_box(geometry)
@@ -90,7 +89,7 @@ class Question:
         return compose(task_frame(geometry), local)
 
     def feasible(self, scene: Scene, rows: Rows) -> Rows:
-        """Which of some poses of the grid are feasible in a scene."""
+        """Return which of the given grid poses are feasible in a scene."""
         if not len(rows):
             return rows
         motion = task_motion(scene, self.robot, self.task, CONFIG.motion)
@@ -109,62 +108,62 @@ class Question:
         return rows[np.array([one.q is not None for one in found], bool)]
 
     def boxed(self, group: Iterable[SceneObject]) -> Scene:
-        """The scene with some objects as boxes that hold them."""
+        """Return the scene with some objects replaced by their boxes."""
         boxes = {item.name for item in group}
         return self.scene.with_box_proxies({o.name for o in self.scene.objects} - boxes)
 
 
 def _gap(a: Float[np.ndarray, "2 3"], b: Float[np.ndarray, "2 3"]) -> float:
-    """Horizontal distance of two boxes [m]."""
+    """Return the horizontal distance of two boxes [m]."""
     return float(np.linalg.norm(np.maximum(np.maximum(a[0] - b[1], b[0] - a[1]), 0.0)[:2]))
 
 
-def lost(asked: Question, group: tuple[SceneObject, ...], rows: Rows) -> dict[str, int]:
-    """How many poses are lost where each object alone is a box.
+def lost(question: Question, group: tuple[SceneObject, ...], rows: Rows) -> dict[str, int]:
+    """Count the poses that are lost if each object alone is a box.
 
-    Halves the group: a box holds its object, so a pose that works with all of a group as boxes
-    works with any of them as one.
+    Bisects the group: a box contains its object, so a pose that is feasible with a whole group as
+    boxes is feasible with each of them as a box.
 
     Args:
-        asked: The task.
+        question: The task.
         group: Objects.
         rows: Poses that are feasible with all of them modeled.
     """
     if group and len(rows):
-        rows = np.setdiff1d(rows, asked.feasible(asked.boxed(group), rows))
+        rows = np.setdiff1d(rows, question.feasible(question.boxed(group), rows))
     if len(group) <= 1 or not len(rows):
         return {item.name: len(rows) for item in group}
     middle = len(group) // 2
-    return lost(asked, group[:middle], rows) | lost(asked, group[middle:], rows)
+    return lost(question, group[:middle], rows) | lost(question, group[middle:], rows)
 
 
-def truth(asked: Question) -> dict[str, Any] | None:
-    """Shares of poses that every object costs as a box; None where the task says too little."""
-    full = asked.feasible(asked.scene, np.arange(len(asked.poses)))
-    if len(full) < FEWEST:
+def truth(question: Question) -> dict[str, Any] | None:
+    """Return the share of poses that each object costs as a box; None with too few poses."""
+    full = question.feasible(question.scene, np.arange(len(question.poses)))
+    if len(full) < MIN_POSES:
         return None
-    boxed = asked.feasible(asked.boxed(asked.others), full)
-    costs = lost(asked, asked.others, full)
+    boxed = question.feasible(question.boxed(question.others), full)
+    costs = lost(question, question.others, full)
     return {
-        "poses": len(asked.poses),
+        "poses": len(question.poses),
         "full": len(full),
         "boxed": len(boxed),
-        "objects": [item.name for item in asked.others],
-        "lost": [costs[item.name] / len(full) for item in asked.others],
+        "objects": [item.name for item in question.others],
+        "lost": [costs[item.name] / len(full) for item in question.others],
     }
 
 
-def scores(asked: Question) -> dict[str, list[list[float]]]:
-    """Scores of the objects by each scorer, one list a seed."""
+def scores(question: Question) -> dict[str, list[list[float]]]:
+    """Return the scores of the objects by each scorer, one list per seed."""
     configs = {f"deepwalk k0={k0:g}": ImportanceConfig(scorer="deepwalk", k0=k0) for k0 in K0}
     configs |= {name: ImportanceConfig(scorer=name) for name in PLAIN}
-    task = asked.task
-    path = hand_path(asked.scene, task.object, task.joint, task.to)
+    task = question.task
+    path = hand_path(question.scene, task.object, task.joint, task.to)
     return {
         name: [
-            [ranked.score(item.name) for item in asked.others]
+            [ranked.score(item.name) for item in question.others]
             for seed in range(SEEDS if "deepwalk" in name else 1)
-            for ranked in [rank(asked.scene, task.object, config, path=path, seed=seed)]
+            for ranked in [rank(question.scene, task.object, config, path=path, seed=seed)]
         ]
         for name, config in configs.items()
     }
@@ -173,7 +172,7 @@ def scores(asked: Question) -> dict[str, list[list[float]]]:
 def answer(
     room: Room, robot: Robot, reach: ReachScorer, args: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    """The truth and the scores of each task in a room."""
+    """Return the truth and the scores of each task in a room."""
     tasks: dict[str, dict[str, Any]] = {}
     for name, joint in room.targets:
         if name in tasks or len(tasks) == room.most:
@@ -181,19 +180,19 @@ def answer(
         began = time.perf_counter()
         try:
             task = make_task(room.scene, "open", name, joint)
-            asked = Question(room.scene, robot, reach, task, args.cell, args.turn)
-            found = truth(asked)
+            question = Question(room.scene, robot, reach, task, args.cell, args.turn)
+            found = truth(question)
         except MomaposError:  # a handle too thick for the gripper
             continue
         if found is not None:
             head = {"room": room.key, "source": room.source, "task": f"{name}/{joint}"}
             seconds = round(time.perf_counter() - began, 1)
-            tasks[name] = head | found | {"seconds": seconds, "scores": scores(asked)}
+            tasks[name] = head | found | {"seconds": seconds, "scores": scores(question)}
     return list(tasks.values())
 
 
 def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
-    """Read the rooms that the cache file has for these settings, and add those it lacks."""
+    """Read the rooms of these settings from the cache file, and measure the missing ones."""
     settings = [args.robot, args.cell, args.turn, args.targets]
     lines = args.cache.read_text().splitlines() if args.cache.exists() else []
     rows = [row for row in map(json.loads, lines) if row["settings"] == settings]
@@ -216,15 +215,15 @@ def main() -> None:
     """Run and report."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="segway_ur5e")
-    parser.add_argument("--rooms", type=int, default=60, help="built-in kitchens")
-    parser.add_argument("--targets", type=int, default=2, help="in each of these")
+    parser.add_argument("--rooms", type=int, default=60, help="number of built-in kitchens")
+    parser.add_argument("--targets", type=int, default=2, help="targets per kitchen")
     parser.add_argument("--shared", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--scenes", type=Path, default=Path("bench_out/rooms"))
     parser.add_argument("--cache", type=Path, default=Path("bench_out/importance_truth.jsonl"))
     parser.add_argument("--cell", type=float, default=0.1, help="[m]")
     parser.add_argument("--turn", type=float, default=30.0, help="[deg]")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--report-only", action="store_true", help="from the cache alone")
+    parser.add_argument("--report-only", action="store_true", help="report the cached results only")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--figure", type=Path)
     args = parser.parse_args()

@@ -136,7 +136,7 @@ def _words(values: np.ndarray) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("first", type=int, help="the first seed")

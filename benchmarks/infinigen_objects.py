@@ -12,7 +12,7 @@
 Doors, handles, buttons and materials are drawn by a program of others, so that nothing here was
 tuned to them. What moves and is no door, a knob, a rack inside, is made fast. Each is as high as
 such an appliance usually is, and has one color a triangle, that of its texture. A hash of the name
-says which half may be looked at, as in `objects.py`.
+says which set may be examined, as in `objects.py`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from momapos.model.scene.scene import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 from momapos.model.urdf.urdf_records import Geometry, Joint, Urdf
-from objects import USUAL, Usual, half_of
+from objects import USUAL, Usual, set_of
 
 KINDS = {
     "dishwasher": USUAL["Dishwasher"],
@@ -111,7 +111,7 @@ def _words(values: np.ndarray) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("drawn", type=Path, help="folder with what Infinigen drew")
     parser.add_argument("--out", type=Path, required=True, help="folder for the URDFs")
@@ -128,7 +128,7 @@ def main() -> None:
     if not rows:
         sys.exit(f"{args.drawn}: nothing of Infinigen is there; see --help")
     (args.out / "models.json").write_text(json.dumps(rows, indent=1) + "\n")
-    print(f"{dict(Counter(half_of(str(row['name'])) for row in rows))} in {args.out}")
+    print(f"{dict(Counter(set_of(str(row['name'])) for row in rows))} in {args.out}")
 
 
 if __name__ == "__main__":

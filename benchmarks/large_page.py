@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.apps.web.moving import GAPS, SLOW
+from momapos.apps.web.moving import FRAME_GAPS, SLOW_FRAME_TIME
 from momapos.apps.web.opened import OpenedScan
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
@@ -101,7 +101,7 @@ async def measured(page: Page, address: str) -> None:
         await asyncio.sleep(0.5)
         while tab.told.busy:
             await asyncio.sleep(0.1)
-        if page.motion.story is None:
+        if page.shown.story is None:
             raise RuntimeError(page.panel.result.content)
 
     async def play() -> None:
@@ -110,9 +110,9 @@ async def measured(page: Page, address: str) -> None:
         await tab.press("Pause")
 
     async def turn() -> None:
-        for k in range(2 * GAPS):
+        for k in range(2 * FRAME_GAPS):
             await tab.send({**CAMERA, "position": (3.0, 3.0, 3.0 + 0.1 * k)})
-            await asyncio.sleep(2 * SLOW)
+            await asyncio.sleep(2 * SLOW_FRAME_TIME)
 
     async def activate() -> None:
         assert page.shown.scene is not None

@@ -31,15 +31,15 @@ from momapos.core.stopwatch import Stopwatch
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.baselines.by_method import plan_by_method
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.placement.pose_search import search_in_order
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.result import PlacementResult
-from momapos.planning.search_setup import ready_search
+from momapos.planning.search_setup import prepare_search
 from placement import machine
 from rows import keep_rows
 
@@ -67,13 +67,13 @@ def told(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> PlacementResult
     """
     with query.watch.stage("model"):
         motion = task_motion(query.scene, query.robot, query.task, query.config.motion)
-    ready = ready_search(query, query.scene, motion)
+    ready = prepare_search(query, query.scene, motion)
     place = query.config.place
     with query.watch.stage("search"):
         found = search_in_order(ready.problem, iter([base[None]]), place)
-    for way in ready.more_holds() if found.is_no else ():
+    for way in ready.multi_grasp_variants() if found.is_no else ():
         with query.watch.stage("search"):
-            found.join(search_in_order(ready.held_so(way), iter([base[None]]), place))
+            found.merge(search_in_order(ready.with_grasps(way), iter([base[None]]), place))
         if not found.is_no:
             break
     result = ready.result(found)
@@ -94,7 +94,9 @@ def measure(folder: Path, task: SuiteTask, methods: Sequence[str]) -> dict[str, 
 
     def asked(config: PipelineConfig) -> PlacementQuery:
         watch = Stopwatch(time.process_time)
-        return PlacementQuery(scene, robot, wanted, reach, start, None, config, task.seed, watch)
+        return PlacementQuery(
+            scene, robot, wanted, reach, start, config, seed=task.seed, watch=watch
+        )
 
     found: dict[str, dict[str, float]] = {}
     for method in methods:

@@ -116,7 +116,7 @@ def main() -> None:
             rows.append({
                 "room": room.name, "joints": len(found), "right": len(good), "worst": worst,
                 "wrong": [one.name for one in found if not right(one)],
-                "report": read.told().as_json(),
+                "report": read.final_report().as_json(),
             })  # fmt: skip
             print(f"{room.name:20} {len(good):3} of {len(found):3} joints, worst {worst:.2g} m")
             for one in found:

@@ -37,9 +37,9 @@ from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.perception.records import Decision
 from momapos.perception.views.faces import Face
-from momapos.perception.views.front_view import View, cosines_to
+from momapos.perception.views.front_view import FrontView, cosines_to
 from momapos.perception.views.projection import projection
-from momapos.planning.grasps.handle_shapes import WORD
+from momapos.planning.grasps.handle_shapes import HANDLE_WORD
 from momapos.planning.grasps.handles import has_handle
 from momapos.planning.grasps.tasks import hand_path
 from momapos.workflows.scan import scan_to_scene
@@ -83,7 +83,7 @@ def _as_drawn(urdf: Urdf) -> Urdf:
             ),
         )
         for name, link in urdf.links.items()
-        if WORD in name.lower() and len(link.collisions) == len(link.visuals)
+        if HANDLE_WORD in name.lower() and len(link.collisions) == len(link.visuals)
     }
     return replace(urdf, links={**urdf.links, **links})
 
@@ -126,7 +126,7 @@ def box_from_picture(frame: Frame, box: UprightBox, rng: np.random.Generator) ->
     return UprightBox(center, np.array([USUAL_DEPTH, width, height]))
 
 
-def on_box(decision: Decision, view: View, box: UprightBox, out: Path) -> Scene:
+def on_box(decision: Decision, view: FrontView, box: UprightBox, out: Path) -> Scene:
     """The same parts on another box."""
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
     turned = abs(np.sin(facing - box.yaw)) > 0.5

@@ -1,6 +1,6 @@
 """Spoiled plans: does our check refuse all that an independent one refuses?
 
-    python benchmarks/mutations.py [--count 500] [--plans 25] [--half tuned|measured] [--kitchens]
+    python benchmarks/mutations.py [--count 500] [--plans 25] [--set development|test] [--kitchens]
                                    [--robots fetch ...] [--verifier verify_plan.py] [--out DIR]
 
 Takes plans of the objects of `objects.py`, or of the built-in kitchens, in which the hand turns
@@ -38,10 +38,10 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_names import builtin_names
 from momapos.planning.grasps.tasks import make_task, openable
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.verification.plan_check import verify_files
-from objects import CONFIG, HALVES, tasks
+from objects import CONFIG, SETS, tasks
 from placement import ROBOTS, machine
 from rows import keep_rows
 
@@ -270,7 +270,7 @@ def another_goal(plan: dict[str, Any], rng: np.random.Generator) -> bool:
 def openings(args: argparse.Namespace) -> Iterator[tuple[str, Scene, str, str]]:
     """Robot, room, object and joint of what is opened."""
     if not args.kitchens:
-        for name, _, scene, joint in tasks(args.half, args.robots):
+        for name, _, scene, joint in tasks(args.set, args.robots):
             yield name, scene, "object", joint
         return
     scenes = [load_scene(name) for name in builtin_names()]
@@ -366,12 +366,12 @@ def report(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=500, help="spoiled plans")
     parser.add_argument("--plans", type=int, default=25, help="plans to spoil")
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--half", choices=HALVES, help="only the objects of one half")
+    parser.add_argument("--set", choices=SETS, help="only the objects of one set")
     parser.add_argument("--kitchens", action="store_true", help="the built-in kitchens")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--verifier", type=Path, help="independent check of plan files")

@@ -1,14 +1,14 @@
 """Real articulated objects, each alone in a small kitchen of its own, opened by contact.
 
-    python benchmarks/objects.py [--robots fetch ...] [--half tuned|measured] [--hold contact|weld]
+    python benchmarks/objects.py [--robots fetch ...] [--set development|test] [--hold contact|weld]
                                  [--tasks 40] [--seeds 3] [--verifier verify_plan.py] [--out DIR]
                                  [--errors] [--families]
 
 The simulator's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to the size
 that such things have, and stand against a wall, the small ones on a counter or on the wall. Every
 door and drawer is opened by every robot: planned, checked by an independent program where one is
-named, driven to and executed with noise. A hash of an object's name puts it into one of two halves:
-`tuned` may be looked at while building, `measured` is only counted.
+named, driven to and executed with noise. A hash of an object's name puts it into one of two sets:
+`development` may be examined, `test` is only counted.
 
 With --errors the world differs from the scene, as in execution.py: handle 1 cm, hinge 3 cm and 5
 degrees, mass and friction 50 % off.
@@ -50,8 +50,8 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig
 from momapos.planning.grasps.handles import has_handle, opening_direction
 from momapos.planning.grasps.tasks import make_task, slides
-from momapos.planning.partial_opening import smaller_opening
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.partial_opening import add_max_opening
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
 from momapos.workflows.run import run_plan
@@ -65,9 +65,9 @@ FAMILIES: dict[str, GraspConfig] = {
     "two holds": GraspConfig(),
 }
 """Sets of families, each with all of the one before; the last is the default."""
-OBVIOUS = ("farther than the arm", "base blocked", "base off the floor")
+OBVIOUS = ("beyond the arm's reach", "base in collision", "base off the floor")
 """Why most poses of any grid are none; others say more."""
-HALVES = ("tuned", "measured")
+SETS = ("development", "test")
 LEAST_SIZE, LEAST_TRAVEL = 0.2, 0.1
 """What is smaller or moves less is a knob or a button [m], [m] or [rad]."""
 MARGIN = 0.05
@@ -112,9 +112,9 @@ USUAL = {
 AS_THEY_ARE = Usual(0.0, 0.0)
 
 
-def half_of(name: str) -> str:
-    """Which half an object is in."""
-    return HALVES[hashlib.sha256(name.encode()).digest()[0] % 2]
+def set_of(name: str) -> str:
+    """Return the set of an object."""
+    return SETS[hashlib.sha256(name.encode()).digest()[0] % 2]
 
 
 def objects() -> Iterator[tuple[str, Path, Usual]]:
@@ -168,11 +168,11 @@ def room(name: str, file: Path, usual: Usual) -> Scene | None:
     return Scene(name, (item, *others), floor_polygon=floor)
 
 
-def tasks(half: str | None, robots: list[str]) -> list[tuple[str, str, Scene, str]]:
+def tasks(subset: str | None, robots: list[str]) -> list[tuple[str, str, Scene, str]]:
     """Robot, name of the object, room and joint of every opening, in a random order."""
     found = []
     for name, file, usual in objects():
-        if half in (None, half_of(name)):
+        if subset in (None, set_of(name)):
             scene = room(name, file, usual)
             names = [] if scene is None else [j.name for j in parts(scene.object("object").model)]
             found += [(robot, name, scene, joint) for robot in robots for joint in names]
@@ -186,7 +186,7 @@ def measure(
     reach = load_reach_map(robot, default_cache_dir(), None)
     model = scene.object("object").model
     row: dict[str, Any] = {
-        "robot": robot.name, "object": name, "joint": joint, "half": half_of(name),
+        "robot": robot.name, "object": name, "joint": joint, "set": set_of(name),
         "named": has_handle(model, joint),
     }  # fmt: skip
     try:
@@ -218,7 +218,7 @@ def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str,
     reach = load_reach_map(robot, default_cache_dir(), None)
     task = make_task(scene, "open", "object", joint)
     row: dict[str, Any] = {
-        "robot": robot.name, "object": name, "joint": joint, "half": half_of(name), "family": None,
+        "robot": robot.name, "object": name, "joint": joint, "set": set_of(name), "family": None,
     }  # fmt: skip
     for family, grasps in FAMILIES.items():
         config = replace(CONFIG, motion=replace(CONFIG.motion, grasps=grasps))
@@ -227,23 +227,23 @@ def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str,
             return {**row, "family": family}
     told = [reason for reason in plan.candidates.rejections if reason not in OBVIOUS]
     row |= {"status": plan.status, "reason": ", ".join(told[:2]), "to": task.to}
-    farthest = smaller_opening(plan, scene, robot, reach, config=CONFIG)
+    farthest = add_max_opening(plan, scene, robot, reach, config=CONFIG)
     return {**row, "slides": slides(scene, task), "feasible_to": farthest.feasible_to}
 
 
 def family_table(rows: list[dict[str, Any]]) -> str:
-    """Count by family, for each half and robot, as Markdown; of the tuned half every "no"."""
+    """Count by family, for each set and robot, as Markdown; of the development set every "no"."""
     names = (*FAMILIES, "no")
-    lines = [f"| half | robot | openings | {' | '.join(names)} |", "|---" * (len(names) + 3) + "|"]
-    for half in HALVES:
-        for robot in sorted({r["robot"] for r in rows if r["half"] == half}):
-            mine = [r["family"] or "no" for r in rows if (r["half"], r["robot"]) == (half, robot)]
+    lines = [f"| set | robot | openings | {' | '.join(names)} |", "|---" * (len(names) + 3) + "|"]
+    for subset in SETS:
+        for robot in sorted({r["robot"] for r in rows if r["set"] == subset}):
+            mine = [r["family"] or "no" for r in rows if (r["set"], r["robot"]) == (subset, robot)]
             counts = " | ".join(str(mine.count(name)) for name in names)
-            lines.append(f"| {half} | {robot} | {len(mine)} | {counts} |")
+            lines.append(f"| {subset} | {robot} | {len(mine)} | {counts} |")
     lines += ["", "| opening that is a no | robots: farthest | asked | why |", "|---|---|---|---|"]
     groups: dict[tuple[str, ...], list[str]] = {}
     for row in sorted(rows, key=lambda r: (r["object"], r["joint"], r["robot"])):
-        if row["family"] is None and row["half"] == "tuned":
+        if row["family"] is None and row["set"] == SETS[0]:
             why = row["reason"].replace(row["robot"], "it").split(" (")[0]
             why = why if row["status"] == "infeasible" else f"{row['status']}: {why}"
             key = (f"{row['object']} {row['joint']}", _opened(row, "to"), why)
@@ -298,13 +298,13 @@ def execute(
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """Summarize in words, each half by itself."""
+    """Summarize in words, each set by itself."""
     lines = [f"machine: {machine()}"]
-    for half in HALVES:
-        mine = [r for r in rows if r["half"] == half]
+    for subset in SETS:
+        mine = [r for r in rows if r["set"] == subset]
         if not mine:
             continue
-        lines.append(f"{half}: {len(mine)} openings, {dict(Counter(r['status'] for r in mine))}")
+        lines.append(f"{subset}: {len(mine)} openings, {dict(Counter(r['status'] for r in mine))}")
         if any("valid" in r for r in mine):
             lines.append(f"  independently valid: {sum(r.get('valid', False) for r in mine)}")
         for named in (True, False):
@@ -327,10 +327,10 @@ def report(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--half", choices=HALVES, help="only the objects of one half")
+    parser.add_argument("--set", choices=SETS, help="only the objects of one set")
     parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
     parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
     parser.add_argument("--seeds", type=int, default=3, help="runs of every plan")
@@ -342,13 +342,13 @@ def main() -> None:
     rows = []
     robots = {name: load_robot(name) for name in args.robots}
     with tempfile.TemporaryDirectory() as folder:
-        for robot, name, scene, joint in tasks(args.half, args.robots)[: args.tasks]:
+        for robot, name, scene, joint in tasks(args.set, args.robots)[: args.tasks]:
             if args.families:
                 rows.append(first_family(robots[robot], name, scene, joint))
                 continue
             row = measure(robots[robot], name, scene, joint, args, Path(folder))
             rows.append(row)
-            shown = row if row["half"] == HALVES[0] else {**row, "runs": "", "violations": ""}
+            shown = row if row["set"] == SETS[0] else {**row, "runs": "", "violations": ""}
             print(json.dumps(shown), flush=True)
     print(family_table(rows) if args.families else report(rows))
     if args.out is not None:

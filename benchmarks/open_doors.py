@@ -37,7 +37,7 @@ from momapos.perception.records import Modeled, Tools
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.handles import opening_direction
 from momapos.planning.grasps.tasks import make_task, openable
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.workflows.scan import scan_to_scene
 from scan import match, moved, why_not
@@ -232,7 +232,7 @@ def shown(row: Row) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=int, default=8)
     parser.add_argument("--first", type=int, default=0, help="leave out so many rooms")

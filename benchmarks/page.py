@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from momapos.apps.web.answer_view import READY
-from momapos.apps.web.follow import FOLLOW
+from momapos.apps.web.follow import DRAG_TIME_LIMIT
 from momapos.apps.web.probe import Probe
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
 from pages import Tab
 
@@ -50,11 +50,11 @@ def dragging(poses: int, seed: int) -> np.ndarray:
             if base is None:  # there is nowhere to drag it about
                 continue
             probe = Probe(scene, robot, task, reach)
-            probe.make_ready(time.perf_counter)
+            probe.prepare()
             own = []
             for pose in np.array(base) + SPREAD * rng.normal(size=(poses, 3)):
                 began = time.perf_counter(), time.process_time()
-                probe.at(pose, time.perf_counter, within=FOLLOW)
+                probe.at(pose, time.perf_counter, within=DRAG_TIME_LIMIT)
                 ended = time.perf_counter(), time.process_time()
                 own.append((ended[0] - began[0], ended[1] - began[1]))
             print(f"{name:12} {thing + '/' + joint:32} {told(np.array(own))}", flush=True)

@@ -29,7 +29,7 @@ from large_page import serving
 from momapos.apps.web import moving, room_view
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
-from momapos.apps.web.scan_view import FEW
+from momapos.apps.web.scan_view import COARSE_POINTS
 from momapos.apps.web.serve import open_server, quiet, served
 from momapos.core.cache import user_cache
 
@@ -194,7 +194,7 @@ def cloud(watch: Watch) -> None:
     server.scene.configure_environment_map(None)
     watch.open(f"http://127.0.0.1:{server.get_port()}")
     rng = np.random.default_rng(0)
-    for number in (FEW, 50_000):
+    for number in (COARSE_POINTS, 50_000):
         places = rng.uniform([-5.0, -5.0, 0.0], [5.0, 5.0, 2.5], (number, 3))
         colors = rng.integers(0, 255, (number, 3)).astype(np.uint8)
         for size in SIZES:
@@ -236,15 +236,15 @@ def hall(watch: Watch, page: Page, address: str, rounds: int) -> None:
         watch.turn("large room, plain light too")
     first, second, _ = POINTS
     for number in (first, second):
-        points(page, "by thing", number)
+        points(page, "by object", number)
         with all_drawn():
             watch.turn(f"and its scan, {number} points all the time")
-    points(page, "by thing", first)
+    points(page, "by object", first)
     watch.turn("the page finds that this browser is slow")
     for number in POINTS:
-        points(page, "by thing", number)
+        points(page, "by object", number)
         watch.turn(f"and its scan, {number} points at rest")
-    points(page, "by thing", first)
+    points(page, "by object", first)
     with all_drawn():
         watch.open(f"{address}/?fixedDpr=0.5")
         watch.turn(f"{first} all the time, a quarter of the pixels")
@@ -254,23 +254,23 @@ def hall(watch: Watch, page: Page, address: str, rounds: int) -> None:
 @contextmanager
 def all_drawn() -> Iterator[None]:
     """No browser counts as slow."""
-    slow, moving.SLOW = moving.SLOW, math.inf
+    slow, moving.SLOW_FRAME_TIME = moving.SLOW_FRAME_TIME, math.inf
     try:
         yield
     finally:
-        moving.SLOW = slow
+        moving.SLOW_FRAME_TIME = slow
 
 
 def one_by_one(page: Page, *, apart: bool) -> None:
     """Draw each thing of a large room by itself, or many in one mesh."""
-    scene, active, most = page.room.scene, page.room.active, room_view.MOST_NODES
+    scene, active, most = page.room.scene, page.room.active, room_view.MAX_SEPARATE_OBJECTS
     assert scene is not None
-    room_view.MOST_NODES = len(scene.objects) if apart else most
+    room_view.MAX_SEPARATE_OBJECTS = len(scene.objects) if apart else most
     try:
         page.room.remove()
         page.room.show(scene, active)
     finally:
-        room_view.MOST_NODES = most
+        room_view.MAX_SEPARATE_OBJECTS = most
 
 
 if __name__ == "__main__":

@@ -43,8 +43,8 @@ takes [-]."""
 ROBOTS = ("segway_ur5e", "fetch")
 TARGETS = ("fridge/door_hinge", "oven/door_hinge", "cabinet_right/drawer_top_slide",
            "microwave/door_hinge", "wall_cabinet/door_left_hinge")  # fmt: skip
-LABELS = ("Importance, graph", "Arm's reach", "Free area", "Potential", "Candidates",
-          "Waypoints, grasps", "Start and path", "Tolerance of the base",
+LABELS = ("Importance, scene graph", "Arm reachability", "Free area", "Potential", "Candidates",
+          "Waypoints and grasps", "Start and base path", "Base-pose tolerance",
           "Collision spheres")  # fmt: skip
 KINDS = {"drag": 6, "layer": 4, "place": 3, "target": 3, "play": 3, "keep": 1, "forget": 1,
          "stop": 1, "reload": 1, "robot": 1, "beside": 1}  # fmt: skip
@@ -185,8 +185,8 @@ class Tab:
         """Do what people do."""
         self.acts += 1
         kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
-        buttons = {"place": "Place", "keep": "Keep this answer", "stop": "Stop",
-                   "forget": "Forget what was kept"}  # fmt: skip
+        buttons = {"place": "Place", "keep": "Add this answer", "stop": "Stop",
+                   "forget": "Remove all answers"}  # fmt: skip
         if kind == "drag":
             await self.drag(rng)
         elif kind == "target":

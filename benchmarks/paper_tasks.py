@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.apps.bench.laboratory import ROOM, TASKS, layout, shared_data, things
+from momapos.apps.bench.laboratory import ROOM, TASKS, draw_layout, shared_data, small_objects
 from momapos.apps.bench.printed import PRINTED
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
@@ -29,9 +29,9 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.baselines.by_method import plan_by_method
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.workflows.run import run_plan
@@ -74,14 +74,14 @@ def trial(
 def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict[str, Any]]:
     """All trials, the same worlds for every method."""
     data = shared_data()
-    robot, room, small = load_robot(ROBOT), load_scene(data / ROOM), things(data)
+    robot, room, small = load_robot(ROBOT), load_scene(data / ROOM), small_objects(data)
     reach = load_reach_map(robot, default_cache_dir(), None)
     rows = []
     plan_by_method(
         room, robot, make_task(room, *TASKS["open microwave"]), reach
     )  # loads the kernels
     for number in range(trials):
-        scene = layout(room, robot, small, np.random.default_rng([seed, number]))
+        scene = draw_layout(room, robot, small, np.random.default_rng([seed, number]))
         for name in tasks:
             for method in methods:
                 task = make_task(scene, *TASKS[name])

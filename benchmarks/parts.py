@@ -1,10 +1,10 @@
 """How well the front network finds doors, drawers and handles on faces it never saw.
 
     PYTHONPATH=. python benchmarks/parts.py [--drawn 100] [--variants 3] [--pictures DIR]
-                                            [--half tuned|measured] [--walls 250]
+                                            [--set development|test] [--walls 250]
 
-Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered, of one half
-(`objects.py`) if so asked; and real photos. Of the measured half only sums are printed. With
+Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered, of one set
+(`objects.py`) if so asked; and real photos. Of the test set only sums are printed. With
 --walls these are two sets, drawn cabinets that may hang and wall cabinets, many of whose doors are
 lifted, seen without and with how high they hang.
 A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
@@ -19,7 +19,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
@@ -29,8 +29,8 @@ from training.fronts import cabinets, generator
 from momapos.model.records.scans import FaceImage, Front
 from momapos.perception.reconstruction.decode import overlaps
 from momapos.perception.reconstruction.front_network import FrontNetwork
-from momapos.perception.reconstruction.usual_kinds import EYES, weighed_by_height
-from objects import HALVES
+from momapos.perception.reconstruction.usual_kinds import EYE_HEIGHT, weighted_by_height
+from objects import SETS
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
 from placement import shared as default_shared
 
@@ -201,7 +201,7 @@ def main(
     variants: int = 3,
     seed: int = 90001,
     pictures: Path | None = None,
-    half: Literal["tuned", "measured"] | None = None,
+    subset: Annotated[Literal["development", "test"] | None, tyro.conf.arg(name="set")] = None,
     walls: int = 0,
 ) -> None:
     """Print a table of each set.
@@ -213,14 +213,14 @@ def main(
         variants: How often each real object is rendered.
         seed: Of drawn faces, light, view and noise; training used others.
         pictures: Folder for a picture of each face.
-        half: Of the real objects only those of one half, see `objects.py`.
+        subset: Of the real objects only those of one set, see `objects.py`.
         walls: So many drawn cabinets that may hang instead of all else.
     """
     network = FrontNetwork()
 
     def hung(face: FaceImage, label: str) -> Front:
         front = network(face, label)
-        return replace(front, parts=weighed_by_height(front.parts, face, EYES))
+        return replace(front, parts=weighted_by_height(front.parts, face, EYE_HEIGHT))
 
     if walls:
         for name, more in (
@@ -237,7 +237,7 @@ def main(
     if not (data / "bestman").is_dir():
         print(f"\nno simulator objects and no photos: {data / 'bestman'} is not there")
         return
-    objects, sums = real_faces(data, variants, seed, half), half == HALVES[1]
+    objects, sums = real_faces(data, variants, seed, subset), subset == SETS[1]
     kept = None if sums else pictures
     evaluate("simulator objects", objects, network, kept, sums=sums)
     evaluate("photos", photo_faces(data), network, pictures)

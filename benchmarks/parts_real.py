@@ -19,7 +19,7 @@ from PIL import Image
 from scipy import ndimage
 
 from momapos.model.records.scans import FaceImage, PartKind
-from objects import half_of
+from objects import set_of
 
 PIXEL = 0.003
 """Size of a rendered pixel [m]."""
@@ -67,7 +67,7 @@ class _Solid:
 
 
 def real_faces(
-    shared: Path, variants: int, seed: int, half: str | None = None
+    shared: Path, variants: int, seed: int, subset: str | None = None
 ) -> Iterator[TrueFace]:
     """Render the closed fronts of the numbered objects.
 
@@ -75,7 +75,7 @@ def real_faces(
         shared: Folder of the real data.
         variants: How often each is rendered, in other light and from another side.
         seed: Of light, view and noise.
-        half: Only the objects of one half, see `objects.py`.
+        subset: Only the objects of one set, see `objects.py`.
     """
     scene = shared / "bestman" / "Asset" / "Scene"
     scales = _scales(scene)
@@ -83,7 +83,7 @@ def real_faces(
         family = path.parent.parent.name
         if not family.startswith(FAMILIES) or family in OTHER_AXES:
             continue
-        if half not in (None, half_of(f"Kitchen_models/models/{family}/{path.parent.name}")):
+        if subset not in (None, set_of(f"Kitchen_models/models/{family}/{path.parent.name}")):
             continue
         solid = _load(path, scales.get(f"{family}/{path.parent.name}", 1.0))
         for i in range(variants):

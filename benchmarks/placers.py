@@ -28,9 +28,9 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.baselines.by_method import plan_by_method
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task, openable, slides
+from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.placement.config import Method, PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.result import PlacementResult

@@ -29,8 +29,8 @@ from momapos.model.records.protocols import ReachScorer
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.planning.grasps.hand_boxes import empty_handed
 from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.reachability.evaluation import evaluate
 from momapos.planning.reachability.map_store import encode, load_reach
 from momapos.planning.reachability.reach_map import ReachMap

@@ -1,6 +1,6 @@
 """Robots that people have, as their makers publish them: is `robot check` enough to use them?
 
-    python benchmarks/robots.py SITE [--get] [--half tuned|measured] [--only NAME ...] [--table] \\
+    python benchmarks/robots.py SITE [--get] [--set development|test] [--only NAME ...] [--table] \\
         [--place 2] [--out FOLDER]
 
 SITE holds the packages with the makers' files; `--get` installs them there (1.2 GB). No file is
@@ -9,8 +9,8 @@ stands nowhere must get a reason and then, with `--on-box`, a robot file; what i
 reason. With `--place` each that got one is asked for so many openings of each of five kitchens
 (`robot_openings.py`), which a second table counts; `--table` takes the robots that docs/robots.md
 tells of so. With `--out` the figures of each robot are kept in a folder, and those that lie there
-are not measured again. A hash of the robot's name puts it into one of two halves: `tuned` may be
-looked at while building, `measured` is only counted.
+are not measured again. A hash of the robot's name puts it into one of two sets: `development` may
+be examined, `test` is only counted.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ import numpy as np
 
 from placement import machine
 
-HALVES = ("tuned", "measured")
+SETS = ("development", "test")
 SEEN = ("allegro_hand", "baxter", "frankie", "panda", "pr2", "tiago_no_hand", "ur10")
-"""Robots that the hash puts into the measured half, but that were looked at, or whose figures led
-to a change: they count as tuned."""
+"""Robots that the hash puts into the test set, but that were examined, or whose figures led to a
+change: they count as development set."""
 TABLE = (
     "pr2", "fetch_maniskill", "tiago_no_hand", "tiago_pro", "ur10", "panda", "frankie",
     "mobile_panda_dual", "stretch4", "stretch_re2v0", "stretch_re1v0", "mobile_panda_single",
@@ -67,11 +67,11 @@ class Model:
     """What else the command is given; {folder} stands for the folder."""
 
     @property
-    def half(self) -> str:
+    def subset(self) -> str:
         """Whether it may be looked at."""
         if self.name in SEEN:
-            return HALVES[0]
-        return HALVES[hashlib.sha256(self.name.encode()).digest()[0] % 2]
+            return SETS[0]
+        return SETS[hashlib.sha256(self.name.encode()).digest()[0] % 2]
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def understood(model: Model, done: list[tuple[str, Outcome]]) -> bool:
 def openings_row(model: Model, checks: float, did: Outcome) -> str:
     """What `robot_openings.py` has measured, as a row; `checks` is what checking took [s]."""
     if did.status != 0:
-        return f"| {model.name} | {model.half} | ended with status {did.status} |"
+        return f"| {model.name} | {model.subset} | ended with status {did.status} |"
     found = json.loads(did.last)
     answers, runs = found["answers"], found["runs"]
     count = {name: sum(a["status"] == name for a in answers) for name in ("solved", "timeout")}
@@ -238,7 +238,7 @@ def openings_row(model: Model, checks: float, did: Outcome) -> str:
     grid = count["solved"] + sum(a.get("grid") == "solved" for a in answers)
     open_ = sum(a.get("grid") == "timeout" for a in answers)
     cells = [
-        model.name, model.half, found["joints"], "yes" if found["holds"] else "no",
+        model.name, model.subset, found["joints"], "yes" if found["holds"] else "no",
         f"{100 * found['found']:.2f} %",
         f"{checks + found['first']:.0f}", f"{found['built']:.0f} ({found['built_wall']:.0f})",
         f"{found['megabytes']:.1f}" if "megabytes" in found else "-", *share,
@@ -255,7 +255,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("site", type=Path)
     parser.add_argument("--get", action="store_true", help="install the packages where SITE is not")
-    parser.add_argument("--half", choices=HALVES)
+    parser.add_argument("--set", choices=SETS)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--table", action="store_true", help="the robots of the table alone")
     parser.add_argument("--place", type=int, default=0, help="openings of each kitchen")
@@ -268,20 +268,20 @@ def main() -> None:
     models = [
         model
         for model in MODELS
-        if args.half in (None, model.half) and (not only or model.name in only)
+        if args.set in (None, model.subset) and (not only or model.name in only)
     ]
     print(machine())
-    print("| robot | half | what | status | processor [s] | wall [s] | memory [GB] | last line |")
+    print("| robot | set | what | status | processor [s] | wall [s] | memory [GB] | last line |")
     print("|---|---|---|---|---|---|---|---|")
     right, opened = 0, []
     for model in models:
         done = measured(model, args.site, args.place, args.out)
         right += understood(model, done)
         for what, it in done:
-            # What is said of the measured half is not read while building.
-            last = it.last[:100] if model.half == "tuned" else ""
+            # Messages of the test set must not be examined.
+            last = it.last[:100] if model.subset == SETS[0] else ""
             print(
-                f"| {model.name} | {model.half} | {what} | {it.status} | {it.seconds:.1f} | "
+                f"| {model.name} | {model.subset} | {what} | {it.status} | {it.seconds:.1f} | "
                 f"{it.wall:.1f} | {it.memory:.2f} | {last} |",
                 flush=True,
             )
@@ -291,7 +291,7 @@ def main() -> None:
     print(f"\n{right} of {len(models)} as they must be")
     if opened:
         print(
-            "\n| robot | half | degrees of freedom | has fingers | found | first answer [s] "
+            "\n| robot | set | degrees of freedom | has fingers | found | first answer [s] "
             "| map [s] (wall) | map [MB] | misses | false positives | solved | by the grid | no "
             "| out of time | median [s] | executed |"
         )

@@ -25,8 +25,8 @@ from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 
 REPEATS = 5

@@ -33,13 +33,13 @@ from momapos.perception.records import Modeled
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.handles import opening_direction
 from momapos.planning.grasps.tasks import hand_path, make_task, openable
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.report import Limits
-from momapos.workflows.joint_belief import ask_in_turn
+from momapos.workflows.joint_belief import plan_by_hypothesis
 from momapos.workflows.scan import scan_to_scene
 from scan_rooms import Room, rooms
 
@@ -181,7 +181,7 @@ def plan_in_scan(
         start: Where the robot is at first, in the scene's frame.
 
     Returns:
-        The scene with the part as what it is taken for, see `ask_in_turn`, and the plan.
+        The scene with the part as what it is taken for, see `plan_by_hypothesis`, and the plan.
     """
 
     def ask(scene: Scene, _: Task) -> list[PlacementResult]:
@@ -189,7 +189,7 @@ def plan_in_scan(
         return [plan_base_placement(scene, robot, task, reach, start=start, config=config)]
 
     task = task_in_scan(truth, scanned, true, found)
-    scene, _, (result,) = ask_in_turn(scanned, task, ask)
+    scene, _, (result,) = plan_by_hypothesis(scanned, task, ask)
     return scene, result.plan
 
 

@@ -1,11 +1,11 @@
 """From a scan of a real object that nobody tuned to, to its opened doors and drawers.
 
-    python benchmarks/scan_objects.py [--half tuned|measured] [--robot segway_ur5e] [--frames 60]
+    python benchmarks/scan_objects.py [--set development|test] [--robot segway_ur5e] [--frames 60]
                                       [--folder bench_out/scan_objects] [--no-answers] [--anew]
                                       [--together 1] [--misled 1] [--models FOLDER]
                                       [--detector FILE] [--turned DEGREES]
 
-Every object of `objects.py` stands alone in its small room, or, with --together 10, ten of one half
+Every object of `objects.py` stands alone in its small room, or, with --together 10, ten of one set
 in a kitchen. The room is scanned, the scan is made
 into a scene, and every true door and drawer is held against it: whether its front is there (IoU of
 the rectangles seen from before it 0.5), how it moves, where its axis and its handle are. Then it is
@@ -44,7 +44,7 @@ from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.scans import Scan
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.other_motion import scene_moving_as
+from momapos.model.scene.other_motion import scene_with_part_motion
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.joint_opening import opening_of
@@ -54,7 +54,7 @@ from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import Tools
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
 from momapos.simulation.true_worlds import moved as elsewhere
@@ -62,7 +62,7 @@ from momapos.workflows.run import run_plan
 from momapos.workflows.scan import scan_to_scene
 from object_kitchens import Place, kitchen
 from object_rooms import listed
-from objects import HALVES, Usual, half_of, objects, parts, room
+from objects import SETS, Usual, objects, parts, room, set_of
 from scan import moved, plan_in_scan, why_not
 from scan_parts import Row, compare, shown, table, way_of
 
@@ -141,27 +141,27 @@ def misled(scene: Scene, name: str, joint: str, index: int) -> Scene:
     first, other = ways[0], ways[index]
     ways[index] = replace(first, probability=other.probability)
     ways[0] = replace(other, probability=first.probability)
-    taken = scene_moving_as(scene, name, joint, ways[0])
+    taken = scene_with_part_motion(scene, name, joint, ways[0])
     item = taken.object(name)
     led = replace(item, hypotheses={**item.hypotheses, joint: tuple(ways)})
     return replace(taken, objects=tuple(led if o is item else o for o in taken.objects))
 
 
 def places(
-    things: Iterable[tuple[str, Path, Usual]], half: str | None, together: int
+    things: Iterable[tuple[str, Path, Usual]], subset: str | None, together: int
 ) -> Iterator[Place]:
-    """The rooms of the objects of either half: each in its own, or so many to a kitchen."""
+    """The rooms of the objects of either set: each in its own, or so many to a kitchen."""
     alone = [
         (name, truth)
         for name, file, usual in things
-        if half in (None, half_of(name)) and (truth := room(name, file, usual)) is not None
+        if subset in (None, set_of(name)) and (truth := room(name, file, usual)) is not None
     ]
     if together == 1:
         for name, truth in alone:
             yield Place(name.replace("/", "_"), truth, {"object": (name, np.eye(4))})
         return
-    for one in HALVES:
-        mine = [pair for pair in alone if half_of(pair[0]) == one]
+    for one in SETS:
+        mine = [pair for pair in alone if set_of(pair[0]) == one]
         for k in range(0, len(mine), together):
             yield kitchen(f"{one}_{k // together}", mine[k : k + together])
 
@@ -187,7 +187,7 @@ def measure(
     except MomaposError as error:
         print(f"{place.name}: {error}", file=sys.stderr)
         return [
-            Row(name, j.name, half_of(name), way_of(truth.object(thing), j.name, T).kind)
+            Row(name, j.name, set_of(name), way_of(truth.object(thing), j.name, T).kind)
             for thing, (name, T) in place.objects.items()
             for j in parts(truth.object(thing).model)
         ]
@@ -220,9 +220,9 @@ def moved_scan(scan: Scan, T: np.ndarray) -> Scan:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--half", choices=HALVES, help="only the objects of one half")
+    parser.add_argument("--set", choices=SETS, help="only the objects of one set")
     parser.add_argument("--robot", default="segway_ur5e")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0, help="of the walk, materials and noise")
@@ -242,7 +242,7 @@ def main() -> None:
         parser.error(f"--together must be 1 or more, not {args.together}")
     things = objects() if args.models is None else listed(args.models)
     try:
-        rooms = list(places(things, args.half, args.together))
+        rooms = list(places(things, args.set, args.together))
     except MomaposError as error:
         sys.exit(str(error))
     tools, robot, reach = default_tools(), None, None
@@ -268,12 +268,12 @@ def main() -> None:
         ]
         rows += found
         for row in found:
-            if row.half == HALVES[0]:
+            if row.subset == SETS[0]:
                 print(shown(row), flush=True)
-    for half in HALVES:
-        mine = [row for row in rows if row.half == half]
+    for subset in SETS:
+        mine = [row for row in rows if row.subset == subset]
         if mine:
-            print(f"{half}: {len({r.object for r in mine})} objects\n{table(mine)}")
+            print(f"{subset}: {len({r.object for r in mine})} objects\n{table(mine)}")
 
 
 if __name__ == "__main__":

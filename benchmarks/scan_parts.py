@@ -11,7 +11,7 @@ import numpy as np
 from momapos.core.geometry.transforms import apply
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.urdf.joint_opening import opening_of
-from objects import half_of, parts
+from objects import parts, set_of
 from scan import handle_at
 
 LOCATED = 0.5
@@ -45,7 +45,7 @@ class Row:
 
     object: str
     joint: str
-    half: str
+    subset: str
     kind: str
     match: str = ""
     """The joint of the scan; "" where no front is there."""
@@ -153,7 +153,7 @@ def compare(
             found[i] = k
     rows = []
     for i, (joint, way) in enumerate(ours):
-        row = Row(name, joint, half_of(name), way.kind, thing=thing_name)
+        row = Row(name, joint, set_of(name), way.kind, thing=thing_name)
         if i in found:
             thing, other, seen = theirs[found[i]]
             side, axis, tilt = off(way, seen)
@@ -175,7 +175,7 @@ def compare(
 
 
 def table(rows: Sequence[Row]) -> str:
-    """One half in figures, and each part that is not opened with its reason."""
+    """One set in figures, and each part that is not opened with its reason."""
     located = [r for r in rows if r.match]
     kinds = [r for r in located if r.found == r.kind]
     hinged = [r for r in kinds if r.kind != "drawer"]

@@ -45,7 +45,7 @@ def tasks(room: Room, folder: Path) -> Iterator[ScanTask]:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=int, default=6)
     parser.add_argument("--robot", default="segway_ur5e")

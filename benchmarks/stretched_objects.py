@@ -5,7 +5,7 @@
 
 Their doors and drawers are those of things that people build, in sizes that nothing was tuned to.
 Rolled by a quarter turn, what was hinged at its side is hinged below, or above: a flap; only
-objects with a door are. An object stays in its half.
+objects with a door are. An object stays in its set.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from momapos.core.geometry.transforms import apply, pose
 from momapos.model.scene.formats.urdf_writer import urdf_text
 from momapos.model.scene.scene import SceneObject
 from momapos.model.urdf.urdf_records import Geometry, Link
-from objects import half_of, objects, parts, room
+from objects import objects, parts, room, set_of
 
 _FRONT = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From a front toward -x, as in `objects.room`, to one toward -y, as in `object_rooms`."""
@@ -133,7 +133,7 @@ def _words(values: np.ndarray | tuple[float, float, float]) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for the URDFs")
     parser.add_argument("--wide", type=float, default=1.0, help="factor of the width")
@@ -156,7 +156,7 @@ def main() -> None:
         place = {"above": usual.above, "counter": usual.counter}
         rows.append({"name": name, "urdf": urdf.relative_to(args.out).as_posix(), **place})
     (args.out / "models.json").write_text(json.dumps(rows, indent=1) + "\n")
-    print(f"{dict(Counter(half_of(str(row['name'])) for row in rows))} in {args.out}")
+    print(f"{dict(Counter(set_of(str(row['name'])) for row in rows))} in {args.out}")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ about its fittings, toward the front, or upward where a lid lies on top; a drawe
 What has no fittings, or is as slim as a tap, stays where it is. A color comes from the material
 file beside a model or from the program's own list; materials with textures or in neither have none.
 Nothing of these models is part of the repository. Of furniture of this kind, a hash of the name
-says which half may be looked at, as in `objects.py`.
+says which set may be examined, as in `objects.py`.
 """
 
 from __future__ import annotations
@@ -312,7 +312,7 @@ def told(model: Model) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="the unpacked packages")
     parser.add_argument("--out", type=Path, required=True, help="folder for the URDFs")

@@ -23,7 +23,7 @@ from momapos.model.robots.robot import load_robot
 from momapos.planning.base_pose_check import BasePoseChecks
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.robust import unit_offsets
@@ -34,7 +34,7 @@ CONFIG = PipelineConfig()
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--tasks", type=int, default=24, help="openings, drawn at random")
@@ -60,7 +60,7 @@ def main() -> None:
         seconds = time.process_time() - began
         assert found is not None
         watch = Stopwatch(lambda: 0.0)
-        query = PlacementQuery(scene, robot, task, reach, None, None, CONFIG, 0, watch)
+        query = PlacementQuery(scene, robot, task, reach, config=CONFIG, watch=watch)
         checks = BasePoseChecks(query)
         size = np.array([found.radius, found.radius, found.turn])
         drawn = -(-args.runs // args.tasks) if found.radius else 0

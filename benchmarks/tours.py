@@ -23,9 +23,9 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task, openable
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement, plan_tour
 from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.tour import Request, Tour, plan_tour
+from momapos.planning.tour import Request, Tour
 from momapos.verification.exact_check import PlanVerifier
 from placement import ROBOTS, machine
 from rows import keep_rows
@@ -48,7 +48,7 @@ def valid(tour: Tour, scene: Scene) -> bool:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--tours", type=int, default=12)

@@ -38,7 +38,7 @@ def scanned(walk: Path, out: Path) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--frames", type=int, nargs="+", default=[100, 1000])

@@ -1,4 +1,4 @@
-"""Where does the robot stand to open the fridge, and how does it move?"""
+"""Plan where the robot stands to open the fridge, and how it moves."""
 
 import momapos
 

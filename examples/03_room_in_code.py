@@ -1,4 +1,4 @@
-"""A room of boxes and a URDF, made in code; its plan is written, read and verified."""
+"""Build a room in code from a box and a URDF; write, read and verify its plan."""
 
 import shutil
 import tempfile

@@ -1,4 +1,4 @@
-"""Is this base pose feasible, and if not, why, and how far does the door open from there?"""
+"""Check base poses: is one feasible, and if not, why, and how far does the door open?"""
 
 import math
 

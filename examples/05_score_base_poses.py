@@ -1,4 +1,4 @@
-"""Score ten thousand base poses for a tool pose with the reachability map."""
+"""Score 10,000 base poses for a tool pose with the reachability map."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The answer as a timed trajectory: times, positions, velocities, and a CSV file."""
+"""Turn a plan into a timed trajectory, and write it as a CSV file."""
 
 import tempfile
 from pathlib import Path

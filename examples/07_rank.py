@@ -1,4 +1,4 @@
-"""Which objects matter for the fridge? Those near it, and what stands on or in them."""
+"""Rank the objects of a scene by their importance for opening the fridge."""
 
 import momapos
 

@@ -1,4 +1,4 @@
-"""A kitchen is scanned, made into a scene, and its fridge is opened there."""
+"""Scan a kitchen, turn the scan into a scene, and plan to open its fridge."""
 
 import tempfile
 from pathlib import Path

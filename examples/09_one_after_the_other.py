@@ -1,4 +1,4 @@
-"""Which base poses work, one after the other, in the part of the room where the robot may stand?"""
+"""Yield several feasible base poses within the region where the robot may stand."""
 
 from itertools import islice
 

@@ -1,4 +1,4 @@
-"""Fixtures for all tests: robots of the library, and real data where this machine has them."""
+"""Fixtures for all tests: robots of the library, and real data if available."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ ROBOTS = ("segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63")
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Folder of the real data, which are not part of the package; see its README."""
+    """Return the folder of the real data, which is not part of the package; see its README."""
     optional.there(DATA / "bestman")
     return DATA
 
 
 @pytest.fixture(scope="session")
 def robots() -> Callable[[str], Robot]:
-    """Robots of the library by name, each read once."""
+    """Return a loader of library robots by name, which reads each robot once."""
     return cache(load_robot)
 
 
 @pytest.fixture(params=ROBOTS)
 def robot(request: pytest.FixtureRequest, robots: Callable[[str], Robot]) -> Robot:
-    """Each robot of the library in turn."""
+    """Return each robot in turn."""
     return robots(request.param)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave slow tests out unless they are asked for, as `make test-slow` does."""
+    """Skip slow tests unless enabled, as by `make test-slow`."""
     slow = optional.needs("minutes", "MOMAPOS_SLOW" in os.environ)
     for item in items:
         if item.get_closest_marker("slow") is not None:
@@ -45,7 +45,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """End with what did not run, and the commands that make it run."""
+    """List the skipped tests and the commands that run them."""
     lines = optional.skipped(terminalreporter.getreports("skipped"))
     if lines:
         terminalreporter.section("not run here")

@@ -1,4 +1,4 @@
-"""Made-up rooms for tests: boxes, seen as images or as a cloud, with what is true of them."""
+"""Synthetic rooms for tests: boxes with known poses, as images or as a point cloud."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ KITCHEN: dict[str, Corners] = {
     "bottle": ((-0.7, 0.5, 0.9), (-0.63, 0.57, 1.14)),
     "cup": ((0.85, -1.3, 0.74), (0.93, -1.22, 0.84)),
 }
-"""One side of a kitchen; the table is apart, as it is made of several boxes."""
+"""One wall of a kitchen; the table is separate, since it has several boxes."""
 TABLE: Corners = ((0.6, -1.7, 0.0), (2.0, -0.8, 0.74))
 
 
 def table_boxes(corners: Corners = TABLE, leg: float = 0.06) -> list[Corners]:
-    """A top on four legs."""
+    """Return the boxes of a table: a top on four legs."""
     (x0, y0, _), (x1, y1, z) = corners
     legs = [
         ((x, y, 0.0), (x + leg, y + leg, z - 0.04)) for x in (x0, x1 - leg) for y in (y0, y1 - leg)
@@ -42,12 +42,12 @@ def table_boxes(corners: Corners = TABLE, leg: float = 0.06) -> list[Corners]:
 
 
 def kitchen() -> list[Corners]:
-    """All boxes of the kitchen and its room."""
+    """Return all boxes of the kitchen and its room."""
     return [*ROOM, *KITCHEN.values(), *table_boxes()]
 
 
 def look_at(eye: Sequence[float], target: Sequence[float]) -> Float[np.ndarray, "4 4"]:
-    """Camera to world: axes as in OpenCV, upright in the image."""
+    """Return the camera-to-world transform of an upright camera, with OpenCV axes."""
     forward = np.subtract(target, eye)
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -68,12 +68,12 @@ class Camera:
 
     @property
     def K(self) -> Float[np.ndarray, "3 3"]:
-        """Intrinsics [px]."""
+        """Return the intrinsics [px]."""
         u, v = (self.width - 1) / 2, (self.height - 1) / 2
         return np.array([[self.focal, 0.0, u], [0.0, self.focal, v], [0.0, 0.0, 1.0]])
 
     def rays(self) -> Float[np.ndarray, "h w 3"]:
-        """Rays to depth 1 in the camera's frame."""
+        """Return the rays to depth 1 in the camera's frame."""
         u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
         K = self.K
         x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
@@ -87,7 +87,7 @@ def photograph(
     noise: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Frame:
-    """An image of boxes, each in its own gray; noise is the standard deviation of depth [m]."""
+    """Render boxes, each in its own gray; noise is the standard deviation of depth [m]."""
     rays = camera.rays() @ T_world_camera[:3, :3].T
     rays = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     eye = T_world_camera[:3, 3]
@@ -111,9 +111,9 @@ def cloud_of(
     spacing: float = 0.015,
     noise: float = 0.002,
 ) -> Cloud:
-    """Points on the faces of boxes that can be seen from inside the room.
+    """Sample points on the faces of boxes that are visible from inside the room.
 
-    Faces against the walls and the floor, and what is inside another box, are left out.
+    Faces against walls and floor, and faces inside other boxes, are excluded.
     """
     points, normals = [], []
     for low, high in boxes:

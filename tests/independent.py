@@ -1,4 +1,4 @@
-"""Scenes as pinocchio and coal read them, without any code of the package."""
+"""Scenes as read by pinocchio and coal, without any code of the package."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ BOX = (
 
 @dataclass(frozen=True)
 class Placed:
-    """A box of a link, somewhere in the world."""
+    """A box of a link, at a pose in the world."""
 
     link: str
     joint: int
-    """The joint that moves it; 0 where it stands still."""
+    """Number of the joint that moves it; 0 if it is fixed."""
     T: pin.SE3
     box: coal.Box
 
     @cached_property
     def corners(self) -> Float[np.ndarray, "8 3"]:
-        """Its corners in the world [m]."""
+        """Return its corners in the world [m]."""
         signs = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), -1).reshape(-1, 3)
         return signs * self.box.halfSide @ self.T.rotation.T + self.T.translation
 
     def distance(self, other: Placed) -> float:
-        """Distance [m]; minus the depth of the overlap where there is one."""
+        """Return the signed distance [m]; negative if the boxes overlap."""
         request = coal.DistanceRequest()
         request.enable_signed_distance = True
         Ts = [coal.Transform3s(p.T.rotation, p.T.translation) for p in (self, other)]
@@ -52,7 +52,7 @@ class Item:
         text = BOX.format(*entry["box"]) if "box" in entry else (folder / entry["urdf"]).read_text()
         self.model = pin.buildModelFromXML(text)
         self._geometry = pin.buildGeomFromUrdfString(self.model, text, pin.GeometryType.COLLISION)
-        assert entry.get("scale", 1.0) == 1.0, "pinocchio knows no scale"
+        assert entry.get("scale", 1.0) == 1.0, "pinocchio does not support scale"
         w, *xyz = entry["pose"]["wxyz"]
         self._T = pin.SE3(pin.Quaternion(w, *xyz).normalized(), np.array(entry["pose"]["xyz"]))
         self.q = np.zeros(self.model.nq)
@@ -61,27 +61,27 @@ class Item:
 
     @cached_property
     def joints(self) -> dict[str, int]:
-        """Numbers of the joints by name."""
+        """Return the numbers of the joints by name."""
         return {self.model.names[j]: j for j in range(1, self.model.njoints)}
 
     @property
     def front(self) -> Float[np.ndarray, "3"]:
-        """Where furniture of the package faces: its own -y, in the world."""
+        """Return the front direction in the world: furniture of the package faces its own -y."""
         return -self._T.rotation[:, 1]
 
     def limits(self, joint: str) -> tuple[float, float]:
-        """Lower and upper limit [rad] or [m]."""
+        """Return the lower and upper limit [rad] or [m]."""
         at = self.model.joints[self.joints[joint]].idx_q
         return float(self.model.lowerPositionLimit[at]), float(self.model.upperPositionLimit[at])
 
     def at(self, joint: str, value: float) -> Float[np.ndarray, " n"]:
-        """The scene's joint values but for one."""
+        """Return the scene's joint values with one of them changed."""
         q = self.q.copy()
         q[self.model.joints[self.joints[joint]].idx_q] = value
         return q
 
     def shapes(self, q: Float[np.ndarray, " n"] | None = None) -> list[Placed]:
-        """All boxes in the world, by the scene's joint values where none are given."""
+        """Return all boxes in the world, by default at the scene's joint values."""
         data = self.model.createData()
         pin.forwardKinematics(self.model, data, self.q if q is None else q)
         return [
@@ -93,13 +93,13 @@ class Item:
         ]  # fmt: skip
 
     def moved_by(self, joint: str, shape: Placed) -> bool:
-        """Whether a shape moves with a joint."""
+        """Return whether a shape moves with a joint."""
         return self.joints[joint] in list(self.model.supports[shape.joint])
 
 
 @dataclass(frozen=True)
 class Room:
-    """A scene file."""
+    """The objects, floor and start of a scene file."""
 
     items: tuple[Item, ...]
     floor: Float[np.ndarray, "k 2"]
@@ -107,7 +107,7 @@ class Room:
 
     @staticmethod
     def read(path: Path) -> Room:
-        """Read a file of the package's own format."""
+        """Read a scene file of the package."""
         data = json.loads(path.read_text())
         start = np.array([data["start"]["x"], data["start"]["y"]])
         items = tuple(Item(entry, path.parent) for entry in data["objects"])

@@ -1,4 +1,4 @@
-"""Furniture of one mesh for tests: boxes that touch, as triangles."""
+"""Single-mesh furniture for tests: touching boxes as triangles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ POSTS: tuple[Box, ...] = (
     ((0.5, -0.054, 0.088), (0.516, -0.02, 0.1)),
 )
 DOOR_WITH_BOW = (PANEL, BAR, *POSTS)
-"""A door that faces -y, its handle on the far side of its hinge, which is the z axis."""
+"""A door that faces -y; its hinge is the z axis, its handle is on the other side."""
 BOW = (BAR, *POSTS)
 POCKET: Box = ((-0.06, -0.03, 0.03), (0.06, -0.01, 0.08))
 FRONT_WITH_POCKET: tuple[Box, ...] = (
@@ -43,7 +43,7 @@ FRONT_WITH_LIP: tuple[Box, ...] = (
 
 
 def triangles_of(boxes: tuple[Box, ...]) -> Float[np.ndarray, "t 3 3"]:
-    """The surfaces of boxes."""
+    """Return the surface triangles of boxes."""
     low, high = np.array(boxes).transpose(1, 0, 2)
     corners = low[:, None] + _CORNERS * (high - low)[:, None]
     return corners[:, _FACES].reshape(-1, 3, 3)
@@ -52,13 +52,13 @@ def triangles_of(boxes: tuple[Box, ...]) -> Float[np.ndarray, "t 3 3"]:
 def points_on(
     triangles: Float[np.ndarray, "t 3 3"], count: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Random points of a surface, as many on every triangle."""
+    """Sample random points on a surface, the same number on each triangle."""
     weights = rng.dirichlet(np.ones(3), (len(triangles), count))
     return np.einsum("tnk,tki->tni", weights, triangles).reshape(-1, 3)
 
 
 def points_in(box: Box, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Random points in a box."""
+    """Sample random points in a box."""
     return rng.uniform(*np.array(box), (count, 3))
 
 

@@ -1,7 +1,7 @@
-"""What a fresh machine may lack, and the command that gets it.
+"""Optional dependencies of the tests, and the commands that install or enable them.
 
-Every skip of the tests goes through this module, so that none is without a way out. What
-`make test` installs is not optional: tests import it, and fail where it is missing.
+Every skip goes through this module, so that each one names its command. Packages that `make test`
+installs are not optional: tests import them, and fail if they are missing.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ GET = {
     "hello-robot-stretch-urdf",
     "independent checker": f"{SHARED}, where FOLDER holds data/ and tools/",
 }
-"""What may be missing, and the command that gets it or runs with it."""
+"""Each optional dependency, and the command that installs it or runs with it."""
 
 
 def reason(what: str) -> str:
-    """The reason for a skip; the list that ends the tests is grouped by it."""
+    """Return the reason for a skip; the summary of the tests is grouped by it."""
     return f"needs {what}: {GET[what]}"
 
 
 def skipped(reports: Iterable[pytest.TestReport | pytest.CollectReport]) -> list[str]:
-    """One line for each reason why tests were skipped, with their number."""
+    """Return one line per reason for skipped tests, with their number."""
     reasons = Counter(
         report.longrepr[2].removeprefix("Skipped: ")
         for report in reports
@@ -58,41 +58,41 @@ def skipped(reports: Iterable[pytest.TestReport | pytest.CollectReport]) -> list
 
 
 def skip(what: str) -> NoReturn:
-    """Skip the test that runs."""
+    """Skip the current test."""
     pytest.skip(reason(what))
 
 
-def needs(what: str, there: bool) -> pytest.MarkDecorator:
-    """Mark tests that are skipped where something is missing."""
-    return pytest.mark.skipif(not there, reason=reason(what))
+def needs(what: str, available: bool) -> pytest.MarkDecorator:
+    """Mark tests that are skipped if a dependency is missing."""
+    return pytest.mark.skipif(not available, reason=reason(what))
 
 
 def has(package: str) -> bool:
-    """Whether a package is installed; it is not imported."""
+    """Return whether a package is installed, without importing it."""
     return find_spec(package) is not None
 
 
 def module(name: str, package: str = "") -> ModuleType:
-    """A module that needs a package (its own, if none is named); without it, skip the test."""
+    """Import a module of an optional package; skip the test if the package is missing."""
     package = package or name.partition(".")[0]
     return importlib.import_module(name) if has(package) else skip(package)
 
 
 def there(path: Path, what: str = "real data") -> Path:
-    """A file or folder that is not part of the repository."""
+    """Return a path outside the repository; skip the test if it is missing."""
     return path if path.exists() else skip(what)
 
 
 @cache
 def chromium() -> str | None:
-    """The Chromium of this machine, which Playwright drives; None where there is none."""
+    """Return the path of the installed Chromium, which Playwright drives; None if missing."""
     names = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
     return next((path for name in names if (path := shutil.which(name))), None)
 
 
 @cache
 def draws_off_screen() -> bool:
-    """Whether this machine has what MuJoCo draws with; asked of MuJoCo, not of our film."""
+    """Return whether MuJoCo can render off screen on this machine."""
     try:
         if sys.platform == "linux" and "DISPLAY" not in os.environ:
             from mujoco.egl import GLContext

@@ -1,4 +1,4 @@
-"""Where real data are, which are not part of the package; see the README beside them."""
+"""Paths of the real data, which is not part of the package; see its README."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from tests import optional
 
 _GIVEN = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[2] / "shared"))
 DATA = _GIVEN / "data" if (_GIVEN / "data").is_dir() else _GIVEN
-"""The folder that holds bestman/; it need not exist."""
+"""The folder that holds bestman/; it may be missing."""
 LIBRARY = Path(__file__).parents[1] / "src" / "momapos" / "model" / "scene" / "library"
 BUILT_IN = (
     "kitchen_small/fridge",
     "kitchen_small/cabinet_left",
     "kitchen_island/wall_cabinet_lift",
 )
-"""Furniture of the package: a hinge each way, drawers, a flap."""
+"""Furniture of the package: hinges on either side, drawers, a flap."""
 TOOLS = DATA.parent / "tools"
-"""Independent checks of our files; it need not exist."""
+"""Independent checks of our files; it may be missing."""
 
 
 def furniture(name: str) -> Path:
-    """URDF of furniture of a built-in kitchen, or of the real data; skip the test without it."""
+    """Return a URDF of a built-in kitchen or of the real data; skip the test if it is missing."""
     kitchen, piece = name.split("/")
     built_in = LIBRARY / f"{kitchen}_urdf" / f"{piece}.urdf"
     if built_in.is_file():

@@ -1,4 +1,4 @@
-"""Small rooms for tests, and a reach scorer that rules nothing out."""
+"""Small rooms for tests, and a reach scorer that excludes nothing."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ WALLS = (
 
 
 class Everywhere:
-    """A reach scorer for which every pose is as good as any."""
+    """A reach scorer that gives every base pose the same score."""
 
     def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     ) -> Float[np.ndarray, "n g"]:
-        """Score 1 for all."""
+        """Return score 1 for all."""
         return np.ones((len(bases), len(Ts_world_tool)), np.float32)
 
 
 def cabinet_room(folder: Path, *, left: bool = False, extra: str = "") -> Scene:
-    """A cabinet with one door that faces -y; its hinge is on its right, seen from the front."""
+    """Build a cabinet with one door that faces -y, hinged on its right as seen from the front."""
     side = -1.0 if left else 1.0
     walls = "\n ".join(WALL.format(*wall) for wall in WALLS)
     folder.mkdir(parents=True, exist_ok=True)
@@ -70,9 +70,9 @@ def cabinet_room(folder: Path, *, left: bool = False, extra: str = "") -> Scene:
 
 
 def corridor_room(folder: Path, *, end: float = 2.2, extra: str = "") -> Scene:
-    """The cabinet in a corridor with a dead end behind its hinge, which ends at x = `end` [m].
+    """Build the cabinet in a corridor with a dead end on the hinge side, up to x = `end` [m].
 
-    A base of 64 cm does not pass the door: opened by 1.2 rad or more it leaves at most 54 cm.
+    A base of 64 cm does not pass the open door: at 1.2 rad or more it leaves at most 54 cm.
     """
     floor = np.array([[-4.0, -1.3], [end, -1.3], [end, 0.1], [-4.0, 0.1]])
     start = np.array([-2.8, -0.8, 0.0])
@@ -80,7 +80,7 @@ def corridor_room(folder: Path, *, end: float = 2.2, extra: str = "") -> Scene:
 
 
 def move_scene(scene: Scene, x: float, y: float, yaw: float) -> Scene:
-    """The same room at another place: turned about the world's z, then shifted."""
+    """Return the scene turned about the world's z, then shifted."""
     R = rotation_about(np.array([0.0, 0.0, 1.0]), yaw)
     T = pose((x, y, 0.0), R)
     objects = tuple(replace(o, T_world_object=T @ o.T_world_object) for o in scene.objects)

@@ -1,11 +1,11 @@
-"""Check, in every test, that what momapos' functions and records take and return is as annotated.
+"""Check the annotated types and array shapes of momapos' functions and records in every test.
 
-`install` has an importer add a check to each function, method, dataclass and record of the package
-as it is imported: beartype compares the types, jaxtyping the shapes and dtypes of arrays, and that
-axes of one name are of one length within a call. What the package imports for type checkers only is
-imported too. Kernels stay as they are: numba compiles them, and their entries check their own
-arguments. So do modules with types of a package that is not installed, which is torch, modules with
-types of a neighbor that imports them, and the processes that a test starts.
+`install` adds an import hook that checks each function, method, dataclass and record of the
+package: beartype checks the types; jaxtyping checks the shapes and dtypes of arrays, and that axes
+of one name have one length within a call. Imports for type checkers only are also executed. Not checked:
+kernels, which numba compiles and whose entries check their own arguments; modules with types of a
+package that is not installed (torch); modules with types of a neighbor that imports them; and
+processes that a test starts.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _CHECK = "_check_shapes"
 
 @contextlib.contextmanager
 def unchecked() -> Iterator[None]:
-    """For calls that break an annotation on purpose, to see what the callee itself says.
+    """Disable the check, for calls that break an annotation on purpose.
 
-    Also for those that are seen to draw no random numbers: the check draws them, from Python's own
-    generator, to choose the member of a list that it looks at.
+    Also for tests that no random numbers are drawn: the check draws some, from Python's own
+    generator, to choose the list element that it inspects.
     """
     before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", True)
@@ -48,10 +48,10 @@ def unchecked() -> Iterator[None]:
 
 
 def install() -> None:
-    """Check what is imported of the package from now on.
+    """Check all modules of the package imported from now on.
 
     Raises:
-        RuntimeError: A module of it has been imported already, so that it would go unchecked.
+        RuntimeError: A module was imported before and would remain unchecked.
     """
     early = sorted(name for name in sys.modules if name.split(".")[0] == PACKAGE)
     if early:
@@ -73,7 +73,7 @@ class _Finder(MetaPathFinder):
 
 class _Loader(SourceFileLoader):
     def get_code(self, fullname: str) -> CodeType:
-        """The module with checks, which is not kept among Python's compiled modules."""
+        """Return the module's code with checks; it is not cached in `__pycache__`."""
         path = self.get_filename(fullname)
         tree = ast.parse(self.get_data(path), path)
         whole = all(find_spec(package) for package in _needed_by_hints(tree))
@@ -86,25 +86,29 @@ class _Loader(SourceFileLoader):
         super().exec_module(module)
         names = vars(module)
         for name, hint in names.get("__annotations__", {}).items():
-            # Other modules name the alias but not what stands in it.
+            # Other modules import the alias but not the names in it.
             if hint == "TypeAlias" and isinstance(names[name], str):
                 names[name] = eval(names[name], names)
 
 
 def _needed_by_hints(tree: ast.Module) -> set[str]:
-    """Packages that are imported for type checkers only."""
+    """Return the packages imported for type checkers only."""
     imports = (node for block in tree.body if _for_hints(block) for node in ast.walk(block))
-    return {node.module.split(".")[0] for node in imports if isinstance(node, ast.ImportFrom)}
+    return {
+        node.module.split(".")[0]
+        for node in imports
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level
+    }
 
 
 def _in_a_circle(tree: ast.Module, fullname: str, folder: Path) -> bool:
-    """Whether a neighbor that is imported for type checkers only imports this module itself."""
-    beside = fullname.rpartition(".")[0] + "."
+    """Return whether a neighbor imported for type checkers only imports this module."""
+    own = fullname.rpartition(".")[2]
     for block in tree.body:
         for node in ast.walk(block) if _for_hints(block) else ():
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(beside):
-                neighbor = folder / f"{(node.module or '').removeprefix(beside)}.py"
-                if neighbor.is_file() and f"from {fullname} import" in neighbor.read_text():
+            if isinstance(node, ast.ImportFrom) and node.level == 1 and node.module:
+                neighbor = folder / f"{node.module}.py"
+                if neighbor.is_file() and f"from .{own} import" in neighbor.read_text():
                     return True
     return False
 
@@ -114,10 +118,10 @@ def _for_hints(node: ast.stmt) -> bool:
 
 
 class _Checks(ast.NodeTransformer):
-    """Adds the check to all but kernels and functions inside functions."""
+    """Add the check to all functions except kernels and nested functions."""
 
     def visit_If(self, node: ast.If) -> ast.stmt | list[ast.stmt]:
-        """What is for type checkers only runs too, before what is there instead."""
+        """Execute the branch for type checkers, then the other one."""
         return [*node.body, *node.orelse] if _for_hints(node) else node
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.stmt:
@@ -140,7 +144,7 @@ def _name(decorator: ast.expr) -> str:
 
 
 def check(made: Any) -> Any:
-    """A function that is checked, or a class whose `__init__` or `__new__` is."""
+    """Return a checked function, or a class whose `__init__` is checked."""
     if not inspect.isclass(made):
         return _checked(made, lambda: typing.get_type_hints(made, include_extras=True))
     if getattr(made, "_is_protocol", False):
@@ -156,7 +160,7 @@ def _hints(record: type) -> dict[str, Any]:
 
 
 def _checked(function: Callable[..., Any], hints: Callable[[], dict[str, Any]]) -> Any:
-    """The function with its check, which is made when it is first called: then all names exist."""
+    """Return the function with its check, built at the first call, when all names exist."""
     run: Callable[..., Any] | None = None
 
     @functools.wraps(function)
@@ -164,7 +168,7 @@ def _checked(function: Callable[..., Any], hints: Callable[[], dict[str, Any]]) 
         nonlocal run
         __tracebackhide__ = True
         if run is None:
-            # jaxtyping takes a name that it cannot find for Any; here it raises.
+            # jaxtyping treats an unknown name as Any; here it raises.
             function.__annotations__ = hints()
             run = _jaxtyped(function)
         return run(*args, **kwargs)

@@ -1,4 +1,4 @@
-"""No test is skipped without a word about how to run it."""
+"""Laws of skipped tests: every skip names the command that runs the test."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ SKIPS = {"skip", "skipif", "importorskip", "xfail"}
 
 
 def skips_of(path: Path) -> list[int]:
-    """Lines of a file that skip by pytest's own means."""
+    """Return the lines of a file that skip with pytest's own functions."""
     calls = (n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Attribute))
     return [n.lineno for n in calls if n.attr in SKIPS and ast.unparse(n).startswith("pytest.")]
 
 
 @pytest.mark.parametrize("what", optional.GET)
-def test_each_reason_names_a_command_that_there_is(what: str) -> None:
+def test_each_reason_names_an_existing_command(what: str) -> None:
     found = COMMAND.search(optional.GET[what])
     assert found is not None, f"{optional.GET[what]!r} is no command"
     target = found.group("target")
@@ -34,13 +34,13 @@ def test_each_reason_names_a_command_that_there_is(what: str) -> None:
 
 
 def test_every_skip_takes_its_reason_from_the_table() -> None:
-    elsewhere = {
+    direct = {
         f"{path.relative_to(TESTS)}:{line}"
         for path in TESTS.rglob("*.py")
         if path != TESTS / "optional.py"
         for line in skips_of(path)
     }
-    assert elsewhere == set()
+    assert direct == set()
     assert len(skips_of(TESTS / "optional.py")) == 2
 
 
@@ -56,8 +56,8 @@ def test_the_list_of_skips_counts_the_tests_of_each_reason() -> None:
     assert lines == [f"   2 {torch}", f"   1 {egl}"]
 
 
-def test_the_tests_end_with_what_did_not_run(pytester: pytest.Pytester) -> None:
-    """In processes of their own, as make test runs them."""
+def test_a_run_ends_with_the_list_of_skipped_tests(pytester: pytest.Pytester) -> None:
+    """The tests run in several processes, as in `make test`."""
     pytester.makeconftest((TESTS / "conftest.py").read_text())
     pytester.makepyfile(
         """

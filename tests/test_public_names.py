@@ -1,4 +1,4 @@
-"""The public face: names that are typed, documented and quick to import."""
+"""Laws of the public interface: typed, documented, quick to import."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "api.md"
 
 @pytest.mark.parametrize("name", momapos.__all__)
 def test_a_public_name_has_a_docstring_of_its_own(name: str) -> None:
-    thing = getattr(momapos, name)
-    text = inspect.getdoc(thing)
+    text = inspect.getdoc(getattr(momapos, name))
     assert text
     assert not text.startswith(f"{name}("), "a dataclass without a docstring"
 

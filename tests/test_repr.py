@@ -1,4 +1,4 @@
-"""What a person meets at the prompt is short and says what it is."""
+"""Laws of the repr of records: short, and with the essential numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_records_that_hold_models_and_arrays_have_a_short_repr() -> None:
     held = task_motion(scene, robot, opening, MotionConfig())
     values = np.zeros((4, 5, 3, 3, 2), np.int8)
     reach = ReachMap(values, 0.0, 0.05, np.zeros(2), np.zeros((2, 3)))
-    for thing, words in (
+    for record, words in (
         (scene, ["'kitchen_small'", f"{len(scene.objects)} objects"]),
         (fridge, ["'fridge'"]),
         (fridge.model, ["links", "movable joints"]),
@@ -40,7 +40,7 @@ def test_records_that_hold_models_and_arrays_have_a_short_repr() -> None:
         (held, ["open fridge", "grasps", "steps"]),
         (reach, ["4 x 5 x 3 x 3 x 2 values"]),
     ):
-        text = repr(thing)
-        assert text.startswith(f"<{type(thing).__name__}"), text
+        text = repr(record)
+        assert text.startswith(f"<{type(record).__name__}"), text
         assert all(word in text for word in words), text
         assert len(text) < 100 + len(str(robot.path)), text

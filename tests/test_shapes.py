@@ -1,4 +1,4 @@
-"""What the checked tests check: calls and records of the package, and nothing else."""
+"""Laws of the shape check of the tests."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ import numpy as np
 from tests import shapes
 from momapos.apps.cli.options import JointsArg
 from momapos.core.geometry.transforms import pose
-from momapos.types import UprightBox
+from momapos.core.geometry.upright_boxes import UprightBox
 """
 
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh interpreter that checks what it imports of the package."""
+    """Run code in a new interpreter that checks the package."""
     return subprocess.run(
         [sys.executable, "-c", BEFORE + code], capture_output=True, text=True, cwd=REPOSITORY,
         env={**os.environ, "MOMAPOS_SHAPES": "1"},
@@ -35,15 +35,15 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
         ("UprightBox(np.zeros(3), np.zeros(2), 0.0)", "UprightBox.__init__"),
     ],
 )
-def test_a_wrong_shape_or_dtype_is_refused_unless_it_is_meant(call: str, where: str) -> None:
+def test_a_wrong_shape_or_dtype_is_refused_unless_unchecked(call: str, where: str) -> None:
     refused = run(call)
     assert refused.returncode == 1
     assert "jaxtyping.TypeCheckError" in refused.stderr
     assert where in refused.stderr
-    meant = run(f"with shapes.unchecked(): {call}")
-    assert meant.returncode == 0, meant.stderr
+    unchecked = run(f"with shapes.unchecked(): {call}")
+    assert unchecked.returncode == 0, unchecked.stderr
 
 
-def test_what_runs_instead_of_what_type_checkers_see_still_runs() -> None:
+def test_the_branch_for_the_runtime_is_still_executed() -> None:
     done = run("assert JointsArg != tuple[str, ...], JointsArg")
     assert done.returncode == 0, done.stderr

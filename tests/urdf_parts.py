@@ -1,4 +1,4 @@
-"""Robots in URDF, made of boxes, for tests."""
+"""Robots for tests: URDF made of boxes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def box(x: float, y: float, z: float) -> str:
 def mobile_manipulator(
     *, base_z: float = 0.0, tool: bool = True, fingers: bool = True, floating: bool = False
 ) -> str:
-    """A wheeled base, a torso lift, a head, six turning joints and a gripper.
+    """Return a wheeled base with a torso lift, a head, six revolute joints and a gripper.
 
     Args:
         base_z: Height of base_link above the floor [m].
@@ -90,8 +90,8 @@ def mobile_manipulator(
     return f'<robot name="test robot">{"".join(parts)}</robot>'
 
 
-def twin_armed() -> str:
-    """The mobile manipulator with a second arm like the first, half a meter to its side."""
+def dual_armed() -> str:
+    """Return the mobile manipulator with a second, equal arm 0.5 m to its side."""
     text = mobile_manipulator()
     begin = text.index('<link name="arm_0">')
     arm = text[begin : text.index("</robot>")]
@@ -101,7 +101,7 @@ def twin_armed() -> str:
 
 
 def telescope(stages: int = 3) -> str:
-    """The mobile manipulator with a telescope of several stages below its first turning joint."""
+    """Return the mobile manipulator with a telescope below its first revolute joint."""
     parts = []
     before = "torso"
     for k in range(stages):
@@ -118,7 +118,7 @@ def telescope(stages: int = 3) -> str:
 
 
 def fixed_arm() -> str:
-    """The arm of the mobile manipulator, screwed down with a small plate."""
+    """Return the arm of the mobile manipulator, fixed with a small plate."""
     text = mobile_manipulator()
     begin, end = text.index('<link name="arm_0">'), text.index("</robot>")
     arm = text[begin:end].replace('<parent link="torso"/>', '<parent link="plate"/>')

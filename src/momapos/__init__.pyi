@@ -18,6 +18,7 @@ from .model.scene import load_scene as load_scene
 from .model.scene import save_scene as save_scene
 from .perception.recordings import read_scan as read_scan
 from .planning import PipelineConfig as PipelineConfig
+from .planning import PlacementQuery as PlacementQuery
 from .planning import PlacementResult as PlacementResult
 from .planning import Request as Request
 from .planning import Tour as Tour
@@ -25,9 +26,9 @@ from .planning import check_base_pose as check_base_pose
 from .planning import iter_placements as iter_placements
 from .planning import placement_tolerance as placement_tolerance
 from .planning import plan_base_placement as plan_base_placement
+from .planning import plan_by_method as plan_by_method
 from .planning import plan_tour as plan_tour
 from .planning.arm_motion import PlannerConfig as PlannerConfig
-from .planning.baselines import plan_by_method as plan_by_method
 from .planning.grasps import GraspConfig as GraspConfig
 from .planning.grasps import MotionConfig as MotionConfig
 from .planning.grasps import make_task as make_task

@@ -1,4 +1,4 @@
-"""What moves between two drawings of Infinigen is a door, and how it moves its joint."""
+"""Laws of the Infinigen export: a door and its joint follow from the open and closed meshes."""
 
 from __future__ import annotations
 
@@ -18,24 +18,22 @@ PIVOT, AXIS = np.array([0.9, 0.0, 0.1]), np.array([0.0, 1.0, 0.0])
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The program, which needs Infinigen only where it draws."""
+    """Import the script, which needs Infinigen only to generate assets."""
     monkeypatch.syspath_prepend(str(REPOSITORY / "benchmarks"))
     return importlib.import_module("infinigen_draw")
 
 
-def test_a_turn_is_told_by_where_points_are_before_and_after(script: Any) -> None:
-    shut = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
-    after = (shut - PIVOT) @ rotation_about(AXIS, script.OPEN).T + PIVOT
-    pivot, axis = script._turn(shut, after)
+def test_a_rotation_is_recovered_from_points_before_and_after(script: Any) -> None:
+    closed = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
+    after = (closed - PIVOT) @ rotation_about(AXIS, script.OPEN).T + PIVOT
+    pivot, axis = script._turn(closed, after)
     np.testing.assert_allclose(axis, AXIS, atol=1e-9)
     np.testing.assert_allclose(np.delete(pivot, 1), np.delete(PIVOT, 1), atol=1e-9)
     with pytest.raises(ValueError, match="does not turn as one"):
-        script._turn(shut, np.concatenate([shut[:25], after[25:]]))
+        script._turn(closed, np.concatenate([closed[:25], after[25:]]))
 
 
-def test_the_urdf_has_a_door_that_turns_about_its_axis_and_is_drawn_in_place(
-    script: Any, tmp_path: Path
-) -> None:
+def test_the_urdf_has_a_revolute_door_with_its_mesh_in_place(script: Any, tmp_path: Path) -> None:
     (tmp_path / "assets").mkdir()
     for name in ("body_0", "door_0"):
         (tmp_path / "assets" / f"{name}.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

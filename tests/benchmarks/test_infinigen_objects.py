@@ -1,4 +1,4 @@
-"""What Infinigen draws becomes a URDF in meters whose one flap opens toward the front."""
+"""Laws of Infinigen assets: a URDF in meters whose one flap opens toward the front."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from momapos.model.urdf.reader import Urdf, read_urdf
 
 REPOSITORY = Path(__file__).parents[2]
 UNIT = 2.0
-"""Of the drawing, in heights of a dishwasher."""
+"""Scale of the asset relative to a dishwasher [-]."""
 LINKS = {
     "link_0": [("dishwasher_body_0", (0.6, 0.6, 0.85), (0.3, 0.0, 0.425))],
     "link_1": [
@@ -32,7 +32,7 @@ LINKS = {
     "link_2": [("knob_0", (0.02, 0.03, 0.03), (0.0, 0.0, 0.0))],
     "link_3": [("shelf_0", (0.5, 0.5, 0.02), (0.0, 0.0, 0.0))],
 }
-"""Meshes of the links: name, size, middle, in the link's frame; the front is toward +x."""
+"""Meshes of the links: name, size, center, in the link's frame; the front is toward +x."""
 JOINTS = {
     "link_1": ("link_0", "revolute", (0.6, 0.0, 0.0), (0.0, 1.0, 0.0)),
     "link_2": ("link_1", "revolute", (0.04, 0.2, 0.8), (1.0, 0.0, 0.0)),
@@ -40,8 +40,8 @@ JOINTS = {
 }
 
 
-def drawn(folder: Path) -> Path:
-    """A dishwasher as Infinigen writes it, with a red door; a knob and a rack move, too."""
+def write_asset(folder: Path) -> Path:
+    """Write a dishwasher like Infinigen: a red door; a knob and a rack also move."""
     home = folder / "dishwasher" / "3"
     (home / "assets").mkdir(parents=True)
     lines = ['<robot name="object"><link name="world"/>']
@@ -49,7 +49,7 @@ def drawn(folder: Path) -> Path:
     lines.append('<parent link="world"/><child link="link_0"/></joint>')
     for name, meshes in LINKS.items():
         lines.append(f'<link name="{name}">')
-        for mesh, size, middle in meshes:
+        for mesh, size, center in meshes:
             box = trimesh.creation.box(UNIT * np.array(size))
             paint = (200, 0, 0) if "door" in mesh else (100, 100, 100)
             material = SimpleMaterial(Image.new("RGB", (4, 4), paint), name=mesh)
@@ -60,7 +60,7 @@ def drawn(folder: Path) -> Path:
             (home / "assets" / f"{mesh}.obj").write_text(text)
             for file, data in files.items():
                 (home / "assets" / file).write_bytes(data)
-            at = " ".join(str(UNIT * v) for v in middle)
+            at = " ".join(str(UNIT * v) for v in center)
             lines.append(f'<visual><geometry><mesh filename="assets/{mesh}.obj"/></geometry>')
             lines.append(f'<origin xyz="{at}"/></visual>')
         lines.append("</link>")
@@ -76,16 +76,16 @@ def drawn(folder: Path) -> Path:
 
 @pytest.fixture
 def benchmark_module(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The benchmark, which imports its neighbors as a program does."""
+    """Import the benchmark, which imports its neighbors as a script does."""
     monkeypatch.syspath_prepend(str(REPOSITORY / "benchmarks"))
     return importlib.import_module("infinigen_objects")
 
 
 @pytest.fixture
 def urdf(benchmark_module: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Urdf:
-    """What the benchmark makes of the drawing."""
+    """Return the URDF that the benchmark writes for the asset."""
     out = tmp_path / "out"
-    folder = drawn(tmp_path / "drawn")
+    folder = write_asset(tmp_path / "drawn")
     monkeypatch.setattr("sys.argv", ["infinigen_objects.py", str(folder), "--out", str(out)])
     benchmark_module.main()
     (row,) = json.loads((out / "models.json").read_text())
@@ -93,7 +93,7 @@ def urdf(benchmark_module: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     return read_urdf(out / row["urdf"])
 
 
-def test_only_the_door_moves_and_it_comes_down_before_the_front(urdf: Urdf) -> None:
+def test_only_the_door_moves_and_it_opens_downward_in_front(urdf: Urdf) -> None:
     item = SceneObject("it", "", np.eye(4), Articulated(urdf))
     (joint,) = item.model.joints.values()
     low, high = item.bounds
@@ -112,7 +112,7 @@ def test_each_triangle_has_the_color_of_its_texture(urdf: Urdf) -> None:
     np.testing.assert_allclose(door[0].paint, (200 / 255, 0.0, 0.0), atol=0.03)
 
 
-def test_a_folder_without_drawings_is_one_line(
+def test_a_folder_without_assets_is_a_one_line_error(
     benchmark_module: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.argv", ["infinigen_objects.py", str(tmp_path), "--out", "out"])

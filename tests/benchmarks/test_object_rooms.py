@@ -1,4 +1,4 @@
-"""What another program lists stands in rooms as the shared objects do, or is refused in a line."""
+"""Laws of object lists: models are placed in rooms, and bad lists are refused with one line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 URDF = """
-<robot name="thing">
+<robot name="item">
   <link name="body"><collision><geometry><box size="0.6 0.4 0.7"/></geometry></collision></link>
   <link name="door"><collision><origin xyz="0.3 0 0"/>
     <geometry><box size="0.6 0.02 0.7"/></geometry></collision></link>
@@ -28,9 +28,9 @@ import json, sys
 from pathlib import Path
 from object_rooms import listed
 from scan_objects import places
-things = list(listed(Path(sys.argv[1])))
+objects = list(listed(Path(sys.argv[1])))
 found = {}
-for place in places(things, None, 1):
+for place in places(objects, None, 1):
     bounds = {item.name: [b.tolist() for b in item.bounds] for item in place.scene.objects}
     found[place.name] = bounds, place.scene.object("object").T_world_object[:3, :3].tolist()
 print(json.dumps(found))
@@ -60,7 +60,7 @@ def run(text: str, *options: str | Path, folder: Path) -> Any:
 
 
 def row(**others: Any) -> dict[str, Any]:
-    return {"name": "Set/thing/1", "urdf": "a.urdf", "above": 0.0, "counter": False, **others}
+    return {"name": "Set/item/1", "urdf": "a.urdf", "above": 0.0, "counter": False, **others}
 
 
 @pytest.fixture(scope="module")
@@ -70,24 +70,24 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> Any:
     (folder / "lid.urdf").write_text(URDF.format(axis=LID))
     rows = [
         row(),
-        row(name="Set/thing/hung", above=1.4),
-        row(name="Set/thing/small", above=0.9, counter=True),
-        row(name="Set/thing/lid", urdf="lid.urdf"),
+        row(name="Set/item/hung", above=1.4),
+        row(name="Set/item/small", above=0.9, counter=True),
+        row(name="Set/item/lid", urdf="lid.urdf"),
     ]
     (folder / "models.json").write_text(json.dumps(rows))
     return run(ROOMS, folder, folder=folder)
 
 
 @pytest.mark.parametrize("name", ["1", "hung", "small", "lid"])
-def test_the_front_of_a_model_is_away_from_the_wall(name: str, rooms: Any) -> None:
-    bounds, rotation = rooms[f"Set_thing_{name}"]
+def test_a_model_faces_away_from_the_wall(name: str, rooms: Any) -> None:
+    bounds, rotation = rooms[f"Set_item_{name}"]
     assert [row[1] for row in rotation] == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
     assert bounds["wall"][0][0] > bounds["object"][1][0] == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize(("name", "above"), [("1", 0.0), ("hung", 1.4), ("small", 0.9)])
 def test_a_model_stands_hangs_or_has_a_counter_below(name: str, above: float, rooms: Any) -> None:
-    bounds, _ = rooms[f"Set_thing_{name}"]
+    bounds, _ = rooms[f"Set_item_{name}"]
     assert bounds["object"][0][2] == pytest.approx(above)
     assert ("counter" in bounds) == (name == "small")
     if name == "small":
@@ -97,14 +97,14 @@ def test_a_model_stands_hangs_or_has_a_counter_below(name: str, above: float, ro
         assert high == pytest.approx(0.0)
 
 
-def test_a_bad_list_is_refused_in_a_line(tmp_path: Path) -> None:
+def test_a_bad_list_is_a_one_line_error(tmp_path: Path) -> None:
     (tmp_path / "a.urdf").write_text(URDF.format(axis=DOOR))
     bad: dict[str, Any] = {
         "cannot be read": None,
         "is not JSON": "[{",
         "must be a list": {},
         "is not a record": [1],
-        "name must be words": [row(name="thing")],
+        "name must be words": [row(name="item")],
         "is there twice": [row(), row()],
         "counter must be": [row(counter=1)],
         "above must be a height": [row(above=float("nan"))],
@@ -126,8 +126,8 @@ def test_a_bad_list_is_refused_in_a_line(tmp_path: Path) -> None:
             (folder / "models.json").write_text(text)
         folders.append(folder)
     script = REPOSITORY / "benchmarks" / "scan_objects.py"
-    told = run(SCAN, script, *folders, folder=tmp_path)
-    for words, line in zip(bad, told, strict=True):
+    lines = run(SCAN, script, *folders, folder=tmp_path)
+    for words, line in zip(bad, lines, strict=True):
         assert isinstance(line, str), words
         assert words in line
         assert "\n" not in line

@@ -1,4 +1,4 @@
-"""Every measurement starts, so that no rename breaks one silently."""
+"""Laws of the benchmark scripts: each starts, so that no rename breaks one silently."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.real import DATA
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = REPOSITORY / "benchmarks"
 SCRIPTS = tuple(p.name for p in sorted(FOLDER.glob("*.py")) if "__main__" in p.read_text())
-ASK_FOR_HELP = """
+PRINT_HELP = """
 import contextlib, io, json, runpy, sys
 found = {}
 for path in sys.argv[1:]:
@@ -38,7 +38,7 @@ SMALLEST = {
     "parts.py --drawn 1 --shared nowhere --pictures out": "fronts told: ",
     "importance.py --repeats 1": "| kitchen_small | 17 |",
 }
-"""Smallest inputs, and what the report then holds. The others take more than ten seconds."""
+"""Smallest inputs, and a text of their reports. The other scripts take more than 10 s."""
 
 
 def run(*command: str, folder: Path, shared: Path) -> str:
@@ -53,23 +53,23 @@ def run(*command: str, folder: Path, shared: Path) -> str:
 
 @pytest.fixture(scope="module")
 def help_of(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
-    """Status and words of every script that is asked for help, in one process."""
+    """Return exit status and help text of every script, run in one process."""
     folder = tmp_path_factory.mktemp("help")
     paths = [str(FOLDER / name) for name in SCRIPTS]
     found: dict[str, tuple[int, str]] = json.loads(
-        run("-c", ASK_FOR_HELP, *paths, folder=folder, shared=folder)
+        run("-c", PRINT_HELP, *paths, folder=folder, shared=folder)
     )
     return found
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_a_script_says_what_it_takes(script: str, help_of: dict[str, tuple[int, str]]) -> None:
+def test_a_script_has_a_help_text(script: str, help_of: dict[str, tuple[int, str]]) -> None:
     status, text = help_of[script]
     assert status == 0
     assert "--help" in text
 
 
-def test_make_bench_asks_for_what_there_is(help_of: dict[str, tuple[int, str]]) -> None:
+def test_make_bench_passes_existing_options(help_of: dict[str, tuple[int, str]]) -> None:
     runs = re.findall(r'^    \["(\w+\.py)"(.*)\]', (FOLDER / "run.py").read_text(), re.MULTILINE)
     assert len(runs) > 10
     for script, rest in runs:
@@ -79,7 +79,7 @@ def test_make_bench_asks_for_what_there_is(help_of: dict[str, tuple[int, str]]) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", SMALLEST, ids=lambda command: command.split()[0])
-def test_a_measurement_runs_on_its_smallest_input(command: str, tmp_path: Path) -> None:
+def test_a_benchmark_runs_on_its_smallest_input(command: str, tmp_path: Path) -> None:
     script, *options = shlex.split(command)
     out = run(str(FOLDER / script), *options, folder=tmp_path, shared=tmp_path)
     assert SMALLEST[command] in out

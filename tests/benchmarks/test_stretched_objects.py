@@ -1,4 +1,4 @@
-"""Objects in other proportions, or on their side, still open at their hinges."""
+"""Laws of stretched and rolled objects: they still open at their hinges."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ REPOSITORY = Path(__file__).parents[2]
 
 @pytest.fixture
 def benchmark_module(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The benchmark, which imports its neighbors as a program does."""
+    """Import the benchmark, which imports its neighbors as a script does."""
     monkeypatch.syspath_prepend(str(REPOSITORY / "benchmarks"))
     return importlib.import_module("stretched_objects")
 
 
 def fridge() -> SceneObject:
-    """At the origin, with its front toward -x."""
+    """Return a fridge at the origin, with its front toward -x."""
     return replace(load_scene("kitchen_small").object("fridge"), T_world_object=np.eye(4))
 
 
@@ -37,7 +37,7 @@ def corners(model: Articulated) -> np.ndarray:
     return np.concatenate(points)
 
 
-def test_a_stretched_object_has_its_size_and_its_doors_where_they_belong(
+def test_a_stretched_object_has_the_scaled_size_and_hinges(
     benchmark_module: Any, tmp_path: Path
 ) -> None:
     item, stretch = fridge(), np.diag([1.0, 1.5, 0.75])

@@ -1,4 +1,4 @@
-"""Furniture of Sweet Home 3D becomes URDFs whose doors and drawers open toward the front."""
+"""Laws of Sweet Home 3D furniture: URDFs whose doors and drawers open toward the front."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def box(name: str, corners: Corners, material: str = "white", mark: str = "g") -> str:
-    """A box as a group of an OBJ file."""
+    """Return a box as a group of an OBJ file."""
     low, high = UNIT * np.array(corners)
     lines = [f"{mark} {name}", f"usemtl {material}"]
     for x in (low[0], high[0]):
@@ -36,12 +36,12 @@ def box(name: str, corners: Corners, material: str = "white", mark: str = "g") -
 
 
 def fitting(x: float, y: float, z: float) -> Corners:
-    """A hinge as models have them: a small box."""
+    """Return a hinge fitting: a small box, as in the models."""
     return (x - 0.01, y - 0.01, z - 0.01), (x + 0.01, y + 0.01, z + 0.01)
 
 
 def cabinet(x: float = -0.3, mark: str = "g") -> str:
-    """A cabinet with a door above a drawer; the door's fittings are at a side x."""
+    """Return a cabinet with a door above a drawer; the door's fittings are at side x."""
     special = "sweethome3d_"
     return "".join(
         (
@@ -65,14 +65,14 @@ def written(text: str, folder: Path) -> Urdf:
 
 
 def travel(urdf: Urdf, joint: str) -> np.ndarray:
-    """Where the middle of a part goes as it begins to open."""
+    """Return the direction in which the center of a part moves as it begins to open."""
     articulated = Articulated(urdf)
     record = articulated.joint(joint)
     poses = [articulated.link_poses({joint: q})[record.child] for q in (0.0, 0.1 * record.upper)]
     points = np.concatenate([hull.vertices for hull in articulated.hulls[record.child]])
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    way: np.ndarray = np.subtract(*(apply(T, middle[None])[0] for T in reversed(poses)))
-    return way / np.linalg.norm(way)
+    center = (points.min(axis=0) + points.max(axis=0)) / 2
+    move: np.ndarray = np.subtract(*(apply(T, center[None])[0] for T in reversed(poses)))
+    return move / np.linalg.norm(move)
 
 
 @pytest.mark.parametrize("side", [-0.3, 0.3])
@@ -107,13 +107,13 @@ def test_a_model_is_as_large_as_its_catalog_says(tmp_path: Path) -> None:
 
 
 def other_names() -> dict[str, str]:
-    """The same cabinet as other programs write it."""
+    """Return the same cabinet as other programs write it."""
     groups, objects = cabinet(), cabinet(mark="o")
     split = objects.replace("\nusemtl", "\ng Cube_Cube.001\nusemtl")
     return {
         "objects": objects,
         "groups of objects": split,
-        "groups beside objects": groups.replace("g carcass", "o all\ng carcass"),
+        "groups within objects": groups.replace("g carcass", "o all\ng carcass"),
         "another case": groups.replace("sweethome3d_o", "SweetHome3D_O").replace("_on_", "_ON_"),
         "Windows": groups.replace("\n", "\r\n"),
         "tabs": groups.replace("g ", "g\t").replace("v ", "v\t").replace("usemtl ", "usemtl\t"),
@@ -148,7 +148,7 @@ def test_a_flap_opens_forward_and_a_lid_upward(tmp_path: Path) -> None:
     assert travel(urdf, "hinge_2")[2] > 0.9
 
 
-def test_what_cannot_turn_stays_and_is_told(tmp_path: Path) -> None:
+def test_a_part_that_cannot_turn_is_fixed_and_reported(tmp_path: Path) -> None:
     tap = box("sweethome3d_opening_on_hinge_2_tap", ((0.0, 0.7, 0.0), (0.1, 0.8, 0.5)))
     tap += box("sweethome3d_hinge_2", fitting(0.0, 0.7, 0.0))
     text = cabinet().replace("sweethome3d_hinge_1", "gond") + tap
@@ -158,7 +158,7 @@ def test_what_cannot_turn_stays_and_is_told(tmp_path: Path) -> None:
     assert line.endswith("hinge_1 is fixed: no fittings; hinge_2 is fixed: slim")
 
 
-MATERIALS = """# newly made
+MATERIALS = """# comment
 newmtl white
 Ns 10.0
 Ka 1 1 1
@@ -184,7 +184,7 @@ COLORS = {
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("indent", ["", "\t"])
-def test_colors_are_found_wherever_they_stand(end: str, indent: str) -> None:
+def test_colors_are_found_at_any_indent_and_line_end(end: str, indent: str) -> None:
     text = MATERIALS.replace("\nKd", f"\n{indent}Kd").replace("\n", end)
     assert paints(text.encode()) == COLORS
 
@@ -203,7 +203,7 @@ def test_a_urdf_shows_the_colors(tmp_path: Path) -> None:
 
 
 def archive(folder: Path, **others: str) -> None:
-    """A library with a cabinet and its files."""
+    """Write a library with a cabinet and its files."""
     catalog = (
         "name#1=Cabinet\nmodel#1=/a/kitchenCabinet.obj\nwidth#1=60\ndepth#1=50\nheight#1=80\n"
         "elevation#1=145\ncreator#1=Some One\n"
@@ -238,21 +238,21 @@ def test_an_archive_becomes_a_list_of_urdfs(
     assert "2 joints, 0 of 2 materials have no color" in capsys.readouterr().out
 
 
-def test_what_is_low_stands_on_a_counter(tmp_path: Path) -> None:
+def test_a_low_model_is_placed_on_a_counter(tmp_path: Path) -> None:
     low = "model#1=a/oven.obj\nwidth#1=50\ndepth#1=40\nheight#1=30\ncreator#1=x\n"
     archive(tmp_path, **{"FurnitureCatalog.properties": low, "a/oven.obj": cabinet()})
     (found,) = models(tmp_path)
     assert (found.above, found.counter) == (COUNTER, True)
 
 
-def test_a_creator_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:
+def test_a_creator_name_cannot_leave_the_folder(tmp_path: Path) -> None:
     entry = "model#1=a/oven.obj\nwidth#1=50\ndepth#1=40\nheight#1=90\ncreator#1=../../x\n"
     archive(tmp_path, **{"FurnitureCatalog.properties": entry, "a/oven.obj": cabinet()})
     (found,) = models(tmp_path)
     assert (tmp_path / found.creator).resolve().parent == tmp_path.resolve()
 
 
-def test_a_bad_folder_ends_with_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bad_folder_is_a_one_line_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = "g sweethome3d_opening_on_hinge_1\nv x\n"
     bad = {
         "holds no sweethome3d.jar": lambda: None,

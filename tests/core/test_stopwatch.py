@@ -1,4 +1,4 @@
-"""Time is counted by stage, also where a stage ends in an error."""
+"""Time is measured by stage, even if a stage raises."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from momapos.core.stopwatch import Stopwatch
 
 
-def test_stages_add_up_and_a_stage_that_raises_counts() -> None:
+def test_stages_add_up_and_include_stages_that_raise() -> None:
     ticks = itertools.count()
     watch = Stopwatch(lambda: float(next(ticks)), {"drive": 0.0})
     for _ in range(2):
@@ -21,7 +21,7 @@ def test_stages_add_up_and_a_stage_that_raises_counts() -> None:
     assert watch.total == 7.0
 
 
-def test_a_stage_within_another_counts_once() -> None:
+def test_the_time_of_a_nested_stage_counts_once() -> None:
     ticks = itertools.count()
     watch = Stopwatch(lambda: float(next(ticks)))
     with watch.stage("search"):

@@ -1,4 +1,4 @@
-"""Versions that answers and runs are recorded with."""
+"""Versions of installed packages."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from momapos.core.versions import version_of
 
 
 @pytest.mark.parametrize("package", ["momapos", "numpy", "ompl", "scipy", "toppra"])
-def test_the_version_is_the_one_in_the_packages_metadata(package: str) -> None:
+def test_the_version_is_that_of_the_packages_metadata(package: str) -> None:
     assert version_of(package) == metadata.version(package)
 
 
-def test_a_package_that_is_missing_is_told() -> None:
+def test_a_missing_package_raises() -> None:
     with pytest.raises(metadata.PackageNotFoundError):
         version_of("no_such_package")

@@ -1,4 +1,4 @@
-"""What the site's pages tell people to type works, and the site knows all its pages."""
+"""Laws of the documentation: the commands of its pages work, and the site lists all pages."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ FENCE = re.compile(
 )
 NOTE = re.compile(r"<!-- (.*?) -->\s*\Z")
 QUICK = {"own_room.md", "planners.md"}
-"""Pages whose commands take little time, and are no other test's; make test-slow types the rest."""
+"""Pages with quick commands that no other test runs; `make test-slow` runs the others."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: sh is typed into a terminal, python and json are what they are."""
+    """A fenced block of shell commands, Python or JSON."""
 
     kind: str
     text: str
@@ -48,12 +48,12 @@ def blocks(page: Path) -> list[Block]:
     return found
 
 
-def asked(page: Path) -> pytest.param:  # type: ignore[valid-type]
+def slow_unless_quick(page: Path) -> pytest.param:  # type: ignore[valid-type]
     return pytest.param(page, id=page.stem, marks=() if page.name in QUICK else pytest.mark.slow)
 
 
-@pytest.mark.parametrize("page", [asked(page) for page in PAGES])
-def test_what_a_page_says_to_type_works(
+@pytest.mark.parametrize("page", [slow_unless_quick(page) for page in PAGES])
+def test_the_commands_of_a_page_work(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -70,18 +70,20 @@ def test_what_a_page_says_to_type_works(
             assert main(last[1:]) == block.status, last
 
 
-def test_every_how_to_says_something_to_type() -> None:
+def test_every_how_to_has_commands() -> None:
     assert len(PAGES) >= 9
     assert [page.name for page in PAGES if not blocks(page)] == ["notebooks.md"]
 
 
-def test_the_navigation_holds_every_page() -> None:
+def test_the_navigation_lists_every_page() -> None:
     listed = re.findall(r": (\S+\.md)$", (REPOSITORY / "mkdocs.yml").read_text(), re.MULTILINE)
     assert sorted(listed) == sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md"))
 
 
-def test_the_results_name_benchmarks_that_there_are() -> None:
-    scripts = re.findall(r"python (benchmarks/\w+\.py)", (DOCS / "results.md").read_text())
+def test_the_results_name_existing_benchmarks() -> None:
+    scripts = re.findall(
+        r"python (benchmarks/\w+\.py)", (DOCS / "results" / "index.md").read_text()
+    )
     assert len(scripts) > 10
     assert [script for script in scripts if not (REPOSITORY / script).exists()] == []
 
@@ -92,11 +94,11 @@ def test_the_site_documents_every_public_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("uri", "link", "led"),
+    ("uri", "link", "target"),
     [
         ("api.md", "../examples", "files/examples.md"),
         ("howto/x.md", "../../CONTRIBUTING.md", "../files/CONTRIBUTING.md.md"),
-        ("howto/x.md", "../tasks.md", "../tasks.md"),
+        ("howto/x.md", "../tours.md", "../tours.md"),
         ("files/CONTRIBUTING.md.md", "docs/api.md", "../api.md"),
         ("files/examples.md", "07_rank.py", "examples/07_rank.py.md"),
         ("x.md", "../no_such_file.py", "../no_such_file.py"),
@@ -104,8 +106,8 @@ def test_the_site_documents_every_public_name() -> None:
         ("x.md", "https://example.org/a", "https://example.org/a"),
     ],
 )
-def test_a_link_leads_to_the_page_of_what_it_names(uri: str, link: str, led: str) -> None:
+def test_a_link_leads_to_the_page_of_its_file(uri: str, link: str, target: str) -> None:
     page: Any = SimpleNamespace(file=SimpleNamespace(src_uri=uri))
     nothing: Any = None
     markdown = docs_hooks.on_page_markdown(f"[a]({link})", page=page, config=nothing, files=nothing)
-    assert markdown == f"[a]({led})"
+    assert markdown == f"[a]({target})"

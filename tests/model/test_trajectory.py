@@ -1,4 +1,4 @@
-"""Laws of trajectories: limits are kept, the path is kept, and both ends are at rest."""
+"""Laws of trajectories: they stay within limits and on the path, and both ends are at rest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SPEED, ACCELERATION = np.array([1.0, 0.5, 2.0]), np.array([2.0, 2.0, 4.0])
 
 
 def wavy(rng: np.random.Generator) -> np.ndarray:
-    """A smooth random path with small steps."""
+    """Return a smooth random path with small steps."""
     s = np.linspace(0.0, 1.0, 80)[:, None]
     a, b, c = rng.uniform(-1.0, 1.0, (3, 3))
     return a * s + b * np.sin(2 * s) + c * s**2
@@ -28,14 +28,14 @@ def test_speed_and_acceleration_stay_within_their_limits(seed: int) -> None:
     np.testing.assert_allclose(differences, timed.v[:-2], atol=2 * STEP * ACCELERATION.max())
 
 
-def test_a_path_is_run_from_rest_to_rest_and_reaches_both_ends() -> None:
+def test_a_trajectory_starts_and_ends_at_rest_at_the_ends_of_its_path() -> None:
     q = wavy(np.random.default_rng(0))
     timed = time_path(q, SPEED, ACCELERATION, STEP)
     np.testing.assert_allclose(timed.q[[0, -1]], q[[0, -1]], atol=1e-6)
     np.testing.assert_allclose(timed.v[[0, -1]], 0.0, atol=1e-2)
 
 
-def test_no_state_leaves_the_path_even_at_a_corner() -> None:
+def test_a_trajectory_stays_on_its_path_at_a_corner() -> None:
     first, second = np.linspace([0, 0], [1, 0], 26), np.linspace([1, 0], [1, 1], 26)
     timed = time_path(np.concatenate([first, second]), np.ones(2), np.ones(2), STEP)
     off = np.minimum(np.abs(timed.q[:, 1]), np.abs(timed.q[:, 0] - 1.0))
@@ -44,13 +44,13 @@ def test_no_state_leaves_the_path_even_at_a_corner() -> None:
     assert np.abs(timed.v[at_corner]).max() < 0.01
 
 
-def test_a_straight_move_takes_the_time_of_a_trapezoid() -> None:
+def test_a_straight_path_takes_the_time_of_a_trapezoidal_profile() -> None:
     q = np.linspace([0.0], [1.0], 30)
     timed = time_path(q, np.array([0.5]), np.array([1.0]), STEP)
     assert len(timed) * STEP == pytest.approx(1.0 / 0.5 + 0.5 / 1.0, abs=0.03)
 
 
-def test_the_tool_keeps_its_own_speed_limit() -> None:
+def test_the_tool_stays_within_its_speed_limit() -> None:
     q = wavy(np.random.default_rng(1))
     tool = q * [0.3, 0.6, 0.2]
     timed = time_path(q, SPEED, ACCELERATION, STEP, tool=tool, tool_speed=0.1)
@@ -58,7 +58,7 @@ def test_the_tool_keeps_its_own_speed_limit() -> None:
     assert 0.08 < speed.max() < 0.102
 
 
-def test_the_tool_keeps_its_own_limit_of_acceleration_in_each_direction() -> None:
+def test_the_tool_stays_within_its_acceleration_limit_along_each_axis() -> None:
     q, scale = wavy(np.random.default_rng(1)), np.array([0.3, 0.6, 0.2])
     free = time_path(q, SPEED, ACCELERATION, STEP, tool=q * scale)
     most = np.abs(free.a * scale).max() / 4
@@ -67,24 +67,24 @@ def test_the_tool_keeps_its_own_limit_of_acceleration_in_each_direction() -> Non
     assert 0.9 * most < reached < 1.05 * most
 
 
-def test_repeated_states_and_single_ones_are_no_trouble() -> None:
+def test_paths_with_repeated_states_or_a_single_state_have_trajectories() -> None:
     q = np.repeat(wavy(np.random.default_rng(2)), 2, axis=0)
     assert len(time_path(q, SPEED, ACCELERATION, STEP)) > 10
     assert len(time_path(q[:1], SPEED, ACCELERATION, STEP)) == 1
 
 
-def test_nan_is_refused() -> None:
+def test_nan_is_rejected() -> None:
     with pytest.raises(InputError, match="NaN"):
         time_path(np.full((3, 3), np.nan), SPEED, ACCELERATION, STEP)
 
 
-def test_joined_trajectories_keep_their_parts_apart() -> None:
+def test_joined_trajectories_index_their_parts() -> None:
     whole, part = joined([still(np.zeros(2), 3), still(np.ones(2), 2)])
     assert len(whole) == 5
     assert part.tolist() == [0, 0, 0, 1, 1]
 
 
-def test_every_state_is_passed_at_its_time() -> None:
+def test_every_state_is_passed_at_its_state_time() -> None:
     bend = np.linspace([1, 0, 0], [1, 1, 0.5], 26)
     q = np.concatenate([np.linspace([0, 0, 0], [1, 0, 0], 26), bend])
     timed = time_path(q, SPEED, ACCELERATION, STEP)

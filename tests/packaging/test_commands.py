@@ -1,4 +1,4 @@
-"""CI does what the README says, before anything else."""
+"""Laws of CI: it runs the commands of the README first."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ def read(name: str) -> str:
 
 
 def readme_commands() -> list[str]:
-    """The commands of the README's first block, without what it says about them."""
+    """Return the commands of the README's first block, without comments."""
     block = read("README.md").split("```")[1]
     return [line.partition("#")[0].strip() for line in block.splitlines() if line.strip()]
 
 
 def ci_commands() -> list[str]:
-    """Every line of .ci/run that does something."""
+    """Return every command of .ci/run."""
     lines = (line.strip() for line in read(".ci/run").splitlines())
     return [line for line in lines if line and not line.startswith("#")]
 
 
 def development_commands() -> list[str]:
-    """The commands of DEVELOPMENT.md's table."""
+    """Return the commands of DEVELOPMENT.md's table."""
     return re.findall(r"^\| `([^`]*make [^`]*)` \|", read("DEVELOPMENT.md"), re.MULTILINE)
 
 
@@ -36,12 +36,12 @@ def targets() -> set[str]:
     return set(re.findall(r"^([a-z-]+):", read("Makefile"), re.MULTILINE))
 
 
-def test_the_readme_begins_with_two_commands_that_there_are() -> None:
+def test_the_readme_begins_with_two_existing_commands() -> None:
     assert readme_commands() == ["make demo", "make test"]
     assert {"demo", "test"} <= targets()
 
 
-def test_ci_runs_the_commands_of_the_readme_before_anything_else() -> None:
+def test_ci_runs_the_commands_of_the_readme_first() -> None:
     setup, commands = ci_commands()[:2], ci_commands()[2:]
     assert setup == ["set -euo pipefail", 'cd "$(dirname "$0")/.."']
     assert commands[: len(readme_commands())] == readme_commands()
@@ -53,7 +53,7 @@ def test_a_failure_of_any_command_fails_ci() -> None:
     assert {TARGET.fullmatch(line).group(1) for line in makes} <= targets()  # type: ignore[union-attr]
 
 
-def test_ci_runs_what_the_readmes_commands_leave_out() -> None:
+def test_ci_runs_the_targets_of_optional_dependencies() -> None:
     left_out = {f"make {target}" for how in optional.GET.values() for target in TARGET.findall(how)}
     assert left_out - {"make test"} <= set(ci_commands())
     assert len(left_out) > 3
@@ -61,7 +61,7 @@ def test_ci_runs_what_the_readmes_commands_leave_out() -> None:
     assert all(how.removeprefix("apt-get install") in read(".ci/run") for how in installed)
 
 
-def test_ci_runs_every_command_of_the_developers_table_that_needs_no_data() -> None:
+def test_ci_runs_every_developer_command_that_needs_no_data() -> None:
     *commands, with_data = development_commands()
     assert with_data == "MOMAPOS_SHARED=FOLDER make test"
     assert commands == [line for line in ci_commands() if line.startswith("make test-")]

@@ -1,4 +1,4 @@
-"""What strangers read beside the code says the same as the code."""
+"""Laws of project files: versions, workflows and the image agree with the code."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ def targets() -> set[str]:
     return set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE))
 
 
-def test_all_files_tell_one_version() -> None:
+def test_all_files_state_one_version() -> None:
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     ros = REPOSITORY / "integrations" / "ros2"
-    told = [
+    versions = [
         re.search(r"<version>(.*)</version>", path.read_text())[1]  # type: ignore[index]
         for path in ros.glob("*/package.xml")
     ]
-    told += re.findall(r'version="(.*)"', (ros / "momapos_ros" / "setup.py").read_text())
-    assert len(told) == 3
-    assert {*told, str(citation["version"]), PROJECT["version"]} == {momapos.__version__}
+    versions += re.findall(r'version="(.*)"', (ros / "momapos_ros" / "setup.py").read_text())
+    assert len(versions) == 3
+    assert {*versions, str(citation["version"]), PROJECT["version"]} == {momapos.__version__}
     assert citation["license"] == PROJECT["license"]
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
-def test_a_workflow_calls_targets_that_there_are(path: Path) -> None:
+def test_a_workflow_calls_existing_targets(path: Path) -> None:
     jobs = yaml.safe_load(path.read_text())["jobs"]
     commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
     called = [m for command in commands for m in re.findall(r"make ([a-z-]+)", command)]
@@ -43,18 +43,18 @@ def test_a_workflow_calls_targets_that_there_are(path: Path) -> None:
     assert set(called) <= targets()
 
 
-def test_workflows_run_the_versions_of_python_that_are_promised() -> None:
-    promised = {
+def test_workflows_run_all_supported_python_versions() -> None:
+    supported = {
         words.rpartition(" ")[2] for words in PROJECT["classifiers"] if "Python :: 3." in words
     }
-    assert f">={min(promised, key=lambda v: int(v[2:]))}" == PROJECT["requires-python"]
+    assert f">={min(supported, key=lambda v: int(v[2:]))}" == PROJECT["requires-python"]
     for path in WORKFLOWS:
         jobs = yaml.safe_load(path.read_text())["jobs"].values()
         matrices = [job.get("strategy", {}).get("matrix", {}) for job in jobs]
         tested = {version for matrix in matrices for version in matrix.get("python", [])}
-        assert tested == promised, path
+        assert tested == supported, path
 
 
-def test_an_image_has_extras_that_there_are() -> None:
+def test_the_image_installs_existing_extras() -> None:
     (extras,) = re.findall(r"/source\[(.*)\]", (REPOSITORY / "Dockerfile").read_text())
     assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])

@@ -1,4 +1,4 @@
-"""What is installed from a wheel answers alone: no checkout, no cache, all its data in it."""
+"""Laws of the wheel: it contains all data and works without a checkout or a cache."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from tests import optional
 
 REPOSITORY = Path(__file__).parents[2]
 PACKAGE = REPOSITORY / "src" / "momapos"
-QUESTION = ("place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e")
-"""That of make demo."""
+COMMAND = ("place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e")
+"""The command of `make demo`."""
 EVERYTHING = """
 import json, sys
 from pathlib import Path
@@ -38,22 +38,22 @@ print(json.dumps({"file": momapos.__file__, "maps": maps, "kitchens": boxes}))
 FRONTS = """
 import numpy as np
 from momapos.perception.reconstruction.front_network import FrontNetwork
-from momapos.types import FaceImage
+from momapos.model.records import FaceImage
 
 image, relief = np.full((96, 96, 3), 205, np.uint8), np.full((96, 96), np.nan, np.float32)
 print(type(FrontNetwork()(FaceImage(image, relief, 0.6, 0.6), "cabinet")).__name__)
 """
 
-MOST_BYTES = 20_000_000
+MAX_WHEEL_BYTES = 20_000_000
 KERNELS = """
 import json, sys
 from momapos.core.compiled.pack import every_entry
 from momapos.core.compiled.code_store import store
 
 entries = every_entry()
-unlike = [e.name for e in entries if store._packed.get(e.name) != e.stamp]
+outdated = [e.name for e in entries if store._packed.get(e.name) != e.stamp]
 damaged = [e.name for e in entries if not callable(store.native(e))]
-print(json.dumps([len(entries), unlike + damaged, "numba" in sys.modules]))
+print(json.dumps([len(entries), outdated + damaged, "numba" in sys.modules]))
 """
 
 pytestmark = optional.needs("a wheel", "MOMAPOS_WHEEL" in os.environ)
@@ -61,14 +61,14 @@ pytestmark = optional.needs("a wheel", "MOMAPOS_WHEEL" in os.environ)
 
 @dataclass(frozen=True)
 class Installed:
-    """An environment that holds the wheel and what it asks for, and an empty folder to work in."""
+    """An environment with the wheel and its dependencies, and an empty working folder."""
 
     wheel: Path
     environment: Path
     folder: Path
 
     def run(self, *command: str) -> str:
-        """Run a program of the environment, with nothing of this process's environment."""
+        """Run a program of the environment, without this process's environment variables."""
         plain = {
             "PATH": f"{self.environment / 'bin'}:/usr/bin:/bin",
             "HOME": str(self.folder / "home"),
@@ -88,16 +88,16 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     """Build the wheel as a release is built, from the source archive, and install it."""
     root = tmp_path_factory.mktemp("wheel")
     assert not root.is_relative_to(REPOSITORY)
-    dist, environment, folder = root / "dist", root / "env", root / "elsewhere"
+    dist, environment, folder = root / "dist", root / "env", root / "work"
     (folder / "home").mkdir(parents=True)
     build = [sys.executable, "-m", "build", "--outdir", str(dist), str(REPOSITORY)]
     done = subprocess.run(build, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     (wheel,) = dist.glob("*.whl")
     venv.create(environment, with_pip=True)
-    there = Installed(wheel, environment, folder)
-    there.run("python", "-m", "pip", "install", "--quiet", str(wheel))
-    return there
+    installation = Installed(wheel, environment, folder)
+    installation.run("python", "-m", "pip", "install", "--quiet", str(wheel))
+    return installation
 
 
 def test_every_file_of_the_package_is_in_the_wheel(installed: Installed) -> None:
@@ -112,7 +112,7 @@ def test_every_file_of_the_package_is_in_the_wheel(installed: Installed) -> None
     assert wanted <= set(zipfile.ZipFile(installed.wheel).namelist())
 
 
-def test_every_kernel_comes_compiled_and_is_linked_without_numba(installed: Installed) -> None:
+def test_every_kernel_is_shipped_compiled_and_links_without_numba(installed: Installed) -> None:
     assert "momapos/core/compiled/kernels.zip" in zipfile.ZipFile(installed.wheel).namelist()
     count, missing, imports_numba = json.loads(installed.run("python", "-c", KERNELS))
     assert count > 20
@@ -120,27 +120,27 @@ def test_every_kernel_comes_compiled_and_is_linked_without_numba(installed: Inst
     assert not imports_numba
 
 
-def test_robots_their_maps_and_kitchens_come_with_the_wheel(installed: Installed) -> None:
+def test_the_wheel_contains_robots_maps_and_kitchens(installed: Installed) -> None:
     found = json.loads(installed.run("python", "-c", EVERYTHING))
     assert Path(found["file"]).is_relative_to(installed.environment)
     assert all(found["maps"].values())
     assert {"fetch", "tiago", "tiago_dual left", "tiago_dual right"} <= set(found["maps"])
-    assert installed.wheel.stat().st_size < MOST_BYTES
+    assert installed.wheel.stat().st_size < MAX_WHEEL_BYTES
     assert all(found["kitchens"].values())
     assert set(found["kitchens"]) == {"kitchen_small", "kitchen_island"}
 
 
-def test_the_question_of_the_demo_is_answered_and_the_plan_holds(installed: Installed) -> None:
-    text = installed.run("momapos", *QUESTION, "--out", "plan.json", "--plot", "plan.png")
+def test_the_demo_command_writes_a_valid_plan(installed: Installed) -> None:
+    text = installed.run("momapos", *COMMAND, "--out", "plan.json", "--plot", "plan.png")
     assert ": solved\n" in text
     assert installed.run("momapos", "verify", "plan.json").rstrip().endswith("VALID")
     assert (installed.folder / "plan.png").read_bytes().startswith(b"\x89PNG")
-    assert " ".join(QUESTION) in (REPOSITORY / "Makefile").read_text()
-    # What is compiled at run is kept in the cache: nothing was.
+    assert " ".join(COMMAND) in (REPOSITORY / "Makefile").read_text()
+    # Kernels compiled at run time are cached: there are none.
     cache = installed.folder / "home" / ".cache" / "momapos"
     assert list(cache.glob("kernel-*")) == []
 
 
-def test_the_weights_of_the_front_network_come_with_the_wheel(installed: Installed) -> None:
+def test_the_wheel_contains_the_weights_of_the_front_network(installed: Installed) -> None:
     installed.run("python", "-m", "pip", "install", "--quiet", f"{installed.wheel}[scan]")
     assert installed.run("python", "-c", FRONTS) == "Front\n"

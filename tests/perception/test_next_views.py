@@ -1,4 +1,4 @@
-"""What should be scanned again: what no image shows, from where a person can stand."""
+"""Unseen sides are recommended for another scan from where a person can stand."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WALL = UprightBox(np.array([-0.4, 0.0, 1.0]), np.array([0.2, 6.0, 2.0]))
 
 
 def frame(x: float) -> Frame:
-    """A camera that looks along -x at the front of the box, without depth."""
+    """Return a camera that looks along -x at the front of the box, without depth."""
     T = np.eye(4)
     T[:3, :3] = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
     T[:3, 3] = [x, 0, 0.6]
@@ -28,7 +28,7 @@ def frame(x: float) -> Frame:
 
 
 def made(faces: tuple[int, ...], label: str = "cabinet", frames: tuple[Frame, ...] = ()) -> Modeled:
-    """A thing at a wall, of which some faces were seen."""
+    """Return an object at a wall, of which some faces were seen."""
     item, cloud = surface(BOX, faces)
     cloud = Cloud(
         np.concatenate([cloud.points, FLOOR]),
@@ -42,7 +42,7 @@ def made(faces: tuple[int, ...], label: str = "cabinet", frames: tuple[Frame, ..
     return Modeled(Path("s.json"), cloud, frames, np.eye(4), tuple(decisions))
 
 
-def test_a_side_that_no_image_shows_is_to_be_scanned_from_before_it() -> None:
+def test_an_unseen_side_is_recommended_from_in_front_of_it() -> None:
     (one,) = scan_again(made((1, 3, 4)))
     assert one.object == "thing"
     assert one.look_at == (0.3, 0.0, 0.5)
@@ -52,13 +52,13 @@ def test_a_side_that_no_image_shows_is_to_be_scanned_from_before_it() -> None:
     assert one.gain > 0.7
 
 
-def test_what_was_seen_or_cannot_be_seen_needs_no_other_look() -> None:
+def test_seen_and_invisible_sides_are_not_recommended() -> None:
     assert scan_again(made((0, 1, 3, 4))) == []
     assert scan_again(made((1, 3, 4), frames=(frame(1.2), frame(1.4), frame(1.6)))) == []
     assert scan_again(made((1, 3, 4), label="chair")) == []
 
 
-def test_nobody_is_sent_through_furniture() -> None:
+def test_no_view_is_recommended_inside_furniture() -> None:
     room = made((1, 3, 4))
     stack = UprightBox(np.array([1.7, 0.0, 0.5]), np.array([2.2, 2.0, 1.0]))
     block = Decision(

@@ -1,4 +1,4 @@
-"""A kitchen is scanned once while a flap stands open: the scene has it so, and it can be shut."""
+"""A flap that is open in a single scan is open in the scene, and can be closed."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def made(kitchen: Scene, tmp_path_factory: pytest.TempPathFactory) -> Modeled:
 
 
 def hinge(item: SceneObject, joint: str) -> np.ndarray:
-    """A point on the axis of a joint in the world [m]."""
+    """Return a point on the axis of a joint in the world [m]."""
     record = item.model.joint(joint)
     return np.asarray((item.link_poses()[record.parent] @ record.T_parent_joint)[:3, 3])
 
 
-def test_a_flap_that_stands_open_in_the_only_scan_is_so_in_the_scene(
+def test_a_flap_that_is_open_in_the_only_scan_is_open_in_the_scene(
     kitchen: Scene, made: Modeled
 ) -> None:
     moved = {(d.detection.name, part): m for d in made.decisions for part, m in d.moved.items()}
@@ -68,7 +68,7 @@ def test_a_flap_that_stands_open_in_the_only_scan_is_so_in_the_scene(
     assert told[part]["kind"] == "door_down"
 
 
-def test_the_open_flap_is_no_thing_of_its_own(kitchen: Scene, made: Modeled) -> None:
+def test_the_open_flap_is_not_a_separate_object(kitchen: Scene, made: Modeled) -> None:
     scene = load_scene(str(made.scene))
     leaf = kitchen.object("dishwasher")
     poses = leaf.link_poses()
@@ -85,7 +85,7 @@ def test_the_open_flap_is_no_thing_of_its_own(kitchen: Scene, made: Modeled) -> 
             assert not ((middle > low) & (middle < high)).all()
 
 
-def test_the_flap_can_be_shut_and_opened_wider_and_the_rest_is_found(
+def test_the_flap_can_be_closed_and_opened_wider_and_other_parts_are_found(
     kitchen: Scene, made: Modeled
 ) -> None:
     scene = load_scene(str(made.scene))
@@ -99,7 +99,7 @@ def test_the_flap_can_be_shut_and_opened_wider_and_the_rest_is_found(
     assert wider > now + np.radians(10.0)
 
 
-def test_a_cloud_without_images_tells_of_no_open_leaf() -> None:
+def test_a_cloud_without_images_has_no_open_leaves() -> None:
     room = cupboard(leaf_of("door_left", np.radians(80.0)))
     assert open_leaves(room.cloud(), (), (), ScanConfig()) == ()
     nothing = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))

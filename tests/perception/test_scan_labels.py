@@ -1,4 +1,4 @@
-"""What the things of a scan are called."""
+"""Labels of the objects of a scan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def gray(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def whole(frame: Frame, label: str) -> ImageDetection:
-    """A detection of all that an image shows."""
+    """Return a detection of a whole image."""
     rows, columns = np.nonzero(frame.depth)
     box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
     return ImageDetection(tuple(map(float, box)), label, 0.9)
@@ -52,7 +52,7 @@ def thing(frames: list[Frame]) -> tuple[Detection, Cloud]:
     ("label", "handles", "called"),
     [("bed", False, "bed"), ("bed", True, "cabinet"), ("fridge", True, "fridge")],
 )
-def test_furniture_with_handles_is_no_bed(
+def test_furniture_with_handles_is_not_a_bed(
     frames: list[Frame],
     thing: tuple[Detection, Cloud],
     label: str,

@@ -1,4 +1,4 @@
-"""Laws of what follows a task: the robot can drive on, wherever there is such a base pose."""
+"""Laws of base paths: after a task the robot can drive on, if any base pose allows it."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from momapos.apps.cli.console import summary
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.planning import base_paths as drives
-from momapos.planning.base_paths import WaysOn
+from momapos.planning import base_paths
+from momapos.planning.base_paths import OnwardPaths
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.planning.navigation.global_path import BasePath, plan_path
 from momapos.planning.placement.config import Method, PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
-from momapos.planning.search_setup import ready_search
+from momapos.planning.search_setup import prepare_search
 
 QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1, grid=False), timeout=300.0)
 START = np.array([-2.8, -0.8, 0.0])
@@ -46,8 +46,8 @@ def ask(scene: Scene, robot: Robot, to: float, start: np.ndarray = START) -> Pla
     return plan_base_placement(scene, robot, task, Everywhere(), start=start, config=QUICK)
 
 
-def way_out(answer: PlacementResult, robot: Robot, goal: np.ndarray = START) -> bool:
-    """Whether a way leads from the base pose to where the robot came from, past the open door."""
+def leads_out(answer: PlacementResult, robot: Robot, goal: np.ndarray = START) -> bool:
+    """Return whether a path leads from the base pose back to the start, past the open door."""
     task, scene = answer.plan.task, answer.prepared.scene
     assert task.joint is not None
     assert task.to is not None
@@ -57,45 +57,45 @@ def way_out(answer: PlacementResult, robot: Robot, goal: np.ndarray = START) -> 
     return plan_path(build_navigation_map(after, robot), base, goal) is not None
 
 
-def test_a_door_that_would_shut_the_robot_in_is_opened_from_its_other_side(
+def test_a_door_that_would_block_the_robot_in_is_opened_from_its_other_side(
     corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer = ask(corridor, segway, 1.2)
     assert answer.plan.status == "solved"
-    assert way_out(answer, segway)
-    assert not answer.search.shut_in
+    assert leads_out(answer, segway)
+    assert not answer.search.blocked_in
     assert "afterward" not in summary(answer, None)
     with monkeypatch.context() as patch:
-        patch.setattr(WaysOn, "__call__", lambda _self, _base: True)
-        unasked = ask(corridor, segway, 1.2)
-    assert unasked.plan.status == "solved"
-    assert not way_out(unasked, segway)
+        patch.setattr(OnwardPaths, "__call__", lambda _self, _base: True)
+        unchecked = ask(corridor, segway, 1.2)
+    assert unchecked.plan.status == "solved"
+    assert not leads_out(unchecked, segway)
 
 
-def test_no_answer_is_lost_where_every_base_pose_shuts_the_robot_in(
+def test_a_task_is_solved_even_if_every_base_pose_blocks_the_robot_in(
     corridor: Scene, segway: Robot
 ) -> None:
     answer = ask(corridor, segway, 1.57)
     assert answer.plan.status == "solved"
-    assert not way_out(answer, segway)
-    assert answer.search.shut_in
+    assert not leads_out(answer, segway)
+    assert answer.search.blocked_in
     assert answer.touched_after == ""
     assert "the base cannot drive on from there: cabinet" in summary(answer, None)
 
 
-def test_a_start_that_the_open_door_comes_near_is_no_goal_of_the_way_out(
+def test_a_start_near_the_open_door_is_not_the_goal_of_the_departure(
     corridor: Scene, segway: Robot
 ) -> None:
     start = np.array([0.0, -0.95, 0.0])
     answer = ask(corridor, segway, 1.2, start)
     assert answer.plan.status == "solved"
-    assert not way_out(answer, segway, start)
-    assert not answer.search.shut_in
-    assert way_out(answer, segway)
+    assert not leads_out(answer, segway, start)
+    assert not answer.search.blocked_in
+    assert leads_out(answer, segway)
 
 
 @pytest.mark.parametrize(
-    ("method", "way_on", "asked"),
+    ("method", "way_on", "checked"),
     [
         ("ours", True, True),
         ("ours", False, False),
@@ -103,53 +103,53 @@ def test_a_start_that_the_open_door_comes_near_is_no_goal_of_the_way_out(
         ("m3", True, False),
     ],
 )
-def test_base_poses_are_asked_for_a_way_on_where_it_counts(
-    corridor: Scene, segway: Robot, method: Method, way_on: bool, asked: bool
+def test_only_our_method_checks_the_departure_from_a_base_pose(
+    corridor: Scene, segway: Robot, method: Method, way_on: bool, checked: bool
 ) -> None:
-    """The cheapest pose of the grid is that, and other methods choose as they do."""
+    """The grid returns the cheapest pose, and other methods follow their papers."""
     config = PipelineConfig(place=PlaceConfig(method=method, way_on=way_on))
     task = make_task(corridor, "open", "cabinet", to=1.2)
     query = PlacementQuery(
-        corridor, segway, task, Everywhere(), START, None, config, 0, Stopwatch(lambda: 0.0)
+        corridor, segway, task, Everywhere(), START, config, watch=Stopwatch(lambda: 0.0)
     )
     motion = task_motion(corridor, segway, task, config.motion)
-    assert (ready_search(query, corridor, motion).problem.leads_on is not None) == asked
+    assert (prepare_search(query, corridor, motion).problem.departure is not None) == checked
 
 
-def test_base_poses_are_compared_once_with_each_that_shuts_the_robot_in(
+def test_a_base_pose_is_compared_once_with_each_blocked_one(
     corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compared: list[tuple[bytes, bytes]] = []
-    beside = drives.leads_straight
+    original = base_paths.leads_straight
 
     def spied(nav_map: NavigationMap, one: np.ndarray, other: np.ndarray) -> bool:
         compared.append((one.tobytes(), other.tobytes()))
-        return beside(nav_map, one, other)
+        return original(nav_map, one, other)
 
-    monkeypatch.setattr(drives, "leads_straight", spied)
-    assert ask(corridor, segway, 1.57).search.shut_in
+    monkeypatch.setattr(base_paths, "leads_straight", spied)
+    assert ask(corridor, segway, 1.57).search.blocked_in
     assert len(compared) > 10
     assert len(set(compared)) == len(compared)
 
 
-def test_that_no_way_leads_to_a_place_is_told_few_times(
+def test_few_missing_paths_are_planned(
     tmp_path: Path, segway: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A disc passes the open door, the robot does not, and most base poses beyond do the task."""
+    """A disc passes the open door but the robot does not; most poses beyond it reach the task."""
     mug = ', {"name": "mug", "pose": {"xyz": [3.3, -0.1, 0.9]}, "box": [0.06, 0.06, 0.1]}'
     room = corridor_room(tmp_path, end=4.0, extra=mug).with_joint("cabinet", "hinge", 1.2)
     floor = np.array([[-4.0, -1.4], [4.0, -1.4], [4.0, 0.1], [-4.0, 0.1]])
-    told: list[bool] = []
+    found: list[bool] = []
 
     def spied(nav_map: NavigationMap, start: np.ndarray, goal: np.ndarray) -> BasePath | None:
         path = plan_path(nav_map, start, goal)
-        told.append(path is not None)
+        found.append(path is not None)
         return path
 
-    monkeypatch.setattr(drives, "plan_path", spied)
+    monkeypatch.setattr(base_paths, "plan_path", spied)
     scene, task = replace(room, floor_polygon=floor), make_task(room, "pick", "mug")
     plan = plan_base_placement(scene, segway, task, Everywhere(), start=START, config=QUICK).plan
     assert plan.status == "infeasible"
-    cut_off = plan.candidates.rejections["no way to drive there with the arm at home"]
-    assert 0 < 10 * len(told) < cut_off
-    assert not any(told)
+    cut_off = plan.candidates.rejections["no base path with the arm at home"]
+    assert 0 < 10 * len(found) < cut_off
+    assert not any(found)

@@ -1,4 +1,4 @@
-"""Rooms made in code, one base pose at a time, and motions over time."""
+"""Laws of scenes built in code, checks of one base pose, and timed motions."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def plan(kitchen: Scene, robot: Robot, task: Task) -> PlacementPlan:
     return plan_base_placement(kitchen, robot, task).plan
 
 
-def test_a_box_stands_where_it_is_put() -> None:
+def test_a_box_is_at_its_given_pose() -> None:
     box = SceneObject.box("table", (2.0, 1.0, 0.5), (1.0, -2.0, 0.25), yaw=np.pi / 2)
     np.testing.assert_allclose(box.bounds, [[0.5, -3.0, 0.0], [1.5, -1.0, 0.5]], atol=1e-12)
 
@@ -63,34 +63,34 @@ def test_a_box_without_an_extent_is_refused(size: tuple[float, float, float]) ->
         SceneObject.box("table", size, (0.0, 0.0, 0.0))
 
 
-def test_a_urdf_stands_where_it_is_put_with_its_joints() -> None:
-    shut = SceneObject.from_urdf("cupboard", CUPBOARD, (1.0, 2.0, 0.0), yaw=np.pi)
+def test_a_urdf_object_is_at_its_given_pose_and_joint_values() -> None:
+    closed = SceneObject.from_urdf("cupboard", CUPBOARD, (1.0, 2.0, 0.0), yaw=np.pi)
     ajar = SceneObject.from_urdf("cupboard", CUPBOARD, (1.0, 2.0, 0.0), joints={"hinge": 0.5})
-    np.testing.assert_allclose(shut.T_world_object[:2, 3], [1.0, 2.0])
-    assert shut.values()["hinge"] == 0.0
+    np.testing.assert_allclose(closed.T_world_object[:2, 3], [1.0, 2.0])
+    assert closed.values()["hinge"] == 0.0
     assert ajar.values()["hinge"] == 0.5
     with pytest.raises(UnknownNameError, match="hinge"):
         SceneObject.from_urdf("cupboard", CUPBOARD, (0.0, 0.0, 0.0), joints={"door": 0.5})
 
 
-def test_a_saved_room_knows_its_file(tmp_path: Path) -> None:
+def test_a_saved_scene_knows_its_file(tmp_path: Path) -> None:
     room = Scene("room", (SceneObject.box("table", (1, 1, 1), (0, 0, 0.5)),))
     saved = save_scene(room, tmp_path / "room.json")
     assert saved.path == tmp_path / "room.json"
     assert load_scene(saved.path).object("table").name == "table"
 
 
-def test_the_base_pose_of_an_answer_is_feasible_and_a_blocked_one_says_so(
+def test_the_base_pose_of_an_answer_is_feasible_and_a_blocked_one_has_a_reason(
     kitchen: Scene, robot: Robot, task: Task, plan: PlacementPlan
 ) -> None:
     assert plan.base_pose is not None
     assert check_base_pose(kitchen, robot, task, plan.base_pose).motion is not None
     blocked = check_base_pose(kitchen, robot, task, (0.6, -0.3, np.pi / 2))
     assert blocked.motion is None
-    assert blocked.reason == "base blocked"
+    assert blocked.reason == "base in collision"
 
 
-def test_scores_of_base_poses_are_those_of_the_tool_pose_seen_from_them(robot: Robot) -> None:
+def test_the_score_of_a_base_pose_is_that_of_the_tool_pose_in_its_frame(robot: Robot) -> None:
     reach = load_reach_map(robot)
     T = np.eye(4)
     T[:3, 3] = 0.4, 0.2, 1.1
@@ -121,7 +121,7 @@ def test_a_plan_with_times_is_as_fast_as_its_trajectory(robot: Robot, plan: Plac
     assert whole == pytest.approx(time_plan(plan, robot).times[-1], rel=0.1)
 
 
-def test_half_the_speed_takes_longer(robot: Robot, plan: PlacementPlan) -> None:
+def test_a_slower_plan_takes_longer(robot: Robot, plan: PlacementPlan) -> None:
     slow = SpeedConfig(approach_speed=0.1, manipulation_speed=0.1)
     assert time_plan(plan, robot, slow).times[-1] > 1.5 * time_plan(plan, robot).times[-1]
 

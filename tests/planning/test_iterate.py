@@ -1,4 +1,4 @@
-"""Laws of answers that come one after the other."""
+"""Laws of several answers to one query."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.iterate import iter_placements
+from momapos.planning.keyword_forms import iter_placements, plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.verification.exact_check import PlanVerifier
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=1024), timeout=300.0)
@@ -38,7 +37,7 @@ def task(kitchen: Scene) -> Task:
     return make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
 
 
-def test_the_first_is_the_answer_and_the_others_differ_in_order_and_hold(
+def test_the_first_answer_is_the_plan_and_the_others_are_valid_and_ordered(
     kitchen: Scene, robot: Robot, task: Task
 ) -> None:
     one = plan_base_placement(kitchen, robot, task, Everywhere(), config=CONFIG).plan
@@ -60,7 +59,7 @@ def test_the_first_is_the_answer_and_the_others_differ_in_order_and_hold(
         np.testing.assert_allclose(plan.base_path[-1], plan.base_pose)
 
 
-def test_they_end_where_the_region_ends(kitchen: Scene, robot: Robot, task: Task) -> None:
+def test_no_answer_lies_outside_the_region(kitchen: Scene, robot: Robot, task: Task) -> None:
     config = PipelineConfig(place=PlaceConfig(count=512, rounds=1, grid=False), timeout=300.0)
     every = list(iter_placements(kitchen, robot, task, Everywhere(), config=config))
     costs = [answer.plan.navigation_cost or 0.0 for answer in every]
@@ -75,7 +74,7 @@ def test_they_end_where_the_region_ends(kitchen: Scene, robot: Robot, task: Task
     )
 
 
-def test_the_time_with_the_caller_does_not_count(kitchen: Scene, robot: Robot, task: Task) -> None:
+def test_the_time_of_the_caller_does_not_count(kitchen: Scene, robot: Robot, task: Task) -> None:
     now = 0.0
     config = PipelineConfig(place=PlaceConfig(count=64), timeout=1.0)
     given = iter_placements(kitchen, robot, task, Everywhere(), config=config, clock=lambda: now)
@@ -84,7 +83,7 @@ def test_the_time_with_the_caller_does_not_count(kitchen: Scene, robot: Robot, t
         now += 100.0
 
 
-def test_a_question_without_a_value_is_refused(kitchen: Scene, robot: Robot) -> None:
+def test_a_task_without_a_value_is_refused(kitchen: Scene, robot: Robot) -> None:
     most = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide", "max")
     with pytest.raises(InputError, match="needs a value"):
         next(iter_placements(kitchen, robot, most, Everywhere(), config=CONFIG))

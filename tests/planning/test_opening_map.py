@@ -1,4 +1,4 @@
-"""How far a part opens from every cell of the floor."""
+"""Laws of the map of openings."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tests.apps.plots.test_plot import answer_of, size_of, unsolved
 
 from momapos.apps.cli.main import main
 from momapos.apps.plots.opening_plot import (
-    _picture,
-    _picture_alone,
+    _figure,
+    _figure_alone,
     draw_opening_map,
     draw_opening_map_alone,
 )
@@ -20,8 +20,8 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import check_base_pose
 from momapos.planning.opening_maps import YAWS, OpeningMap, opening_map
 from momapos.planning.placement.problem import Search
 from momapos.planning.reachability.map_store import load_reach_map
@@ -65,7 +65,7 @@ def test_from_every_colored_cell_the_part_opens_to_its_value(
         assert check_base_pose(kitchen, fetch, one, pose, how_far=False).motion is not None
 
 
-def test_a_waypoint_beyond_its_value_no_yaw_of_a_cell_works(
+def test_one_waypoint_beyond_the_value_of_a_cell_no_yaw_works(
     kitchen: Scene, fetch: Robot, task: Task, seen: OpeningMap
 ) -> None:
     row, column = np.argwhere(seen.farthest == np.nanmax(seen.farthest))[0].tolist()
@@ -76,29 +76,29 @@ def test_a_waypoint_beyond_its_value_no_yaw_of_a_cell_works(
         assert check_base_pose(kitchen, fetch, one, (x, y, yaw), how_far=False).motion is None
 
 
-def test_a_cell_has_the_color_that_stands_beside_its_value(
+def test_a_cell_has_the_color_of_its_value_in_the_legend(
     kitchen: Scene, fetch: Robot, seen: OpeningMap, tmp_path: Path
 ) -> None:
     answer = answer_of(kitchen, fetch, "open", "dishwasher", "door_hinge")
-    figure = _picture(kitchen, answer, seen)
+    figure = _figure(kitchen, answer, seen)
     cells, bar = (axes.images[0] for axes in figure.axes)
-    colors, beside = cells.to_rgba(cells.get_array()), bar.to_rgba(bar.get_array())
+    colors, legend = cells.to_rgba(cells.get_array()), bar.to_rgba(bar.get_array())
     ticks = figure.axes[1].get_yticks().astype(int)
     words = [label.get_text() for label in figure.axes[1].get_yticklabels()]
     assert words == [f"{np.degrees(seen.values[k]):.4g}°" for k in ticks]
     for row, column in np.argwhere(np.isfinite(seen.farthest)).tolist():
         k = int(np.searchsorted(seen.values, seen.farthest[row, column]))
-        np.testing.assert_array_equal(colors[row, column], beside[k, 0])
+        np.testing.assert_array_equal(colors[row, column], legend[k, 0])
     assert (colors[np.isnan(seen.farthest)][:, 3] == 0).all()
-    assert len(np.unique(beside[:, 0], axis=0)) == len(seen.values)
-    alone = _picture_alone(seen).axes[0].images[0]
+    assert len(np.unique(legend[:, 0], axis=0)) == len(seen.values)
+    alone = _figure_alone(seen).axes[0].images[0]
     np.testing.assert_array_equal(alone.to_rgba(alone.get_array()), colors)
     path = tmp_path / "map.png"
     draw_opening_map(kitchen, answer, seen, path)
     assert size_of(path) == (1600, 1120)
 
 
-def test_a_part_that_opens_from_nowhere_has_a_picture_too(
+def test_a_part_that_opens_from_nowhere_has_a_figure_too(
     kitchen: Scene, fetch: Robot, seen: OpeningMap, tmp_path: Path
 ) -> None:
     answer = answer_of(kitchen, fetch, "open", "dishwasher", "door_hinge")
@@ -111,11 +111,9 @@ def test_a_part_that_opens_from_nowhere_has_a_picture_too(
     assert path.read_bytes().startswith(b"<?xml")
 
 
-def test_the_map_is_drawn_only_where_it_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_map_option_writes_a_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["place", "open", "kitchen_small", "cabinet_left/drawer_slide", "--to", "5cm"]
     assert main([*words, "--map", str(tmp_path / "map.txt")]) == 2
-    assert "a picture ends in" in capsys.readouterr().err
+    assert "unsupported figure format" in capsys.readouterr().err
     assert main([*words, "--map", str(tmp_path / "map.png")]) == 0
     assert size_of(tmp_path / "map.png") == (1600, 1120)

@@ -1,4 +1,4 @@
-"""Where a part cannot be opened as far as asked, the answer says how far it can, and from where."""
+"""Laws of the maximum opening: how far a part opens, and from which base pose."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.max_opening import last_that_works
-from momapos.planning.max_opening_plan import farthest_plan
-from momapos.planning.partial_opening import smaller_opening
+from momapos.planning.max_opening_plan import find_max_opening
+from momapos.planning.partial_opening import add_max_opening
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import answer, plan_base_placement
+from momapos.planning.plan import plan_to_value
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.verification.plan_check import verify_files
 
 LID = ["place", "open", "kitchen_small", "dishwasher/door_hinge", "--robot", "fetch"]
-"""The Fetch stands in the way of the dishwasher's lid before it is all the way down."""
+"""The Fetch blocks the dishwasher's lid before it is fully open."""
 
 
 @pytest.fixture(scope="module")
@@ -47,20 +47,20 @@ def fetch() -> Robot:
 
 @pytest.fixture(scope="module")
 def refused(kitchen: Scene, fetch: Robot) -> PlacementPlan:
-    """The lid cannot be opened to 90 degrees."""
+    """Return the plan for the lid, which cannot be opened to 90 degrees."""
     task, reach = make_task(kitchen, "open", "dishwasher", "door_hinge"), load_reach_map(fetch)
     answer = plan_base_placement(kitchen, fetch, task, reach)
-    return smaller_opening(answer.plan, kitchen, fetch, reach)
+    return add_max_opening(answer.plan, kitchen, fetch, reach)
 
 
-def test_an_opening_that_is_too_wide_is_answered_with_one_that_works(
+def test_an_infeasible_opening_is_answered_with_one_that_works(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*LID, "--json", "--out", str(tmp_path / "plan.json")]) == 3
     shown = json.loads(capsys.readouterr().out)
-    asked = make_task(load_scene("kitchen_small"), "open", "dishwasher", "door_hinge").to
-    assert asked is not None
-    assert 0.2 * asked < shown["feasible_to"] < 0.8 * asked
+    goal = make_task(load_scene("kitchen_small"), "open", "dishwasher", "door_hinge").to
+    assert goal is not None
+    assert 0.2 * goal < shown["feasible_to"] < 0.8 * goal
     plan = read_plan(tmp_path / "plan.json")
     assert plan.feasible_to == shown["feasible_to"]
     assert plan.feasible_from == tuple(shown["feasible_from"].values())
@@ -69,7 +69,7 @@ def test_an_opening_that_is_too_wide_is_answered_with_one_that_works(
     assert f"to {degrees} deg: solved" in capsys.readouterr().out
 
 
-def test_words_say_to_which_value_it_is_infeasible_and_to_which_from_where(
+def test_the_output_states_the_feasible_opening_and_its_base_pose(
     capsys: pytest.CaptureFixture[str], refused: PlacementPlan
 ) -> None:
     assert main(LID) == 3
@@ -81,13 +81,13 @@ def test_words_say_to_which_value_it_is_infeasible_and_to_which_from_where(
     assert f"infeasible  to 90 deg; to {to} from {pose}\n" in capsys.readouterr().out
 
 
-def test_an_answer_says_whether_the_time_was_enough_to_rule_out_more(
+def test_a_plan_states_whether_the_time_sufficed_to_exclude_more(
     kitchen: Scene, fetch: Robot, refused: PlacementPlan, tmp_path: Path
 ) -> None:
     reach, found = load_reach_map(fetch), {}
     for tick in (0.001, 0.1):
         ticks = itertools.count()
-        plan = smaller_opening(
+        plan = add_max_opening(
             refused, kitchen, fetch, reach, clock=lambda tick=tick, ticks=ticks: tick * next(ticks)
         )
         write_plan(plan, tmp_path / "plan.json")
@@ -96,7 +96,7 @@ def test_an_answer_says_whether_the_time_was_enough_to_rule_out_more(
     assert found[False] < found[True]
 
 
-def test_the_base_pose_that_is_named_opens_to_the_value_that_is_named(
+def test_the_stated_base_pose_opens_to_the_stated_value(
     kitchen: Scene, fetch: Robot, refused: PlacementPlan
 ) -> None:
     assert refused.feasible_from is not None
@@ -104,7 +104,7 @@ def test_the_base_pose_that_is_named_opens_to_the_value_that_is_named(
     assert check_base_pose(kitchen, fetch, task, refused.feasible_from).motion is not None
 
 
-def test_a_waypoint_beyond_the_value_that_is_named_the_whole_grid_finds_nothing(
+def test_one_waypoint_beyond_the_stated_value_the_grid_finds_nothing(
     kitchen: Scene, fetch: Robot, refused: PlacementPlan
 ) -> None:
     assert refused.feasible_to is not None
@@ -114,12 +114,12 @@ def test_a_waypoint_beyond_the_value_that_is_named_the_whole_grid_finds_nothing(
     assert plan_base_placement(kitchen, fetch, task, config=config).plan.status == "infeasible"
 
 
-def test_as_far_as_possible_is_a_plan_that_holds_and_no_degree_farther_is_one(
+def test_the_maximum_opening_has_a_valid_plan_and_one_degree_more_has_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kitchen: Scene, fetch: Robot
 ) -> None:
     path = tmp_path / "plan.json"
     assert main([*LID, "--to", "max", "--out", str(path)]) == 0
-    assert "deg, the farthest: solved" in capsys.readouterr().out
+    assert "deg (maximum): solved" in capsys.readouterr().out
     plan = read_plan(path)
     assert plan.motion is not None
     assert plan.task.to == plan.motion.object_q[-1]
@@ -136,22 +136,22 @@ def test_a_part_that_opens_all_the_way_is_opened_to_its_limit(kitchen: Scene, fe
     assert plan.task.to == kitchen.object("cabinet_left").model.joint("drawer_slide").upper
 
 
-def test_a_search_for_the_farthest_says_whether_its_time_was_enough(tmp_path: Path) -> None:
+def test_a_search_for_the_maximum_returns_whether_its_time_sufficed(tmp_path: Path) -> None:
     room, robot = cabinet_room(tmp_path), load_robot("segway_ur5e")
     task, config = make_task(room, "open", "cabinet", "hinge"), PipelineConfig()
     watch = Stopwatch(lambda: 0.0)
-    query = PlacementQuery(room, robot, task, Everywhere(), None, None, config, 0, watch)
+    query = PlacementQuery(room, robot, task, Everywhere(), config=config, watch=watch)
     values = np.radians([10.0])
-    none, enough = farthest_plan(query, answer, values, within=1, timeout=0.0)
+    none, enough = find_max_opening(query, plan_to_value, values, within=1, timeout=0.0)
     assert none is None
     assert not enough
-    found, enough = farthest_plan(query, answer, values, within=1, timeout=100.0)
+    found, enough = find_max_opening(query, plan_to_value, values, within=1, timeout=100.0)
     assert found is not None
     assert found.plan.task.to == values[0]
     assert enough
 
 
-def test_a_pose_says_how_far_it_goes_from_there_and_a_bad_one_that_it_does_not(
+def test_the_check_of_a_base_pose_returns_how_far_the_part_opens_from_it(
     kitchen: Scene, fetch: Robot, refused: PlacementPlan
 ) -> None:
     assert refused.feasible_from is not None
@@ -167,7 +167,7 @@ def test_a_pose_says_how_far_it_goes_from_there_and_a_bad_one_that_it_does_not(
     assert brief.reason == found.reason
 
 
-def test_one_base_pose_is_answered_with_its_plan_or_with_the_reason(
+def test_a_given_base_pose_is_answered_with_its_plan_or_the_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: PlacementPlan
 ) -> None:
     assert refused.feasible_from is not None
@@ -184,22 +184,22 @@ def test_one_base_pose_is_answered_with_its_plan_or_with_the_reason(
     assert verify_files(path).valid
     capsys.readouterr()
     assert main([*LID, "--at", "0.6,-0.3,90deg"]) == 3
-    said = "from (0.600, -0.300, 90.0 deg): the hand hits the floor in every grasp\n"
-    assert said in capsys.readouterr().out
+    line = "from (0.600, -0.300, 90.0 deg): the hand hits the floor in every grasp\n"
+    assert line in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("last", range(-1, 20))
 @pytest.mark.parametrize("step", [None, 1, 7])
 @pytest.mark.parametrize("within", [1, 7])
 def test_the_last_index_that_works_is_found(last: int, step: int | None, within: int) -> None:
-    asked: list[int] = []
+    tried: list[int] = []
 
     def ask(index: int) -> str | None:
-        asked.append(index)
+        tried.append(index)
         return f"{index}" if index <= last else None
 
     found, answer = last_that_works(ask, -1, 20, within=within, first_step=step)
     assert last - within < found <= last
     assert answer == (None if found < 0 else f"{found}")
-    assert len(set(asked)) == len(asked)
-    assert all(0 <= index < 20 for index in asked)
+    assert len(set(tried)) == len(tried)
+    assert all(0 <= index < 20 for index in tried)

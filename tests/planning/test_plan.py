@@ -1,4 +1,4 @@
-"""Laws of the whole: answers that hold, that repeat, and that move with the room."""
+"""Laws of the planner: valid, reproducible plans that move with the scene."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import Method, PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
@@ -37,7 +37,7 @@ def ask(
     return plan_base_placement(scene, robot, task, Everywhere(), config=config, seed=seed)
 
 
-def test_every_robot_opens_the_cabinet_and_the_plan_holds_from_its_files(
+def test_every_robot_opens_the_cabinet_and_the_plan_file_is_valid(
     robot: Robot, tmp_path: Path
 ) -> None:
     answer = ask(cabinet_room(tmp_path), robot)
@@ -55,7 +55,7 @@ def test_the_same_seed_gives_the_same_plan(robots: Callable[[str], Robot], tmp_p
     assert plans[0] == plans[1]
 
 
-def test_an_answer_moves_with_its_room(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+def test_an_answer_moves_with_its_scene(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     here = ask(scene, robot)
     assert here.plan.motion is not None
@@ -74,7 +74,9 @@ def test_an_answer_moves_with_its_room(robots: Callable[[str], Robot], tmp_path:
         np.testing.assert_allclose(there.plan.base_pose[:2], carried[:2], atol=1e-6)
 
 
-def test_an_opened_plan_closes_backwards(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+def test_an_opening_motion_in_reverse_closes_the_door(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     opened = ask(scene, robot).plan
     assert opened.motion is not None
@@ -105,7 +107,7 @@ def test_a_handle_above_all_arms_is_infeasible_with_the_reason(
     assert any("reach" in reason for reason in plan.candidates.rejections)
 
 
-def test_a_room_with_no_place_to_stand_is_infeasible_because_the_base_is_blocked(
+def test_a_scene_without_a_free_base_pose_is_infeasible_with_the_reason(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     pile = (
@@ -117,17 +119,17 @@ def test_a_room_with_no_place_to_stand_is_infeasible_because_the_base_is_blocked
     plan = ask(scene, robots("segway_ur5e")).plan
     assert plan.status == "infeasible"
     assert max(plan.candidates.rejections, key=plan.candidates.rejections.get) in (  # type: ignore[arg-type]
-        "base blocked", "farther than the arm",
+        "base in collision", "beyond the arm's reach",
     )  # fmt: skip
-    assert "base blocked" in plan.candidates.rejections
+    assert "base in collision" in plan.candidates.rejections
 
 
 @pytest.mark.parametrize("verb", ["open", "pick"])
-def test_a_part_without_room_on_its_way_is_infeasible_with_the_reason(
+def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
     verb: str, robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     item = (
-        ', {{"name": "{}", "category": "thing", "pose": {{"xyz": {}, "wxyz": [1, 0, 0, 0]}},'
+        ', {{"name": "{}", "category": "item", "pose": {{"xyz": {}, "wxyz": [1, 0, 0, 0]}},'
         ' "box": {}}}'
     )
     extra = {  # a post before the door; a cup 2 cm below a board
@@ -148,7 +150,9 @@ def test_a_part_without_room_on_its_way_is_infeasible_with_the_reason(
         assert reason == "cup/box hits board/box when lifted by 0.03 of 0.05 m"
 
 
-def test_no_time_is_no_answer_and_says_so(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+def test_a_search_without_time_ends_in_a_timeout(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
     scene = cabinet_room(tmp_path)
     task = make_task(scene, "open", "cabinet")
     ticks = iter(np.arange(0.0, 1e6, 10.0))
@@ -160,7 +164,7 @@ def test_no_time_is_no_answer_and_says_so(robots: Callable[[str], Robot], tmp_pa
     assert answer.plan.base_pose is None
 
 
-def test_what_is_read_and_compiled_before_the_search_is_not_its_time(
+def test_reading_and_compiling_do_not_count_toward_the_timeout(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     scene = cabinet_room(tmp_path)

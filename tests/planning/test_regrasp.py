@@ -1,4 +1,4 @@
-"""Doors that no single hold opens: pulled ajar, then pushed on from behind."""
+"""Laws of doors that no single grasp opens: pulled ajar, then pushed from behind."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ import pytest
 from tests.rooms import cabinet_room
 
 from momapos.apps.cli.console import summary
-from momapos.apps.plots.answer_plot import waypoints_by_hold
+from momapos.apps.plots.answer_plot import waypoints_by_grasp
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
-from momapos.planning.regrasp import every_two_holds, two_hold_searches
+from momapos.planning.regrasp import iter_two_grasps, two_grasp_searches
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
 from momapos.planning.task_setup import PreparedTask, prepare
@@ -81,7 +80,7 @@ def test_a_door_is_pulled_ajar_and_pushed_open_from_one_base_pose(plan: Placemen
     assert 0.0 < between[0] < motion.object_q[-1]
 
 
-def test_the_hand_draws_back_before_it_goes_behind_the_door(plan: PlacementPlan) -> None:
+def test_the_hand_retracts_before_it_moves_behind_the_door(plan: PlacementPlan) -> None:
     motion = motion_of(plan)
     pull, push = motion.holds
     tool = motion.Ts_world_tool[pull.last : push.first + 1, :3, 3]
@@ -89,7 +88,7 @@ def test_the_hand_draws_back_before_it_goes_behind_the_door(plan: PlacementPlan)
     assert away.max() > CONFIG.motion.grasps.pregrasp - 1e-6
 
 
-def test_both_holds_pass_the_check_of_files(plan: PlacementPlan, tmp_path: Path) -> None:
+def test_both_grasps_pass_the_check_of_files(plan: PlacementPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
     report = verify_files(tmp_path / "plan.json")
     assert not report.violations
@@ -98,7 +97,7 @@ def test_both_holds_pass_the_check_of_files(plan: PlacementPlan, tmp_path: Path)
     assert read_plan(tmp_path / "plan.json").motion is not None
 
 
-def test_one_base_pose_is_asked_for_two_holds_as_well(
+def test_the_check_of_a_base_pose_finds_two_grasps(
     plan: PlacementPlan, kitchen: Scene, robot: Robot, reach: ReachMap
 ) -> None:
     assert plan.base_pose is not None
@@ -107,7 +106,7 @@ def test_one_base_pose_is_asked_for_two_holds_as_well(
     assert len(attempt.motion.holds) == 2
 
 
-def test_beside_its_base_pose_the_door_opens_in_two_holds_as_well(
+def test_within_the_tolerance_the_door_also_opens_with_two_grasps(
     answer: PlacementResult, kitchen: Scene, robot: Robot, reach: ReachMap
 ) -> None:
     found = answer.tolerance
@@ -121,22 +120,22 @@ def test_beside_its_base_pose_the_door_opens_in_two_holds_as_well(
         assert len(attempt.motion.holds) == 2
 
 
-def test_a_door_that_would_fall_is_not_let_go(kitchen: Scene, robot: Robot) -> None:
-    assert not list(every_two_holds(ready(kitchen, robot, "dishwasher", "door_hinge"), CONFIG, 0))
+def test_a_door_that_would_fall_is_not_released(kitchen: Scene, robot: Robot) -> None:
+    assert not list(iter_two_grasps(ready(kitchen, robot, "dishwasher", "door_hinge"), CONFIG, 0))
 
 
 def test_a_drawer_is_not_pushed_from_behind(kitchen: Scene, robot: Robot) -> None:
     prepared = ready(kitchen, robot, "cabinet_left", "drawer_top_slide")
-    assert not list(every_two_holds(prepared, CONFIG, 0))
+    assert not list(iter_two_grasps(prepared, CONFIG, 0))
 
 
-def test_a_door_that_is_opened_a_little_needs_no_second_hold(kitchen: Scene, robot: Robot) -> None:
+def test_a_small_opening_needs_no_second_grasp(kitchen: Scene, robot: Robot) -> None:
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge", "25deg")
     prepared = prepare(kitchen, robot, task, CONFIG, clearance=0.0)
-    assert not list(every_two_holds(prepared, CONFIG, 0))
+    assert not list(iter_two_grasps(prepared, CONFIG, 0))
 
 
-def test_a_door_beside_a_wall_is_pushed_where_no_hand_has_room_to_pull(
+def test_a_door_next_to_a_wall_is_pushed_if_no_grasp_is_free_to_pull_it(
     robot: Robot, reach: ReachMap, tmp_path: Path
 ) -> None:
     wall = (
@@ -154,7 +153,7 @@ def test_a_door_beside_a_wall_is_pushed_where_no_hand_has_room_to_pull(
     assert check_base_pose(scene, robot, task, found.base_pose, reach).motion is not None
 
 
-def test_after_a_push_the_arm_comes_home_where_that_is_asked_for(
+def test_after_a_push_the_arm_returns_home_if_configured(
     kitchen: Scene, robot: Robot, reach: ReachMap
 ) -> None:
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
@@ -168,14 +167,14 @@ def test_after_a_push_the_arm_comes_home_where_that_is_asked_for(
     assert PlanVerifier(kitchen, robot, task).check(plan.base_pose, motion).valid
 
 
-def test_an_answer_tells_and_draws_both_holds(answer: PlacementResult, tmp_path: Path) -> None:
+def test_both_grasps_are_printed_and_drawn(answer: PlacementResult, tmp_path: Path) -> None:
     motion = motion_of(answer.plan)
     words = summary(answer, None)
-    assert "  hold        pinch of bar 'door_handle', by its name;" in words
-    assert "  then        from 40 deg, push at the face of 'door'" in words
+    assert "  grasp       pinch of bar 'door_handle', by its name;" in words
+    assert "  regrasp     from 40 deg: push at the face of 'door'" in words
     write_plan(answer.plan, tmp_path / "plan.json")
     assert motion_of(read_plan(tmp_path / "plan.json")).holds == motion.holds
-    drawn = waypoints_by_hold(answer)
+    drawn = waypoints_by_grasp(answer)
     assert len(drawn) == len(motion.holds)
     for points, hold in zip(drawn, motion.holds, strict=True):
         held = motion.Ts_world_tool[hold.first : hold.last + 1, :3, 3]
@@ -188,8 +187,10 @@ def test_an_answer_tells_and_draws_both_holds(answer: PlacementResult, tmp_path:
 
 
 @pytest.mark.parametrize("in_reach", [True, False])
-def test_values_are_asked_in_turn_while_some_base_pose_reaches_both_holds(in_reach: bool) -> None:
-    searches = asked(in_reach, ends=[{b"a"}, {b"a"}, {b"a"}])
+def test_values_are_searched_in_turn_while_some_base_pose_reaches_both_grasps(
+    in_reach: bool,
+) -> None:
+    searches = searches_of(in_reach, ends=[{b"a"}, {b"a"}, {b"a"}])
     if in_reach:
         samples = [(value, "samples", 2) for value in range(3)]
         assert searches == samples + [(value, "grid", 0) for value in range(3)]
@@ -197,25 +198,25 @@ def test_values_are_asked_in_turn_while_some_base_pose_reaches_both_holds(in_rea
         assert searches == [(0, "samples", 2), (0, "grid", 0)]
 
 
-def test_a_value_that_adds_an_end_is_asked_though_the_one_before_is_out_of_reach() -> None:
-    assert asked(False, ends=[{b"a"}, {b"a", b"b"}, {b"b"}]) == [
+def test_a_value_that_adds_an_end_is_searched_after_one_out_of_reach() -> None:
+    assert searches_of(False, ends=[{b"a"}, {b"a", b"b"}, {b"b"}]) == [
         (0, "samples", 2), (0, "grid", 0), (1, "samples", 2), (1, "grid", 0),
     ]  # fmt: skip
 
 
-def asked(in_reach: bool, ends: list[set[bytes]]) -> list[tuple[int, str, int]]:
-    """Value, kind and rounds of the searches for values whose second holds have these ends."""
+def searches_of(in_reach: bool, ends: list[set[bytes]]) -> list[tuple[int, str, int]]:
+    """Return value, kind and rounds of the searches for values with these ends of the push."""
     ready = (
         SimpleNamespace(in_reach=in_reach, value=value, ends=frozenset(end))
         for value, end in enumerate(ends)
     )
     return [
         (two.value, "grid" if place.grid else "samples", place.rounds)  # type: ignore[attr-defined]
-        for two, place in two_hold_searches(ready, PlaceConfig(rounds=2))  # type: ignore[arg-type]
+        for two, place in two_grasp_searches(ready, PlaceConfig(rounds=2))  # type: ignore[arg-type]
     ]
 
 
-def test_without_pushing_there_is_no_second_hold_and_no_other_family(
+def test_without_pushing_there_is_no_second_grasp_and_no_other_family(
     kitchen: Scene, robot: Robot
 ) -> None:
     grasps = GraspConfig(families=("pinch",), turning=False)
@@ -224,7 +225,7 @@ def test_without_pushing_there_is_no_second_hold_and_no_other_family(
     prepared = prepare(kitchen, robot, task, config, clearance=0.0)
     assert set(prepared.motion.grasps.family) == {"pinch"}
     assert not len(prepared.motion.turning.groups)
-    assert not list(every_two_holds(prepared, config, 0))
+    assert not list(iter_two_grasps(prepared, config, 0))
     hooks = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(families=("suction",))))
     refused = prepare(kitchen, robot, task, hooks, clearance=0.0)
     assert "by other grasps than those allowed" in refused.no_grasp

@@ -1,4 +1,4 @@
-"""Laws of base poses beside which the robot may stand as well."""
+"""Laws of base-pose robustness."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.base_pose_check import BasePoseChecks
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.robust import RobustChecks, unit_offsets, works_around
@@ -27,7 +27,7 @@ WORDS = ["place", "open", "kitchen_small", "cabinet_right/drawer_middle_slide"]
 SEGWAY = [*WORDS, "--robot", "segway_ur5e"]
 
 
-def test_the_motion_is_found_everywhere_within_what_was_asked_for(tmp_path: Path) -> None:
+def test_replanning_succeeds_within_the_required_offsets(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
     assert main([*SEGWAY, "--robust", "3cm,2deg", "--out", str(file)]) == 0
     plan = read_plan(file)
@@ -37,8 +37,7 @@ def test_the_motion_is_found_everywhere_within_what_was_asked_for(tmp_path: Path
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
     query = PlacementQuery(
-        scene, robot, task, load_reach(robot, None), None, None, PipelineConfig(), 0,
-        Stopwatch(lambda: 0.0),
+        scene, robot, task, load_reach(robot, None), watch=Stopwatch(lambda: 0.0)
     )  # fmt: skip
     checks, rng = BasePoseChecks(query), np.random.default_rng(5)
     assert plan.base_pose is not None
@@ -48,35 +47,35 @@ def test_the_motion_is_found_everywhere_within_what_was_asked_for(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_where_no_base_pose_has_the_room_the_answer_is_no_and_says_so(
+def test_without_a_robust_base_pose_the_task_is_infeasible_with_the_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("momapos.planning.robust.works_around", lambda *_: False)
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
-    asked = PlaceConfig(robust_radius=0.05, robust_turn=3.0, rounds=1, grid=False)
-    config = replace(PipelineConfig(), place=asked)
+    place = PlaceConfig(robust_radius=0.05, robust_turn=3.0, rounds=1, grid=False)
+    config = replace(PipelineConfig(), place=place)
     result = plan_base_placement(scene, robot, task, config=config)
     assert result.plan.status == "infeasible"
     assert result.plan.tolerance is None
     reasons = result.plan.candidates.rejections
-    assert reasons[PoseStatus.LITTLE_ROOM.value.format(detail="5 cm and 3 deg")] > 0
+    assert reasons[PoseStatus.LITTLE_ROOM.value.format(detail="+-5 cm, +-3 deg")] > 0
 
 
-def test_where_the_base_alone_has_no_room_no_arm_path_is_looked_for(tmp_path: Path) -> None:
+def test_no_arm_path_is_searched_if_the_base_alone_is_not_robust(tmp_path: Path) -> None:
     file = tmp_path / "no.json"
     assert main([*SEGWAY, "--robust", "80cm,30deg", "--out", str(file)]) == 3
     counts = read_plan(file).candidates
     assert counts.checked == 0
-    assert counts.rejections[PoseStatus.LITTLE_ROOM.value.format(detail="80 cm and 30 deg")] > 0
+    assert counts.rejections[PoseStatus.LITTLE_ROOM.value.format(detail="+-80 cm, +-30 deg")] > 0
 
 
-def test_around_what_the_base_alone_refuses_the_motion_is_not_found() -> None:
+def test_replanning_fails_around_every_pose_that_the_base_rule_excludes() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
     config = PipelineConfig(place=PlaceConfig(robust_radius=0.1, robust_turn=5.0))
     query = PlacementQuery(
-        scene, robot, task, load_reach(robot, None), None, None, config, 0, Stopwatch(lambda: 0.0)
+        scene, robot, task, load_reach(robot, None), config=config, watch=Stopwatch(lambda: 0.0)
     )
     checks, robust = BasePoseChecks(query), RobustChecks(query)
     poses = np.array([1.95, -1.35, 0.6]) + np.random.default_rng(1).uniform(-0.4, 0.4, (60, 3))
@@ -89,17 +88,17 @@ def test_around_what_the_base_alone_refuses_the_motion_is_not_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (["--robust", "5cm"], "write it as 0.05m,3deg"),
         (["--robust", "3deg,5cm"], "--robust: length"),
-        (["--robust=-5cm,3deg"], "from 0 up"),
-        (["--robust", "5cm,3deg", "--at", "1,-1,0"], "leave --robust out"),
+        (["--robust=-5cm,3deg"], "of at least 0"),
+        (["--robust", "5cm,3deg", "--at", "1,-1,0"], "leave out --robust"),
     ],
 )
-def test_what_is_no_room_is_one_line(
-    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+def test_an_unusable_offset_is_a_one_line_error(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*SEGWAY, *words]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert says in line
+    assert message in line

@@ -19,8 +19,9 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
+from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.tour import Request, plan_tour
+from momapos.planning.tour import Request
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.tour_check import verify_tour
 
@@ -44,13 +45,13 @@ def segway() -> Robot:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tour of three tasks, and its plans."""
+    """Write a tour of three tasks and its plans."""
     file = tmp_path_factory.mktemp("tour") / "tour.json"
     assert main([*WORDS, "--out", str(file)]) == 0
     return file
 
 
-def test_one_base_pose_serves_all_and_each_begins_as_the_one_before_ended(
+def test_one_base_pose_serves_all_tasks_and_each_begins_as_the_last_ended(
     kitchen: Scene, segway: Robot
 ) -> None:
     requests = [Request("open", *DRAWER), Request("pick", "bottle"), Request("close", *DRAWER)]
@@ -67,10 +68,10 @@ def test_one_base_pose_serves_all_and_each_begins_as_the_one_before_ended(
         assert after.motion is not None
         assert (abs(before.motion.home[-1] - after.motion.approach[0]) < 1e-9).all()
     opened = kitchen.with_joint(*DRAWER, plans[0].task.to or 0.0)
-    for plan, room in zip(plans, (kitchen, opened, opened), strict=True):
+    for plan, scene in zip(plans, (kitchen, opened, opened), strict=True):
         assert plan.base_pose is not None
         assert plan.motion is not None
-        verifier = PlanVerifier(room, segway, plan.task)
+        verifier = PlanVerifier(scene, segway, plan.task)
         assert verifier.check(plan.base_pose, plan.motion).valid
         assert all(check.ok for check in verifier.drive_checks(plan))
     assert plans[2].motion is not None
@@ -78,8 +79,8 @@ def test_one_base_pose_serves_all_and_each_begins_as_the_one_before_ended(
     assert len(tour.assumed) == 1
 
 
-def test_where_no_base_pose_serves_all_the_stops_are_few(kitchen: Scene, segway: Robot) -> None:
-    # The cup stands beyond the arm's length from wherever the drawer can be opened.
+def test_if_no_base_pose_serves_all_tasks_the_stops_are_few(kitchen: Scene, segway: Robot) -> None:
+    # The cup is out of reach of every base pose from which the drawer can be opened.
     requests = [Request("open", *DRAWER), Request("close", *DRAWER), Request("pick", "cup")]
     tour = plan_tour(kitchen, segway, requests, config=SAMPLED)
     assert tour.status == "solved"
@@ -91,26 +92,26 @@ def test_where_no_base_pose_serves_all_the_stops_are_few(kitchen: Scene, segway:
     assert tour.driving == pytest.approx((first.navigation_cost or 0.0) + last.navigation_cost)
 
 
-@pytest.mark.parametrize("asked", [True, False])
-def test_a_stop_from_which_the_next_task_cannot_be_done_is_made_elsewhere(
-    tmp_path: Path, segway: Robot, monkeypatch: pytest.MonkeyPatch, asked: bool
+@pytest.mark.parametrize("searched", [True, False])
+def test_a_stop_from_which_the_next_task_is_infeasible_moves_to_another_region(
+    tmp_path: Path, segway: Robot, monkeypatch: pytest.MonkeyPatch, searched: bool
 ) -> None:
-    """The open door parts the mug from the side on which the robot has a way on."""
+    """The open door separates the mug from the side on which the robot can drive on."""
     mug = ', {"name": "mug", "pose": {"xyz": [3.3, -0.1, 0.9]}, "box": [0.06, 0.06, 0.1]}'
     corridor = corridor_room(tmp_path, end=4.0, extra=mug)
     requests = [Request("open", "cabinet", None, 1.2), Request("pick", "mug")]
     config = PipelineConfig(
         place=PlaceConfig(count=256, improve=1, rounds=2, grid=False), timeout=300.0
     )
-    if not asked:
-        monkeypatch.setattr("momapos.planning.tour.base_poses_elsewhere", lambda *_: None)
+    if not searched:
+        monkeypatch.setattr("momapos.planning.tour.poses_in_other_regions", lambda *_: None)
     tour = plan_tour(corridor, segway, requests, Everywhere(), config=config)
-    assert tour.status == ("solved" if asked else "infeasible")
+    assert tour.status == ("solved" if searched else "infeasible")
     assert tour.stops == (1, 2)
     first, last = (step.plan for step in tour.steps)
     assert last.start == first.base_pose
     assert first.base_pose is not None
-    assert (first.base_pose[0] > 0.3) == asked
+    assert (first.base_pose[0] > 0.3) == searched
 
 
 def test_a_task_without_an_answer_ends_the_tour_with_its_reasons(
@@ -125,7 +126,9 @@ def test_a_task_without_an_answer_ends_the_tour_with_its_reasons(
     assert tour.steps[-1].plan.candidates.rejections
 
 
-def test_what_a_task_means_depends_on_the_tasks_before_it(kitchen: Scene, segway: Robot) -> None:
+def test_the_meaning_of_a_task_depends_on_the_tasks_before_it(
+    kitchen: Scene, segway: Robot
+) -> None:
     with pytest.raises(TaskError, match="nothing to close"):
         plan_tour(kitchen, segway, [Request("close", *DRAWER)])
     with pytest.raises(TaskError, match="nothing to open"):
@@ -140,7 +143,7 @@ def test_what_a_task_means_depends_on_the_tasks_before_it(kitchen: Scene, segway
         plan_tour(kitchen, segway, [])
 
 
-def test_a_tour_file_names_plans_that_hold_and_follow(
+def test_a_tour_file_names_valid_plans_that_follow_each_other(
     written: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tour = read_tour(written)
@@ -149,12 +152,12 @@ def test_a_tour_file_names_plans_that_hold_and_follow(
     ]  # fmt: skip
     capsys.readouterr()
     assert main(["verify", str(written), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["valid"]
-    assert set(said["files"]) == {"tour_1.json", "tour_2.json", "tour_3.json", "tour.json"}
+    report = json.loads(capsys.readouterr().out)
+    assert report["valid"]
+    assert set(report["files"]) == {"tour_1.json", "tour_2.json", "tour_3.json", "tour.json"}
 
 
-def test_plans_that_do_not_follow_are_told(written: Path, tmp_path: Path) -> None:
+def test_plans_that_do_not_follow_each_other_are_reported(written: Path, tmp_path: Path) -> None:
     for file in written.parent.iterdir():
         (tmp_path / file.name).write_text(file.read_text())
 
@@ -173,20 +176,21 @@ def test_plans_that_do_not_follow_are_told(written: Path, tmp_path: Path) -> Non
     edit("tour.json", stops=2)
     report = verify_tour(tmp_path / "tour.json")["tour.json"]
     assert [check.name for check in report.violations] == [
-        "stops are counted from 1, in order", "plan 2: the arm has come home",
-        "plan 3: the room is as it was left", "plan 3: starts where the base is",
+        "stops are numbered from 1, in order", "plan 2: arm has returned home",
+        "plan 3: scene joints are as the previous plan leaves them",
+        "plan 3: base starts where the previous plan ends",
     ]  # fmt: skip
     assert home
 
 
 @pytest.mark.parametrize("name", ["../plan.json", "/etc/passwd", "..", "a/b.json", "a\0b"])
-def test_a_tour_names_files_beside_it_alone(name: str, tmp_path: Path) -> None:
+def test_a_tour_names_files_in_its_own_folder_only(name: str, tmp_path: Path) -> None:
     data = {
         "format": "momapos-tour", "version": 1, "status": "solved", "stops": 1, "driving": 0.0,
         "steps": [{"stop": 1, "plan": name}],
     }  # fmt: skip
     (tmp_path / "tour.json").write_text(json.dumps(data))
-    with pytest.raises(FileFormatError, match="beside the tour"):
+    with pytest.raises(FileFormatError, match="in the folder of the tour"):
         read_tour(tmp_path / "tour.json")
 
 
@@ -197,7 +201,7 @@ def test_a_tour_names_files_beside_it_alone(name: str, tmp_path: Path) -> None:
         {"steps": [{"stop": 1, "plan": "a.json"}] * 21}, {"status": "done"}, {"driving": "far"},
     ],
 )  # fmt: skip
-def test_what_is_no_tour_is_one_line(changes: dict[str, Any], tmp_path: Path) -> None:
+def test_an_invalid_tour_file_is_a_one_line_error(changes: dict[str, Any], tmp_path: Path) -> None:
     data = {
         "format": "momapos-tour", "version": 1, "status": "solved", "stops": 1, "driving": 0.0,
         "steps": [{"stop": 1, "plan": "a.json"}],
@@ -207,12 +211,12 @@ def test_what_is_no_tour_is_one_line(changes: dict[str, Any], tmp_path: Path) ->
         read_tour(tmp_path / "tour.json")
 
 
-def test_what_takes_one_plan_says_so_of_a_tour(written: Path) -> None:
+def test_a_reader_of_one_plan_refuses_a_tour(written: Path) -> None:
     with pytest.raises(FileFormatError, match="a tour of several plans"):
         read_plan(written)
 
 
-def test_a_tour_is_carried_out_task_by_task(
+def test_a_tour_is_executed_task_by_task(
     written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run.json"
@@ -228,26 +232,29 @@ def test_a_tour_is_carried_out_task_by_task(
     assert arrived[0] == pytest.approx(arrived[1], abs=0.05)  # one base pose serves all
 
 
-def test_of_a_tour_the_first_task_that_fails_is_the_last(
+def test_a_tour_ends_at_the_first_task_that_fails(
     written: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["run", str(written), "--no-noise", "--json"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("momapos.workflows.replanning.Trip.go", lambda _, here, *__: (here, None))
+        patch.setattr(
+            "momapos.workflows.replanning.Replanner.drive_and_plan",
+            lambda _, here, *__: (here, None),
+        )
         assert main(command) == 1
-    said = capsys.readouterr()
-    assert len(json.loads(said.out)) == 1
-    assert "2 of 3 tasks were left" in said.err
+    output = capsys.readouterr()
+    assert len(json.loads(output.out)) == 1
+    assert "2 of 3 tasks were not started" in output.err
 
 
-def test_another_world_is_for_one_plan(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_world_option_refuses_a_tour(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(written), "--world", "kitchen_small"]) == 2
-    said = capsys.readouterr().err
-    assert "one plan" in said
-    assert said.count("\n") == 1
+    error = capsys.readouterr().err
+    assert "single plan" in error
+    assert error.count("\n") == 1
 
 
-def test_words_are_told_apart_and_options_may_stand_anywhere() -> None:
+def test_tasks_are_split_at_then_and_options_may_be_anywhere() -> None:
     words = "open room a/b --to 30deg --seed 3 then pick c --robot r then close a/b --to=10deg"
     verb, first, further = split(words.split())
     assert verb == "open"
@@ -256,22 +263,22 @@ def test_words_are_told_apart_and_options_may_stand_anywhere() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         ("open kitchen_small fridge/door_hinge then", "write each further task as"),
         ("open kitchen_small fridge/door_hinge then pick", "write each further task as"),
-        ("open kitchen_small fridge/door_hinge then shut fridge", "no verb 'shut'"),
+        ("open kitchen_small fridge/door_hinge then tilt fridge", "no verb 'tilt'"),
         ("then pick cup", "no verb ''"),
         ("open kitchen_small fridge/door_hinge then pick cupp", "cup"),
         ("open kitchen_small fridge/door_hinge then pick cup --to", "--to needs a value"),
-        ("open kitchen_small fridge/door_hinge then pick cup --at 1,2,0", "--at belongs to one"),
+        ("open kitchen_small fridge/door_hinge then pick cup --at 1,2,0", "--at applies to one"),
         ("open kitchen_small fridge/door_hinge then pick cup --method habitat", "habitat"),
-        ("open kitchen_small fridge/door_hinge then pick cup --to 3cm", "--to"),
+        ("open kitchen_small fridge/door_hinge then pick cup --to 3cm", "leave out joint and to"),
     ],
 )  # fmt: skip
-def test_words_that_make_no_tasks_are_one_line(
-    words: str, says: str, capsys: pytest.CaptureFixture[str]
+def test_an_invalid_command_of_tasks_is_a_one_line_error(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["place", *words.split()]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert says in line
+    assert message in line

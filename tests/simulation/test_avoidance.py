@@ -1,4 +1,4 @@
-"""Laws of keeping the arm apart from what is near it."""
+"""The arm avoids nearby obstacles."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.trajectory import time_motion
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
-from momapos.simulation.approach import paced
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.simulation.approach import pace_trajectory
 from momapos.simulation.arm_control import CompliantArm, Reference
-from momapos.simulation.avoidance import Bounds, Surroundings
+from momapos.simulation.avoidance import Bounds, CollisionAvoidance
 from momapos.simulation.config import ComplianceConfig, Ending, ExecutionConfig
 from momapos.simulation.dynamics import read_dynamics
 from momapos.simulation.simulated_hand import find_hand
-from momapos.simulation.simulated_room import Resistance
+from momapos.simulation.simulated_room import PartResistance
 from momapos.simulation.simulation import Simulation, build_simulation
 from momapos.simulation.true_worlds import TrueWorld
-from momapos.simulation.worlds import Setting
+from momapos.simulation.worlds import WorldSetup
 
 CONFIG = ExecutionConfig()
 STEP = CONFIG.timestep * CONFIG.substeps
-BESIDE = 0.012
-"""From the upper arm at the grasp to a post beside it [m]."""
+POST_CLEARANCE = 0.012
+"""Distance from the forearm at the grasp to a post next to it [m]."""
 
 
 def world_of(case: Toy) -> Simulation:
-    """The world of a toy, the arm at its grasp."""
+    """Build the world of a toy, with the arm at its grasp."""
     path = case.robot.model.urdf.path
     assert path is not None
     return build_simulation(
         case.scene, case.robot, BASE, case.motion.q, case.task, hand_of(case),
-        read_dynamics(path), Resistance(5.0, 0.1, 0.1, 0.0), None, CONFIG,
+        read_dynamics(path), PartResistance(5.0, 0.1, 0.1, 0.0), None, CONFIG,
     )  # fmt: skip
 
 
 def gap(world: Simulation, q: np.ndarray) -> float:
-    """Distance of the forearm from the post [m]."""
+    """Return the distance from the forearm to the post [m]."""
     data = mujoco.MjData(world.model)
     data.qpos[:] = world.data.qpos
     data.qpos[world.arm_q] = q
@@ -56,24 +56,24 @@ def gap(world: Simulation, q: np.ndarray) -> float:
 
 @pytest.fixture
 def beside(tmp_path: Path) -> tuple[Toy, Simulation]:
-    """A toy that holds the handle, a post close beside its forearm."""
+    """Return a toy that holds the handle, with a post close to its forearm."""
     bare = world_of(gripping(tmp_path / "bare"))
     elbow = bare.data.xpos[bare.model.body("robot/fore").id]
     ahead = bare.data.xmat[bare.model.body("robot/fore").id].reshape(3, 3) @ [0.0, 0.0, 0.18]
     case = make_case()
     size = 0.04
-    away = np.array([0.0, 0.035 + BESIDE + size / 2, 0.0])
+    away = np.array([0.0, 0.035 + POST_CLEARANCE + size / 2, 0.0])
     case.obstacle([size] * 3, (elbow + ahead + away).tolist())
     toy = gripping(tmp_path / "beside", case)
     return toy, world_of(toy)
 
 
-def test_bounds_are_the_change_of_the_distance_with_the_joints(
+def test_bounds_are_the_derivative_of_the_distance_by_the_joints(
     beside: tuple[Toy, Simulation],
 ) -> None:
     toy, world = beside
     q = toy.motion.q[0]
-    bounds = Surroundings(world, CONFIG.compliance).bounds(q, 0.0)
+    bounds = CollisionAvoidance(world, CONFIG.compliance).bounds(q, 0.0)
     assert len(bounds.rows) == 1
     step = 1e-4
     moved = q + step * np.concatenate([np.zeros((1, 6)), np.eye(6)])
@@ -83,17 +83,17 @@ def test_bounds_are_the_change_of_the_distance_with_the_joints(
 
 
 def into_the_post(world: Simulation, q: np.ndarray) -> np.ndarray:
-    """A state whose forearm is 5 mm or more in the post, as only a wrong belief has it."""
+    """Return a state whose forearm overlaps the post by 5 mm or more."""
     turn = np.eye(6)[0] * np.sign(gap(world, q - 1e-3 * np.eye(6)[0]) - gap(world, q))
     while gap(world, q) > -5e-3:
         q = q + 2e-3 * turn
     return q
 
 
-def test_what_overlaps_as_it_is_believed_is_left_slowly(beside: tuple[Toy, Simulation]) -> None:
+def test_the_arm_leaves_an_assumed_overlap_slowly(beside: tuple[Toy, Simulation]) -> None:
     toy, world = beside
     q, config = into_the_post(world, toy.motion.q[0]), CONFIG.compliance
-    bounds = Surroundings(world, config).bounds(q, 0.0)
+    bounds = CollisionAvoidance(world, config).bounds(q, 0.0)
     assert len(bounds.rows) == 1
     step = 1e-4
     away = (gap(world, q + step * bounds.rows[0]) - gap(world, q)) / step
@@ -101,21 +101,21 @@ def test_what_overlaps_as_it_is_believed_is_left_slowly(beside: tuple[Toy, Simul
     assert bounds.least[0] * away == pytest.approx(config.speed, rel=0.05)
 
 
-def test_between_two_things_the_arm_leaves_the_nearer_one(tmp_path: Path) -> None:
+def test_between_two_obstacles_the_arm_moves_away_from_the_nearer_one(tmp_path: Path) -> None:
     bare = world_of(gripping(tmp_path / "bare"))
     fore = bare.model.body("robot/fore").id
     middle = bare.data.xpos[fore] + 0.18 * bare.data.xmat[fore].reshape(3, 3)[:, 2]
     case, size = make_case(), 0.04
-    for side, room in ((1.0, 0.008), (-1.0, 0.012)):
-        place = middle + side * np.array([0.0, 0.035 + room + size / 2, 0.0])
+    for side, clearance in ((1.0, 0.008), (-1.0, 0.012)):
+        place = middle + side * np.array([0.0, 0.035 + clearance + size / 2, 0.0])
         case.obstacle([size] * 3, place.tolist(), name="nearer" if side > 0 else "other")
     toy = gripping(tmp_path / "between", case)
-    near = Surroundings(world_of(toy), CONFIG.compliance)
+    near = CollisionAvoidance(world_of(toy), CONFIG.compliance)
     q = toy.motion.q[0]
     (row,), step = near.bounds(q, 0.0).rows, 1e-3
     data = mujoco.MjData(near.known.model)
 
-    def room_at(state: np.ndarray, post: str) -> float:
+    def clearance_at(state: np.ndarray, post: str) -> float:
         data.qpos[:] = near.known.data.qpos
         data.qpos[near.known.arm_q] = state
         mujoco.mj_kinematics(near.known.model, data)
@@ -123,12 +123,12 @@ def test_between_two_things_the_arm_leaves_the_nearer_one(tmp_path: Path) -> Non
         return float(mujoco.mj_geomDistance(near.known.model, data, *pair, 0.1, None))
 
     nearer, other = "nearer/box", "other/box"
-    assert room_at(q, nearer) < room_at(q, other) < CONFIG.compliance.avoid
-    assert room_at(q + step * row, nearer) > room_at(q, nearer)
-    assert room_at(q + step * row, other) < room_at(q, other)
+    assert clearance_at(q, nearer) < clearance_at(q, other) < CONFIG.compliance.avoid
+    assert clearance_at(q + step * row, nearer) > clearance_at(q, nearer)
+    assert clearance_at(q + step * row, other) < clearance_at(q, other)
 
 
-def test_no_joint_is_hurried_by_a_bound(beside: tuple[Toy, Simulation]) -> None:
+def test_a_bound_does_not_exceed_the_joint_speed_limit(beside: tuple[Toy, Simulation]) -> None:
     toy, world = beside
     arm = CompliantArm(world, CONFIG.compliance, STEP)
     q = toy.motion.q[0].copy()
@@ -140,12 +140,12 @@ def test_no_joint_is_hurried_by_a_bound(beside: tuple[Toy, Simulation]) -> None:
     assert np.abs(arm.q - q).max() == pytest.approx(CONFIG.compliance.joint_speed * STEP)
 
 
-def test_an_arm_that_follows_a_reference_into_a_post_stays_apart_from_it(
+def test_an_arm_whose_reference_enters_a_post_stays_clear_of_it(
     beside: tuple[Toy, Simulation],
 ) -> None:
     toy, world = beside
     arm = CompliantArm(world, CONFIG.compliance, STEP)
-    near = Surroundings(world, CONFIG.compliance)
+    near = CollisionAvoidance(world, CONFIG.compliance)
     q, least = toy.motion.q[0], []
     for bounded in (False, True):
         arm.go(q.copy(), np.zeros(6))
@@ -164,14 +164,14 @@ def test_an_arm_that_follows_a_reference_into_a_post_stays_apart_from_it(
     assert least[1] > CONFIG.compliance.apart / 2
 
 
-def test_a_paced_approach_is_slow_near_things_and_never_faster_than_planned(
+def test_a_paced_approach_is_slow_near_obstacles_and_never_faster_than_planned(
     beside: tuple[Toy, Simulation],
 ) -> None:
     toy, world = beside
     plan, _ = time_motion(toy.robot, toy.motion, CONFIG.speed, STEP)
     tool = np.array([CompliantArm(world, ComplianceConfig(), STEP).kinematics.at(q)[0][:3, 3]
                      for q in toy.motion.approach])  # fmt: skip
-    way = paced(plan, toy.motion.approach, tool, world, CONFIG)
+    way = pace_trajectory(plan, toy.motion.approach, tool, world, CONFIG)
     speed = np.linalg.norm(np.gradient(np.stack([np.interp(
         np.arange(len(plan)), plan.state_times / STEP, tool[:, i]) for i in range(3)], 1),
         axis=0), axis=1) / STEP  # fmt: skip
@@ -182,13 +182,13 @@ def test_a_paced_approach_is_slow_near_things_and_never_faster_than_planned(
     assert change.max() < 1.01 * CONFIG.compliance.pace_rate * STEP
 
 
-def test_a_link_that_meets_something_stops_the_arm_before_it_presses_hard(tmp_path: Path) -> None:
+def test_a_link_in_contact_stops_the_arm_before_it_presses_hard(tmp_path: Path) -> None:
     plain = gripping(tmp_path / "plain")
     seen: list[np.ndarray] = []
     plain.run(watch=lambda world, *_: seen.append(world.data.geom("robot/fore#0").xpos.copy()))
     case = make_case()
     case.obstacle([0.05] * 3, seen[-1].tolist())  # where the forearm ends
-    config = ExecutionConfig(compliance=ComplianceConfig(avoid=0.0))  # it does not look
+    config = ExecutionConfig(compliance=ComplianceConfig(avoid=0.0))  # no avoidance
     done = gripping(tmp_path / "post", case).run(config=config)
     assert not done.success
     assert "in the arm's way" in done.reason
@@ -196,7 +196,7 @@ def test_a_link_that_meets_something_stops_the_arm_before_it_presses_hard(tmp_pa
     assert done.collisions[0].force < config.touch_force
 
 
-def test_the_arm_stops_before_the_part_comes_upon_its_own_base(tmp_path: Path) -> None:
+def test_the_arm_stops_before_the_part_hits_the_robots_base(tmp_path: Path) -> None:
     case, halfway = make_case(), 0.6
     on_door = np.array(HINGE) + 0.5 * np.array([-np.sin(halfway), np.cos(halfway), -0.9])
     x, y, z, _ = invert(pose_planar(np.array(BASE))) @ np.append(on_door, 1.0)
@@ -214,7 +214,7 @@ def test_the_arm_stops_before_the_part_comes_upon_its_own_base(tmp_path: Path) -
     assert all("post" not in (touch.one, touch.other) for touch in done.collisions)
 
 
-def test_the_hand_keeps_apart_from_what_it_will_pick_as_long_as_that_stands() -> None:
+def test_the_hand_avoids_the_object_to_pick_as_long_as_that_stands() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "pick", "apple")
     plan = plan_base_placement(scene, robot, task).plan
@@ -223,13 +223,13 @@ def test_the_hand_keeps_apart_from_what_it_will_pick_as_long_as_that_stands() ->
     path = robot.model.urdf.path
     assert path is not None
     dynamics = read_dynamics(path)
-    setting = Setting(
+    setting = WorldSetup(
         scene, robot, plan.base_pose, plan.motion, task, find_hand(robot, dynamics.mimics),
         dynamics, CONFIG,
     )  # fmt: skip
-    world = setting.build(TrueWorld(scene, task), Resistance(0.2, 0.0, 0.0, 0.0))
-    surroundings, q = Surroundings(world, ComplianceConfig()), plan.motion.q[0]
+    world = setting.build(TrueWorld(scene, task), PartResistance(0.2, 0.0, 0.0, 0.0))
+    avoidance, q = CollisionAvoidance(world, ComplianceConfig()), plan.motion.q[0]
     # The open fingers are around the apple.
-    given_way = surroundings.bounds(q, 0.0, hand=True)
-    standing = surroundings.bounds(q, 0.0, hand=True, stands=True)
-    assert len(standing.rows) > len(given_way.rows)
+    ignored = avoidance.bounds(q, 0.0, hand=True)
+    standing = avoidance.bounds(q, 0.0, hand=True, stands=True)
+    assert len(standing.rows) > len(ignored.rows)

@@ -1,4 +1,4 @@
-"""Laws of what a hand lifts and carries by friction: it stays in the hand, and the arm bears it."""
+"""An object lifted and carried by friction stays in the hand, and the arm bears its weight."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.simulation.toy import execute
 
 from momapos.core.geometry.transforms import rotation_angle
 from momapos.model.records.plans import Motion
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import Ending, ExecutionConfig, FurnitureConfig, Stage
-from momapos.simulation.execute import execute
-from momapos.simulation.feel import Touch
+from momapos.simulation.feel import SensedForces
 from momapos.simulation.payload import Payload
 from momapos.simulation.run_record import Execution
 from momapos.simulation.simulation import Simulation
@@ -27,11 +27,11 @@ STEP, WEIGHT = 0.004, np.array([0.0, 0.0, -5.0])
 
 
 def carried_out(
-    verb: str, thing: str, robot: Robot, cache: Path, config: ExecutionConfig, **options: Any
+    verb: str, name: str, robot: Robot, cache: Path, config: ExecutionConfig, **options: Any
 ) -> tuple[Execution, Motion]:
-    """Plan a task in a built-in kitchen, and execute it where the base stands."""
+    """Plan a task in a built-in kitchen and execute it at the planned base pose."""
     scene = load_scene("kitchen_small")
-    task = make_task(scene, verb, thing)
+    task = make_task(scene, verb, name)
     plan = plan_base_placement(scene, robot, task, load_reach_map(robot, cache)).plan
     assert plan.motion is not None
     assert plan.base_pose is not None
@@ -42,7 +42,7 @@ def carried_out(
     )
 
 
-def test_what_is_picked_comes_up_as_far_as_planned_and_stays_in_the_hand(
+def test_a_picked_object_is_lifted_as_planned_and_stays_in_the_hand(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     heavy = ExecutionConfig(furniture=FurnitureConfig(density=400.0))
@@ -55,7 +55,7 @@ def test_what_is_picked_comes_up_as_far_as_planned_and_stays_in_the_hand(
     assert done.slip.position < 2e-3
 
 
-def test_what_is_placed_stays_in_the_hand_on_its_way_and_stands_where_it_belongs(
+def test_a_placed_object_stays_in_the_hand_until_it_stands_at_its_goal(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     seen: list[tuple[bool, np.ndarray]] = []
@@ -75,30 +75,32 @@ def test_what_is_placed_stays_in_the_hand_on_its_way_and_stands_where_it_belongs
     assert rotation_angle(first[:3, :3], last[:3, :3]) < np.radians(2.0)
 
 
-def felt(force: np.ndarray, torque: np.ndarray) -> Touch:
-    """What a hand feels, whose pads bear nothing."""
-    return Touch(force, torque, (0.0, 0.0), np.zeros(0))
+def felt(force: np.ndarray, torque: np.ndarray) -> SensedForces:
+    """Return sensed forces without a load on the pads."""
+    return SensedForces(force, torque, (0.0, 0.0), np.zeros(0))
 
 
-def test_the_hand_gives_way_to_a_push_and_not_to_the_weight_that_it_carries() -> None:
+def test_the_hand_yields_to_a_push_and_not_to_the_carried_weight() -> None:
     load, torque = Payload(0.15, STEP), np.array([0.1, -0.2, 0.0])
     for _ in range(500):
-        beside = load.see(felt(WEIGHT, torque), carried=True)
-    np.testing.assert_allclose(beside.force, 0.0, atol=1e-3)
-    np.testing.assert_allclose(beside.torque, 0.0, atol=1e-3)
+        rest = load.remove_weight(felt(WEIGHT, torque), carried=True)
+    np.testing.assert_allclose(rest.force, 0.0, atol=1e-3)
+    np.testing.assert_allclose(rest.torque, 0.0, atol=1e-3)
     push = np.array([10.0, 0.0, 0.0])
     np.testing.assert_allclose(
-        load.see(felt(WEIGHT + push, torque), carried=True).force, push, atol=1e-3
+        load.remove_weight(felt(WEIGHT + push, torque), carried=True).force, push, atol=1e-3
     )
 
 
-def test_what_pushes_up_is_no_weight_and_a_hand_that_let_go_carries_none() -> None:
+def test_an_upward_push_is_no_weight_and_an_empty_hand_carries_none() -> None:
     load = Payload(0.15, STEP)
     for _ in range(500):
-        beside = load.see(felt(-WEIGHT, np.ones(3)), carried=True)
-    np.testing.assert_allclose(beside.force, -WEIGHT)
+        rest = load.remove_weight(felt(-WEIGHT, np.ones(3)), carried=True)
+    np.testing.assert_allclose(rest.force, -WEIGHT)
     for _ in range(500):
-        load.see(felt(WEIGHT, np.zeros(3)), carried=True)
+        load.remove_weight(felt(WEIGHT, np.zeros(3)), carried=True)
     assert load.weight[2] == pytest.approx(-5.0, abs=1e-3)
-    np.testing.assert_allclose(load.see(felt(WEIGHT, np.zeros(3)), carried=False).force, WEIGHT)
+    np.testing.assert_allclose(
+        load.remove_weight(felt(WEIGHT, np.zeros(3)), carried=False).force, WEIGHT
+    )
     np.testing.assert_allclose(load.weight, 0.0)

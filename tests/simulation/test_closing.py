@@ -1,4 +1,4 @@
-"""Laws of closing: the arm stops where the part does, and presses no harder than it must."""
+"""A closing arm stops where the part stops, and presses no harder than needed."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from tests.verification.door_case import OPEN, Case, make_case
 from momapos.model.records.plans import Motion
 from momapos.model.records.tasks import Task
 from momapos.simulation.config import Ending, ExecutionConfig, FurnitureConfig
-from momapos.simulation.feel import feel
+from momapos.simulation.feel import sense_forces
 from momapos.simulation.simulation import Simulation
 
 FLUSH = (
     '<collision><origin xyz="-0.2 0.14 0"/><geometry><box size="0.02 0.2 0.5"/></geometry>'
     "</collision>"
 )
-"""An element of the cupboard that overlaps the closed door, as imported furniture has them."""
+"""Element of the cupboard that overlaps the closed door, as in imported furniture."""
 
 
 def closing(folder: Path, case: Case) -> Toy:
-    """The motion that opens the door, run backwards where the door stands open."""
+    """Return the opening motion reversed, for a door that stands open."""
     case.scene["objects"][0]["joints"]["hinge"] = OPEN
     opening = toy(folder, case)
     m = opening.motion
@@ -43,9 +43,7 @@ def test_a_door_is_closed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stop", [0.02, 0.04])
-def test_at_a_stop_before_the_end_the_arm_stops_and_the_hold_stays_whole(
-    stop: float, tmp_path: Path
-) -> None:
+def test_at_an_early_stop_the_arm_stops_and_the_grasp_holds(stop: float, tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = case.cupboard.replace('lower="0"', f'lower="{stop}"')
     done = closing(tmp_path, case).run()
@@ -55,7 +53,7 @@ def test_at_a_stop_before_the_end_the_arm_stops_and_the_hold_stays_whole(
 
 
 @pytest.mark.parametrize("thickness", [0.002, 0.004])
-def test_a_strip_near_the_hinge_is_pressed_no_harder_than_the_stop_force_and_its_lever(
+def test_the_force_on_a_strip_near_the_hinge_is_bounded_by_the_stop_force_and_its_lever(
     thickness: float, tmp_path: Path
 ) -> None:
     case = make_case()
@@ -68,7 +66,7 @@ def test_a_strip_near_the_hinge_is_pressed_no_harder_than_the_stop_force_and_its
     assert 0 < hardest < 60 * lever
 
 
-def test_a_touch_above_the_limit_is_a_failure_even_where_the_door_closes(tmp_path: Path) -> None:
+def test_a_collision_above_the_force_limit_fails_even_if_the_door_closes(tmp_path: Path) -> None:
     case = make_case()
     case.obstacle([0.005, 0.04, 0.2], [0.1935, -0.14, 0.8])
     door = closing(tmp_path, case)
@@ -77,10 +75,10 @@ def test_a_touch_above_the_limit_is_a_failure_even_where_the_door_closes(tmp_pat
     hit = loose.collisions[0]
     strict = door.run(config=ExecutionConfig(touch_force=0.5 * hit.force))
     assert not strict.success
-    assert f"{hit.one} pushed {hit.other}" in strict.reason
+    assert f"{hit.one} hit {hit.other}" in strict.reason
 
 
-def test_what_overlaps_the_closed_door_by_design_does_not_hold_it_open(tmp_path: Path) -> None:
+def test_an_element_that_overlaps_the_closed_door_does_not_hold_it_open(tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = case.cupboard.replace("</collision></link>", f"</collision>{FLUSH}</link>", 1)
     done = closing(tmp_path, case).run()
@@ -89,20 +87,20 @@ def test_what_overlaps_the_closed_door_by_design_does_not_hold_it_open(tmp_path:
     assert any("cupboard/body" in note for note in done.notes)
 
 
-def test_nothing_is_pressed_once_the_arm_has_stopped(tmp_path: Path) -> None:
+def test_a_stopped_arm_does_not_press(tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = case.cupboard.replace('lower="0"', 'lower="0.03"')
     forces: list[float] = []
 
     def watch(world: Simulation, _: float, stage: str) -> None:
         if stage == "dwell":
-            forces.append(feel(world).size[0])
+            forces.append(sense_forces(world).size[0])
 
     assert closing(tmp_path, case).run(watch=watch).success
     assert np.mean(forces[-20:]) < ExecutionConfig().control.stop_force
 
 
-def test_a_door_that_is_stiff_all_the_way_is_moved_to_its_end(tmp_path: Path) -> None:
+def test_a_door_with_constant_friction_is_moved_to_its_end(tmp_path: Path) -> None:
     stiff = ExecutionConfig(furniture=FurnitureConfig(hinge_friction=30.0))
     done = closing(tmp_path, make_case()).run(config=stiff)
     assert done.success, done.reason

@@ -1,4 +1,4 @@
-"""Laws of holding by contact: fingers and friction hold, and the arm follows what it feels."""
+"""Grasps by contact: fingers hold by friction, and the arm follows the sensed forces."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from momapos.simulation.config import (
     ModelErrorConfig,
 )
 from momapos.simulation.dynamics import read_dynamics
-from momapos.simulation.simulated_hand import Hand, find_hand
+from momapos.simulation.simulated_hand import SimulatedHand, find_hand
 from momapos.simulation.simulated_room import PART, seal_of
 from momapos.simulation.simulation import Simulation
 
 HINGE_OFF = ModelErrorConfig(axis=0.03, tilt=float(np.radians(5.0)))
 
 
-def test_fingers_that_close_open_a_door_by_friction_alone(tmp_path: Path) -> None:
+def test_closed_fingers_open_a_door_by_friction_alone(tmp_path: Path) -> None:
     case = gripping(tmp_path)
     welded: list[bool] = []
     done = case.run(watch=lambda world, *_: welded.append(world.welded))
@@ -38,14 +38,16 @@ def test_fingers_that_close_open_a_door_by_friction_alone(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_handle_one_centimeter_off_is_held_and_the_door_opened(seed: int, tmp_path: Path) -> None:
+def test_a_handle_off_by_one_centimeter_is_grasped_and_the_door_opened(
+    seed: int, tmp_path: Path
+) -> None:
     config = ExecutionConfig(errors=ModelErrorConfig(handle=0.01))
     done = gripping(tmp_path).run(config=config, rng=np.random.default_rng(seed))
     assert done.success, done.reason
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_hinge_elsewhere_than_modeled_is_found_and_the_door_opened(
+def test_a_hinge_off_its_modeled_position_is_found_and_the_door_opened(
     seed: int, tmp_path: Path
 ) -> None:
     true: list[tuple[np.ndarray, np.ndarray]] = []
@@ -65,7 +67,9 @@ def test_a_hinge_elsewhere_than_modeled_is_found_and_the_door_opened(
     assert np.linalg.norm(off - (off @ axis) * axis) < HINGE_OFF.axis / 2
 
 
-def test_fingers_that_find_nothing_stop_the_run_and_the_door_stays_shut(tmp_path: Path) -> None:
+def test_fingers_that_close_on_nothing_stop_the_run_and_the_door_stays_closed(
+    tmp_path: Path,
+) -> None:
     case = make_case()
     case.cupboard = cupboard_urdf(handle=False)
     done = gripping(tmp_path, case).run()
@@ -74,7 +78,7 @@ def test_fingers_that_find_nothing_stop_the_run_and_the_door_stays_shut(tmp_path
     assert done.reached == pytest.approx(0.0, abs=1e-3)
 
 
-def test_what_resists_more_than_the_hand_may_feel_stops_the_run_with_the_figures(
+def test_a_force_above_the_limit_stops_the_run_with_the_figures(
     tmp_path: Path,
 ) -> None:
     limit = ComplianceConfig(force=40.0)
@@ -82,18 +86,18 @@ def test_what_resists_more_than_the_hand_may_feel_stops_the_run_with_the_figures
     done = gripping(tmp_path).run(config=stuck)
     assert not done.success
     assert done.ending == Ending.TOO_HARD
-    assert "at most 40 N" in done.reason
+    assert "limits 40 N" in done.reason
     assert done.load.force < 2.0 * limit.force
 
 
-def test_the_friction_of_the_pads_counts_and_not_that_of_the_handle(tmp_path: Path) -> None:
+def test_the_friction_of_the_pads_decides_and_not_that_of_the_handle(tmp_path: Path) -> None:
     slippery = ExecutionConfig(gripper=GripConfig(friction=0.02))
     done = gripping(tmp_path).run(config=slippery)
     assert not done.success
     assert done.slip.position > 0.01 or done.ending == Ending.SLIPPED
 
 
-def test_turning_fingers_close_together_as_their_file_says(tmp_path: Path) -> None:
+def test_rotating_fingers_close_together_by_their_mimic_joint(tmp_path: Path) -> None:
     case = gripping(tmp_path, turning=True)
     hand = hand_of(case)
     assert [f.joint for f in hand.fingers] == ["left_joint"]
@@ -112,16 +116,16 @@ def test_turning_fingers_close_together_as_their_file_says(tmp_path: Path) -> No
     np.testing.assert_allclose(left, right, atol=0.02)
 
 
-def test_a_gripper_presses_each_pad_with_its_force_whether_it_slides_or_turns(
+def test_the_grip_force_acts_at_the_pads_of_sliding_and_rotating_fingers(
     tmp_path: Path,
 ) -> None:
     (slides,) = {f.lever for f in hand_of(gripping(tmp_path / "slides")).fingers}
     (turns,) = {f.lever for f in hand_of(gripping(tmp_path / "turns", turning=True)).fingers}
     assert slides == pytest.approx(1.0)
-    assert turns == pytest.approx(2 * 0.05, rel=0.15)  # two pads, their middles 5 cm from the axes
+    assert turns == pytest.approx(2 * 0.05, rel=0.15)  # two pads with centers 5 cm from the axes
 
 
-def test_a_seal_pulls_at_the_free_edge_wherever_the_door_is_held(tmp_path: Path) -> None:
+def test_a_seal_pulls_at_the_free_edge_wherever_the_door_is_grasped(tmp_path: Path) -> None:
     case = gripping(tmp_path)
     item = case.scene.object("cupboard")
     seal = seal_of(item, item.model.joint("hinge"), 30.0, 0.01)
@@ -130,15 +134,15 @@ def test_a_seal_pulls_at_the_free_edge_wherever_the_door_is_held(tmp_path: Path)
     assert seal.pull == pytest.approx(30.0 * width, rel=0.02)
 
 
-def hand_of(case: Toy) -> Hand:
-    """The hand of a toy's robot."""
+def hand_of(case: Toy) -> SimulatedHand:
+    """Find the hand of a toy's robot."""
     path = case.robot.model.urdf.path
     assert path is not None
     return find_hand(case.robot, read_dynamics(path).mimics)
 
 
-def test_a_handle_that_is_part_of_its_doors_mesh_is_gripped_where_it_is(tmp_path: Path) -> None:
-    """The hull of door and bow fills the room in which the fingers close."""
+def test_a_handle_in_the_mesh_of_its_door_is_grasped(tmp_path: Path) -> None:
+    """The convex hull of door and handle fills the space in which the fingers close."""
     case = make_case()
     (x, y, _), bar, door = HANDLE, 0.01, ((-0.01, 0.0, -0.39), (0.01, 0.58, 0.39))
     ends = [((x + bar, y - bar, z - 0.01), (-0.01, y + bar, z + 0.01)) for z in (-0.11, 0.11)]

@@ -1,4 +1,4 @@
-"""Laws of a run: what can be done is done, and what cannot be done is told with its reason."""
+"""A run completes a feasible task, and reports why another one failed."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def test_a_door_pulled_by_its_handle_opens(tmp_path: Path) -> None:
     assert sum(done.time.values()) == pytest.approx(done.simulated)
 
 
-def test_the_base_yields_a_little_and_holds(tmp_path: Path) -> None:
+def test_the_base_yields_slightly(tmp_path: Path) -> None:
     shift = np.abs(toy(tmp_path).run().base_shift)
     assert 0 < shift.max() < 0.005
 
 
-def test_a_joint_asked_beyond_what_the_motion_reaches_is_not_done(tmp_path: Path) -> None:
+def test_a_request_beyond_the_end_of_the_motion_fails(tmp_path: Path) -> None:
     done = asked(toy(tmp_path), 1.15).run()
     assert not done.success
     assert "87 %" in done.reason
 
 
-def test_a_door_that_ends_earlier_breaks_the_hold(tmp_path: Path) -> None:
+def test_a_door_with_an_earlier_limit_breaks_the_grasp(tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = case.cupboard.replace('upper="1.2"', 'upper="0.5"')
     done = toy(tmp_path, case).run()
@@ -46,7 +46,7 @@ def test_a_door_that_ends_earlier_breaks_the_hold(tmp_path: Path) -> None:
     assert done.reached < 0.6
 
 
-def test_a_box_in_the_way_of_the_door_is_named(tmp_path: Path) -> None:
+def test_a_box_that_blocks_the_door_is_named(tmp_path: Path) -> None:
     case = make_case()
     case.obstacle([0.06, 0.06, 0.3], [-0.02, 0.16, 0.55])
     done = toy(tmp_path, case).run()
@@ -57,7 +57,7 @@ def test_a_box_in_the_way_of_the_door_is_named(tmp_path: Path) -> None:
     assert done.collisions[0].force > 20
 
 
-def test_an_arm_in_a_box_is_a_collision_with_its_force(tmp_path: Path) -> None:
+def test_an_arm_that_hits_a_box_is_a_collision_with_its_force(tmp_path: Path) -> None:
     plain = toy(tmp_path / "plain")
     seen: list[np.ndarray] = []
     plain.run(watch=lambda world, *_: seen.append(world.T_world_tool[:3, 3]))
@@ -67,7 +67,7 @@ def test_an_arm_in_a_box_is_a_collision_with_its_force(tmp_path: Path) -> None:
     assert any(hit.other == "post/box" and hit.force > 0 for hit in done.collisions)
 
 
-def test_a_state_that_is_no_number_ends_the_run_as_a_failure(tmp_path: Path) -> None:
+def test_a_nan_state_ends_the_run_as_a_failure(tmp_path: Path) -> None:
     def spoil(world: Simulation, time: float, _: str) -> None:
         if time > 1.0:
             world.data.qpos[world.arm_q[0]] = np.nan
@@ -79,7 +79,7 @@ def test_a_state_that_is_no_number_ends_the_run_as_a_failure(tmp_path: Path) -> 
     assert "diverged" in json.dumps(asdict(done), allow_nan=False)
 
 
-def test_a_motion_that_holds_nan_is_refused(tmp_path: Path) -> None:
+def test_a_motion_with_nan_is_refused(tmp_path: Path) -> None:
     case = toy(tmp_path)
     q = case.motion.q.copy()
     q[3, 2] = np.nan
@@ -88,21 +88,21 @@ def test_a_motion_that_holds_nan_is_refused(tmp_path: Path) -> None:
         case.run()
 
 
-def test_a_robot_that_stands_in_something_is_refused_and_the_thing_named(tmp_path: Path) -> None:
+def test_a_start_in_collision_is_refused_and_names_the_obstacle(tmp_path: Path) -> None:
     case = make_case()
     case.obstacle([0.3, 0.3, 0.5], [-0.6, 0.15, 0.25])
     with pytest.raises(SceneError, match=r"start in collision: base .* post/box"):
         toy(tmp_path, case).run()
 
 
-def test_a_seal_stronger_than_the_hold_keeps_the_door_shut(tmp_path: Path) -> None:
+def test_a_seal_stronger_than_the_grasp_keeps_the_door_closed(tmp_path: Path) -> None:
     stuck = ExecutionConfig(furniture=FurnitureConfig(latch_force=400.0))
     done = toy(tmp_path).run(config=stuck)
     assert not done.success
     assert done.reached < 0.05
 
 
-def test_a_stiffer_latch_loads_the_hold_more(tmp_path: Path) -> None:
+def test_a_stiffer_latch_loads_the_grasp_more(tmp_path: Path) -> None:
     case = toy(tmp_path)
     loads = [
         case.run(config=ExecutionConfig(furniture=FurnitureConfig(latch_force=force))).load.force
@@ -112,21 +112,21 @@ def test_a_stiffer_latch_loads_the_hold_more(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_draws_the_same_furniture_and_another_seed_another(tmp_path: Path) -> None:
+def test_the_seed_determines_the_resistance_of_the_furniture(tmp_path: Path) -> None:
     case, config = toy(tmp_path), ExecutionConfig(furniture=FurnitureConfig(spread=0.3))
     runs = [case.run(config=config, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)]
     assert replace(runs[0], wall=0.0) == replace(runs[1], wall=0.0)
     assert runs[0].resistance != runs[2].resistance
 
 
-def test_a_hand_without_fingers_holds_by_a_weld_and_the_record_says_so(tmp_path: Path) -> None:
+def test_a_hand_without_fingers_uses_a_weld_and_the_record_notes_it(tmp_path: Path) -> None:
     done = toy(tmp_path).run(config=ExecutionConfig(hold="contact"))
     assert done.success, done.reason
     assert done.hold == "weld"
-    assert any("a weld stands for its hold" in note for note in done.notes)
+    assert any("a weld replaces the grasp" in note for note in done.notes)
 
 
-def test_a_grasp_beside_the_handle_is_noticed(tmp_path: Path) -> None:
+def test_a_grasp_next_to_the_handle_fails(tmp_path: Path) -> None:
     case = toy(tmp_path)
     Ts = case.motion.Ts_world_tool.copy()
     Ts[:, 2, 3] += 0.1
@@ -136,7 +136,7 @@ def test_a_grasp_beside_the_handle_is_noticed(tmp_path: Path) -> None:
     assert "10.0 cm" in done.reason
 
 
-def test_a_weld_takes_no_hold_of_what_is_out_of_the_hand(tmp_path: Path) -> None:
+def test_a_weld_does_not_attach_to_an_object_out_of_reach(tmp_path: Path) -> None:
     case = make_case()
     x, y, z = HANDLE
     case.cupboard = case.cupboard.replace(f'xyz="{x} {y} {z}"', f'xyz="{x} {y} {z + 0.2}"')

@@ -1,4 +1,4 @@
-"""Filmstrips: what happened can be seen."""
+"""Filmstrips and films show the run."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_filmstrip_shows_the_run(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @optional.needs("EGL", optional.draws_off_screen())
-def test_a_film_moves_and_is_light_and_can_be_read(tmp_path: Path) -> None:
+def test_a_film_moves_is_bright_and_has_a_readable_caption(tmp_path: Path) -> None:
     trace = RunTrace()
     toy(tmp_path).run(watch=trace)
     write_film(trace, tmp_path / "film.gif", ending="done")
@@ -51,13 +51,13 @@ def test_a_film_moves_and_is_light_and_can_be_read(tmp_path: Path) -> None:
             pictures.append(np.asarray(moving.convert("L"), float))
     first, last = pictures
     assert np.abs(first - last).mean() > 1.0
-    assert first.mean() > 128  # light
+    assert first.mean() > 128  # bright
     caption = first[FILM_HEIGHT:]
     assert caption.max() - caption.min() > 150  # dark on white
 
 
 @pytest.mark.slow
-def test_a_wall_before_the_camera_hides_nothing(tmp_path: Path) -> None:
+def test_a_wall_in_front_of_the_camera_hides_nothing(tmp_path: Path) -> None:
     run, free, walled = toy(tmp_path), RunTrace(), RunTrace()
     run.run(watch=free)
     before = shot_of(free)
@@ -79,34 +79,34 @@ def test_a_wall_before_the_camera_hides_nothing(tmp_path: Path) -> None:
 
 
 def shot_of(trace: RunTrace) -> Shot:
-    """How a run is seen."""
+    """Return the camera of a run."""
     (act,) = trace.acts
     assert act.world is not None
     data = mujoco.MjData(act.world.model)
     return frame_shot(act.world, data, [state.q for state in act.states])
 
 
-def test_without_a_canvas_one_line_says_what_is_missing(
+def test_without_off_screen_rendering_one_line_names_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trace = RunTrace()
     toy(tmp_path).run(watch=trace)
     monkeypatch.setenv("DISPLAY", ":none")
     monkeypatch.setattr(mujoco, "GLContext", no_canvas)
-    with pytest.raises(InputError, match="it needs EGL, as libegl1") as caught:
+    with pytest.raises(InputError, match=r"install EGL \(Debian: libegl1") as caught:
         write_film(trace, tmp_path / "film.png", frames=COLUMNS)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "film.png").exists()
 
 
 def no_canvas(width: int, height: int) -> None:
-    """A machine without a library to draw with."""
+    """Raise as on a machine without a rendering library."""
     raise RuntimeError(f"no canvas of {width} x {height}")
 
 
 @pytest.mark.slow
 @optional.needs("EGL", optional.draws_off_screen())
-def test_the_force_on_the_hand_is_seen_through_all_that_hides_it(tmp_path: Path) -> None:
+def test_the_force_arrow_is_drawn_over_what_hides_the_hand(tmp_path: Path) -> None:
     trace = RunTrace()
     toy(tmp_path).run(watch=trace)
     world = trace.acts[0].world
@@ -123,6 +123,6 @@ def test_the_force_on_the_hand_is_seen_through_all_that_hides_it(tmp_path: Path)
     assert np.ptp(rows) > 2 * np.ptp(columns)  # upright
 
 
-def test_a_film_of_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="nothing was executed"):
+def test_a_film_without_a_motion_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no motion was executed"):
         write_film(RunTrace(), tmp_path / "film.png")

@@ -1,4 +1,4 @@
-"""Laws of the estimate of a part's joint from the way of the hand."""
+"""Estimates of a part's joint from the path of the hand."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def apart(one: Axis, other: Axis) -> tuple[float, float]:
-    """Angle between two axes [rad], and distance of one's point from the other [m]."""
+    """Return the angle [rad] and the distance [m] between two axes."""
     off = one.point - other.point
     off = off - (off @ other.direction) * other.direction
     return float(np.arccos(np.clip(one.direction @ other.direction, -1, 1))), float(
@@ -50,7 +50,7 @@ def test_a_slide_is_found_from_the_line_of_the_hand() -> None:
     assert estimate.tilt == pytest.approx(np.hypot(0.07, 0.05), abs=0.01)
 
 
-def test_before_the_hand_has_moved_the_joint_is_where_it_is_modeled() -> None:
+def test_without_motion_of_the_hand_the_joint_stays_as_modeled() -> None:
     modeled = Axis(False, UP, np.array([0.3, 0.1, 0.0]))
     estimate = JointEstimate(modeled, np.array([0.8, 0.1, 0.4]), CONFIG)
     for shake in np.random.default_rng(0).normal(0.0, 3e-4, (50, 3)):
@@ -59,7 +59,7 @@ def test_before_the_hand_has_moved_the_joint_is_where_it_is_modeled() -> None:
     assert (estimate.tilt, estimate.shift) == (0.0, 0.0)
 
 
-def test_a_hand_that_moves_as_modeled_changes_nothing() -> None:
+def test_a_hand_on_the_modeled_path_keeps_the_modeled_joint() -> None:
     modeled = Axis(False, UP, np.zeros(3))
     start = np.array([0.4, 0.0, 0.2])
     estimate = JointEstimate(modeled, start, CONFIG)
@@ -69,7 +69,7 @@ def test_a_hand_that_moves_as_modeled_changes_nothing() -> None:
     assert estimate.shift < 1e-6
 
 
-def test_points_move_along_the_way_that_the_axis_gives() -> None:
+def test_points_move_in_the_direction_that_the_axis_gives() -> None:
     rng = np.random.default_rng(1)
     for slides in (False, True):
         direction = rng.normal(size=3)

@@ -1,4 +1,4 @@
-"""Every robot of the library opens a drawer in physics, and tips that turn face each other."""
+"""Library robots open a drawer in physics, and rotating fingertips face each other."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_file
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.arm_length import arm_length
 from momapos.simulation.config import ExecutionConfig
 from momapos.simulation.dynamics import read_dynamics
 from momapos.simulation.simulated_hand import find_hand
 from momapos.simulation.simulated_robot import body_of
-from momapos.simulation.simulated_room import Resistance
+from momapos.simulation.simulated_room import PartResistance
 from momapos.simulation.simulation import build_simulation
 from momapos.workflows.run import run_plan
 
 LENGTH, TIP = 0.12, 0.03
-"""Of fingers that turn, and from their ends to the middles of their tips [m]."""
+"""Length of rotating fingers, and distance from their ends to the centers of their tips [m]."""
 
 
 def leaning(lean: float) -> str:
-    """Fingers that turn, with tips that lean against them."""
+    """Return the URDF of rotating fingers with tips that lean against them."""
     parts = []
     for side, sign in (("left", 1), ("right", -1)):
         name = f"{side}_finger"
@@ -59,7 +59,7 @@ def leaning(lean: float) -> str:
         pytest.param("tiago_dual", "right", marks=pytest.mark.slow),
     ],
 )
-def test_a_robot_of_the_library_opens_a_drawer_in_physics(name: str, arm: str | None) -> None:
+def test_a_library_robot_opens_a_drawer_in_physics(name: str, arm: str | None) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot(name, arm=arm)
     task = make_task(scene, "open", "cabinet_left", "drawer_slide")
     reach = arm_length(robot, "none is needed for one drawer")
@@ -69,7 +69,7 @@ def test_a_robot_of_the_library_opens_a_drawer_in_physics(name: str, arm: str | 
     assert record.success, record.execution and record.execution.reason
 
 
-def test_a_robot_with_one_jaw_that_moves_opens_a_drawer_in_physics(tmp_path: Path) -> None:
+def test_a_robot_with_one_moving_jaw_opens_a_drawer_in_physics(tmp_path: Path) -> None:
     folder = tmp_path / "one_jaw"
     shutil.copytree(library_file("fetch").parent, folder, ignore=shutil.ignore_patterns("*.reach"))
     urdf, file = folder / "fetch.urdf", folder / "fetch.toml"
@@ -92,9 +92,7 @@ def test_a_robot_with_one_jaw_that_moves_opens_a_drawer_in_physics(tmp_path: Pat
 
 
 @pytest.mark.parametrize("text", [leaning(0.35), leaning(-0.25), sliding("0.3")])
-def test_tips_that_lean_face_each_other_wherever_their_fingers_are(
-    tmp_path: Path, text: str
-) -> None:
+def test_leaning_tips_face_each_other_at_every_finger_position(tmp_path: Path, text: str) -> None:
     robot = derived(tmp_path, text)
     found = pivots(robot)
     assert {pivot.link for pivot in found} == {"left_tip", "right_tip"}
@@ -109,19 +107,19 @@ def test_tips_that_lean_face_each_other_wherever_their_fingers_are(
             assert_allclose(np.abs(R.T @ robot.closing_axis).max(), 1.0, atol=1e-6)
 
 
-def test_fingers_whose_tips_face_each_other_already_have_no_pivot(tmp_path: Path) -> None:
+def test_fingers_with_parallel_tips_have_no_pivot(tmp_path: Path) -> None:
     assert pivots(derived(tmp_path, sliding("0"))) == ()
 
 
-def test_a_finger_presses_with_its_force_at_its_tip(tmp_path: Path) -> None:
-    """Not at its middle, which is nearer to its hinge."""
+def test_the_grip_force_of_a_finger_acts_at_its_tip(tmp_path: Path) -> None:
+    """The center of the finger would be closer to its hinge."""
     robot = derived(tmp_path, leaning(0.3))
     for finger in find_hand(robot, {}).fingers:
         assert finger.lever == pytest.approx(LENGTH + TIP, rel=0.06)
 
 
-def test_tips_stay_turned_while_fingers_close_on_what_they_hold(tmp_path: Path) -> None:
-    """Without the pivots they lean by a third of a radian and push it out of the hand."""
+def test_tips_stay_parallel_while_fingers_close_on_an_object(tmp_path: Path) -> None:
+    """Without pivots they lean by 0.35 rad and push the object out of the hand."""
     robot = derived(tmp_path, leaning(0.35))
     scene = load_scene("kitchen_small")
     task = make_task(scene, "open", "fridge", "door_hinge")
@@ -129,7 +127,7 @@ def test_tips_stay_turned_while_fingers_close_on_what_they_hold(tmp_path: Path) 
     hand = find_hand(robot, dynamics.mimics)
     world = build_simulation(
         scene, robot, (1.9, -1.6, 1.5), robot.home[None], task, hand, dynamics,
-        Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0), None, ExecutionConfig(),
+        PartResistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0), None, ExecutionConfig(),
     )  # fmt: skip
     for finger, motor in world.fingers:
         world.data.ctrl[motor] = finger.closed
@@ -141,4 +139,4 @@ def test_tips_stay_turned_while_fingers_close_on_what_they_hold(tmp_path: Path) 
         faces = (R @ robot.model.boxes[pivot.link][0].rotation[0]).T @ robot.closing_axis
         assert np.abs(faces).max() > np.cos(np.radians(3.0))
     gap = [float(apply(T, world.data.xpos[tip][None])[0] @ robot.closing_axis) for tip in tips]
-    assert gap[0] - gap[1] < 0.02, "they met, each 12 mm thick"
+    assert gap[0] - gap[1] < 0.02, "the tips, each 12 mm thick, touch"

@@ -1,4 +1,4 @@
-"""Laws of worlds that differ from their scene."""
+"""Worlds that differ from their scene."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.simulation.toy import execute
 
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig, Stage
-from momapos.simulation.execute import execute
 from momapos.simulation.model_errors import draw_deviation, mirrored
 from momapos.simulation.simulated_room import Deviation
 from momapos.simulation.simulation import Simulation
@@ -20,7 +20,7 @@ from momapos.simulation.simulation import Simulation
 TILT = 0.15
 
 
-def test_a_mirrored_joint_is_off_by_as_much_the_other_way() -> None:
+def test_a_mirrored_joint_has_the_opposite_offset() -> None:
     axis = np.array([0.0, 1.0, 0.0])
     config = ModelErrorConfig(handle=0.01, axis=0.03, tilt=TILT)
     one = draw_deviation(axis, config, np.random.default_rng(3))
@@ -33,13 +33,13 @@ def test_a_mirrored_joint_is_off_by_as_much_the_other_way() -> None:
 
 
 @pytest.mark.slow
-def test_a_drawer_whose_slide_is_tilted_stays_shut_until_it_is_pulled() -> None:
+def test_a_drawer_on_a_tilted_slide_stays_closed_until_it_is_pulled() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
     plan = plan_base_placement(scene, robot, task).plan
     assert plan.motion is not None
     assert plan.base_pose is not None
-    # A heavy drawer that nothing holds: by its slope it would run out for the last two seeds.
+    # A heavy drawer without a latch: with the last two seeds it would slide open.
     config = ExecutionConfig(
         furniture=replace(FurnitureConfig(), density=5000.0, latch_force=0.0),
         errors=ModelErrorConfig(tilt=TILT),
@@ -60,7 +60,7 @@ def test_a_drawer_whose_slide_is_tilted_stays_shut_until_it_is_pulled() -> None:
 
 
 @pytest.mark.parametrize("verb", [pytest.param("open", marks=pytest.mark.slow), "close"])
-def test_only_what_stands_shut_is_known_not_to_run_by_its_weight(
+def test_only_a_closed_part_is_known_not_to_move_by_its_weight(
     verb: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")

@@ -1,4 +1,4 @@
-"""Laws of run records: what is written is read, and nothing else is."""
+"""Run records round-trip, and other files are refused."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ RECORD = RunRecord(
 )
 
 
-def test_a_record_that_is_written_is_read_again(tmp_path: Path) -> None:
+def test_a_record_round_trips(tmp_path: Path) -> None:
     write_run(RECORD, tmp_path / "run.json")
     assert read_run(tmp_path / "run.json") == RECORD
 
 
-def test_a_record_holds_what_moved_and_from_which_files_it_came(tmp_path: Path) -> None:
+def test_a_record_contains_the_motion_and_its_source_files(tmp_path: Path) -> None:
     motion = RunMotion(
         (0.0, 0.1), ("drive", "settle"), ((0.0, 0.0, 0.1), (0.1, 0.0, 0.1)),
         {"lift": (0.2, 0.3)}, (0.0, 0.0), (), ((0.0, 0.0, 0.0), (1.0, 0.0, -2.0)),
@@ -59,16 +59,16 @@ def test_a_record_holds_what_moved_and_from_which_files_it_came(tmp_path: Path) 
     assert (read.world, read.world_at) == ("kitchen_small", (1.0, 2.0, 0.5))
 
 
-def test_a_motion_whose_lists_do_not_fit_together_is_refused(tmp_path: Path) -> None:
+def test_a_motion_with_lists_of_different_lengths_is_refused(tmp_path: Path) -> None:
     write_run(RECORD, tmp_path / "run.json")
     data = json.loads((tmp_path / "run.json").read_text())
     data["motion"] = {"times": [0.0, 0.1], "stages": ["drive"], "bases": []}
     (tmp_path / "run.json").write_text(json.dumps(data))
-    with pytest.raises(FileFormatError, match="not a usable run record"):
+    with pytest.raises(FileFormatError, match="invalid run record"):
         read_run(tmp_path / "run.json")
 
 
-def test_tries_that_failed_stand_in_the_record_and_one_without_them_is_read(
+def test_failed_attempts_round_trip_and_a_record_without_them_is_read(
     tmp_path: Path,
 ) -> None:
     tried = replace(RECORD, failed=(replace(DONE, base_pose=(1.0, 2.0, 0.5)),))
@@ -81,7 +81,7 @@ def test_tries_that_failed_stand_in_the_record_and_one_without_them_is_read(
     assert read_run(tmp_path / "old.json") == RECORD
 
 
-def test_a_run_that_never_came_to_the_object_is_a_failure_with_its_reason(tmp_path: Path) -> None:
+def test_a_run_that_never_reached_the_object_is_a_failure_with_its_reason(tmp_path: Path) -> None:
     visit = Visit((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 2.0, "out of reach at waypoint 3")
     record = replace(RECORD, visits=(visit,), execution=None)
     write_run(record, tmp_path / "run.json")

@@ -1,4 +1,4 @@
-"""Laws of what follows a motion that failed: the arm comes home, and the hand knows the part."""
+"""After a failed motion the arm comes home, and the state of the part is known."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from tests.verification.door_case import BASE, OPEN, cupboard_urdf, make_case
 from momapos.core.geometry.transforms import apply, rotation_of
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.simulation.config import ComplianceConfig, Ending, ExecutionConfig, GripConfig
-from momapos.simulation.execute import Again, Outcome, attempt
-from momapos.simulation.joint_estimate import Axis, JointEstimate, Learned
+from momapos.simulation.execute import AttemptOutcome, RetryState, attempt
+from momapos.simulation.joint_estimate import Axis, JointEstimate, LearnedPart
 from momapos.simulation.simulation import Simulation
 from momapos.simulation.true_worlds import true_world
 
@@ -22,7 +22,7 @@ SLIPPERY = ExecutionConfig(gripper=GripConfig(friction=0.02))
 
 
 @pytest.mark.parametrize("slides", [False, True])
-def test_the_value_of_a_joint_is_told_by_where_the_hand_is(slides: bool) -> None:
+def test_the_joint_value_follows_from_the_position_of_the_hand(slides: bool) -> None:
     direction = rotation_of(np.array([0.3, -0.2, 0.4])) @ np.array([0.0, 0.0, 1.0])
     axis, start = Axis(slides, direction, np.array([0.1, 0.2, 0.3])), np.array([0.6, 0.1, 0.9])
     estimate = JointEstimate(axis, start, ComplianceConfig())
@@ -31,13 +31,13 @@ def test_the_value_of_a_joint_is_told_by_where_the_hand_is(slides: bool) -> None
         assert estimate.value_at(point) == pytest.approx(value, abs=1e-9)
 
 
-def test_a_hand_that_found_nothing_goes_home_the_way_it_came(tmp_path: Path) -> None:
+def test_a_hand_that_closed_on_nothing_retraces_its_approach(tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = cupboard_urdf(handle=False)
     toy = gripping(tmp_path, case)
 
     def never(*_: object) -> np.ndarray | None:
-        raise AssertionError("the way back is the way in")
+        raise AssertionError("the hand must retrace its approach")
 
     came = attempt(toy.scene, toy.robot, BASE, toy.motion, toy.task, way_home=never)
     assert came.ending == Ending.NOTHING_HELD
@@ -47,8 +47,8 @@ def test_a_hand_that_found_nothing_goes_home_the_way_it_came(tmp_path: Path) -> 
     assert max((c.force for c in came.collisions.values()), default=0.0) < 150
 
 
-def slipped(folder: Path) -> tuple[Outcome, list[Learned], float]:
-    """A door that slips out of the hand on its way, and where it truly was at that time."""
+def slipped(folder: Path) -> tuple[AttemptOutcome, list[LearnedPart], float]:
+    """Let a door slip out of the hand halfway; return also its true value at that time."""
     toy, asked, last = gripping(folder), [], [0.0]
     oiled = 0.5
 
@@ -59,7 +59,7 @@ def slipped(folder: Path) -> tuple[Outcome, list[Learned], float]:
             if value > oiled:
                 world.model.geom_friction[world.pad_side != 0] = 0.0
 
-    def way_home(q: np.ndarray, learned: Learned) -> np.ndarray:
+    def way_home(q: np.ndarray, learned: LearnedPart) -> np.ndarray:
         asked.append(learned)
         home = toy.robot.home
         aside = np.concatenate([home[:1], q[1:]])  # off the handle before the arm folds
@@ -69,7 +69,7 @@ def slipped(folder: Path) -> tuple[Outcome, list[Learned], float]:
     return came, asked, last[0]
 
 
-def test_a_hand_that_lost_its_hold_draws_back_goes_home_and_knows_where_the_door_is(
+def test_a_hand_that_lost_its_grasp_draws_back_goes_home_and_knows_the_door_value(
     tmp_path: Path,
 ) -> None:
     came, asked, true = slipped(tmp_path)
@@ -80,15 +80,15 @@ def test_a_hand_that_lost_its_hold_draws_back_goes_home_and_knows_where_the_door
     assert np.linalg.norm(came.learned.offset) < 0.03
 
 
-def test_a_hand_that_meets_something_on_its_way_home_goes_back_and_asks_for_another(
+def test_a_hand_that_meets_an_obstacle_on_its_path_home_goes_back_and_replans(
     tmp_path: Path,
 ) -> None:
     toy, asked = gripping(tmp_path), []
 
-    def way_home(q: np.ndarray, _: Learned) -> np.ndarray:
+    def way_home(q: np.ndarray, _: LearnedPart) -> np.ndarray:
         asked.append(q)
         home = toy.robot.home
-        if len(asked) == 1:  # past where it drew back from, into the door
+        if len(asked) == 1:  # into the door
             ahead = q + 2.0 * (toy.motion.q[0] - q)
             return np.linspace(q, ahead, 40)
         aside = np.concatenate([home[:1], q[1:]])
@@ -100,7 +100,7 @@ def test_a_hand_that_meets_something_on_its_way_home_goes_back_and_asks_for_anot
     assert came.at_home
 
 
-def test_a_hand_that_feels_too_much_opens_under_its_load_and_goes_home(tmp_path: Path) -> None:
+def test_an_overloaded_hand_opens_under_load_and_goes_home(tmp_path: Path) -> None:
     toy, asked = gripping(tmp_path), []
     file = tmp_path / "stuck.urdf"
     file.write_text(cupboard_urdf().replace('upper="1.2"', 'upper="0.1"'))
@@ -108,7 +108,7 @@ def test_a_hand_that_feels_too_much_opens_under_its_load_and_goes_home(tmp_path:
     world = true_world(stuck, toy.scene, toy.task, toy.motion.Ts_world_tool[0, :3, 3])
     strong = ExecutionConfig(gripper=GripConfig(friction=5.0))
 
-    def way_home(q: np.ndarray, _: Learned) -> np.ndarray:
+    def way_home(q: np.ndarray, _: LearnedPart) -> np.ndarray:
         asked.append(q)
         home = toy.robot.home
         aside = np.concatenate([home[:1], q[1:]])
@@ -123,7 +123,7 @@ def test_a_hand_that_feels_too_much_opens_under_its_load_and_goes_home(tmp_path:
     assert asked
 
 
-def test_another_try_begins_where_the_one_before_left_the_part(tmp_path: Path) -> None:
+def test_a_retry_starts_with_the_part_where_the_last_attempt_left_it(tmp_path: Path) -> None:
     came, _, _ = slipped(tmp_path / "first")
     toy = gripping(tmp_path / "then")
     assert came.learned is not None
@@ -132,7 +132,7 @@ def test_another_try_begins_where_the_one_before_left_the_part(tmp_path: Path) -
     def watch(world: Simulation, *_: object) -> None:
         begun.append(float(world.data.qpos[world.part_q]))
 
-    again = Again(toy.scene, came.value, came.collisions)
+    again = RetryState(toy.scene, came.value, came.collisions)
     before = len(came.collisions)
     then = attempt(
         toy.scene, toy.robot, BASE, toy.motion, toy.task, again=again, watch=watch,
@@ -141,7 +141,7 @@ def test_another_try_begins_where_the_one_before_left_the_part(tmp_path: Path) -
     assert len(then.collisions) >= before
 
 
-def test_without_a_way_home_a_failed_motion_ends_where_it_failed(tmp_path: Path) -> None:
+def test_without_a_path_home_a_failed_motion_ends_where_it_failed(tmp_path: Path) -> None:
     toy = gripping(tmp_path)
     came = attempt(toy.scene, toy.robot, BASE, toy.motion, toy.task, SLIPPERY)
     assert not came.execution.success
@@ -149,7 +149,7 @@ def test_without_a_way_home_a_failed_motion_ends_where_it_failed(tmp_path: Path)
     assert came.execution.time["retreat"] == 0
 
 
-def test_a_hold_lost_where_the_part_is_as_good_as_there_is_no_failure(tmp_path: Path) -> None:
+def test_a_grasp_lost_near_the_goal_is_no_failure(tmp_path: Path) -> None:
     toy = gripping(tmp_path)
 
     def watch(world: Simulation, *_: object) -> None:

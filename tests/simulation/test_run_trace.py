@@ -1,4 +1,4 @@
-"""What is remembered of a run is where everything was, in the order it happened."""
+"""A run trace contains all poses in order."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.verification.door_case import BASE, JOINTS, OPEN
 from momapos.core.geometry.transforms import pose_planar
 from momapos.simulation.config import Stage
 from momapos.simulation.run_motion import DRIVE, RunMotion
-from momapos.simulation.run_trace import RunTrace, base_pose, stand
+from momapos.simulation.run_trace import RunTrace, base_pose, initial_base_pose
 
 X, Y, YAW = BASE
 WAY = np.array([[X - 1.0, Y - 0.5, 0.3], [X - 0.5, Y, YAW + 0.2], [X, Y, YAW]])
@@ -25,7 +25,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Toy:
 
 @pytest.fixture(scope="module")
 def twice(run: Toy) -> RunTrace:
-    """A drive, a motion, another drive, the motion again."""
+    """Trace a drive and a motion, twice."""
     trace = RunTrace()
     for _ in range(2):
         trace.drive(TIMES, WAY)
@@ -33,11 +33,11 @@ def twice(run: Toy) -> RunTrace:
     return trace
 
 
-def test_the_base_stands_in_the_world_where_it_drove(twice: RunTrace) -> None:
+def test_the_base_in_the_world_is_at_its_driven_poses(twice: RunTrace) -> None:
     act = twice.acts[0]
     world = act.world
     assert world is not None
-    np.testing.assert_allclose(stand(world), BASE, atol=1e-9)
+    np.testing.assert_allclose(initial_base_pose(world), BASE, atol=1e-9)
     for pose in WAY:
         world.data.qpos[:] = act.standing_at(pose)
         mujoco.mj_forward(world.model, world.data)
@@ -47,7 +47,7 @@ def test_the_base_stands_in_the_world_where_it_drove(twice: RunTrace) -> None:
         np.testing.assert_allclose(base_pose(world, world.data.qpos), pose, atol=1e-9)
 
 
-def test_a_second_try_is_remembered_after_the_first(twice: RunTrace) -> None:
+def test_a_second_attempt_is_traced_after_the_first(twice: RunTrace) -> None:
     assert len(twice.acts) == 2
     motion = twice.motion()
     assert np.all(np.diff(motion.times) >= 0)
@@ -60,7 +60,7 @@ def test_a_second_try_is_remembered_after_the_first(twice: RunTrace) -> None:
     assert changes.index(Stage.MANIPULATE) < changes.index(DRIVE, 1)
 
 
-def test_a_record_shows_the_part_open_and_the_force_while_it_is_held(
+def test_a_motion_contains_the_opening_of_the_part_and_the_force_during_the_grasp(
     run: Toy, twice: RunTrace
 ) -> None:
     motion = twice.motion()
@@ -77,7 +77,7 @@ def test_a_record_shows_the_part_open_and_the_force_while_it_is_held(
     assert force[(stages == DRIVE) | (stages == Stage.APPROACH)].max() == 0.0
 
 
-def test_a_run_that_never_came_to_the_object_has_its_drives_only() -> None:
+def test_a_run_that_never_reached_the_object_has_its_drives_only() -> None:
     trace = RunTrace()
     trace.drive(TIMES, WAY)
     motion = trace.motion()
@@ -96,7 +96,7 @@ def test_a_run_that_never_came_to_the_object_has_its_drives_only() -> None:
         {"poses": ((0.0,) * 6,) * 2, "part": ()},
     ],
 )
-def test_lists_that_do_not_fit_together_are_no_motion(
+def test_a_motion_with_inconsistent_lists_is_refused(
     damaged: dict[str, tuple[float, ...]],
 ) -> None:
     good = {

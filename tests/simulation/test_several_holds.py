@@ -1,4 +1,4 @@
-"""Motions in which the hand lets go, turns, or pushes, in physics."""
+"""Motions with regrasping, rotating grasps or pushes, in physics."""
 
 from __future__ import annotations
 
@@ -7,30 +7,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.simulation.toy import gripping
+from tests.simulation.toy import execute, gripping
 from tests.verification.door_case import BASE
 
-from momapos.model.records.plans import Hold as Held
-from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.plans import Hold, PlacementPlan
 from momapos.model.robots.robot import Grip, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.trajectory import still
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.approach import PacedTrajectory
-from momapos.simulation.config import Ending, ExecutionConfig, Hold, Stage
+from momapos.simulation.config import Ending, ExecutionConfig, HoldMethod, Stage
 from momapos.simulation.dynamics import read_dynamics
-from momapos.simulation.execute import execute
+from momapos.simulation.execution_run import ExecutionRun, Stretch
 from momapos.simulation.geoms import HAND, Kind
 from momapos.simulation.simulated_hand import find_hand
-from momapos.simulation.simulated_room import Resistance, Seal
+from momapos.simulation.simulated_room import PartResistance, Seal
 from momapos.simulation.simulation import Simulation, build_simulation
-from momapos.simulation.stages import ExecutionRun, Stretch
+from momapos.simulation.stages import carry_out
 
 HOLDS = ("contact", pytest.param("weld", marks=pytest.mark.slow))
 
@@ -60,8 +58,8 @@ def plans(kitchen: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
         pytest.param("cabinet_back", "weld", marks=pytest.mark.slow),
     ],
 )
-def test_a_door_opens_in_two_holds_and_about_a_bar(
-    item: str, hold: Hold, kitchen: Scene, plans: dict[str, PlacementPlan]
+def test_a_door_opens_with_two_grasps_or_a_rotating_grasp(
+    item: str, hold: HoldMethod, kitchen: Scene, plans: dict[str, PlacementPlan]
 ) -> None:
     plan = plans[item]
     assert plan.motion is not None
@@ -78,7 +76,7 @@ def test_a_door_opens_in_two_holds_and_about_a_bar(
 
 
 @pytest.mark.parametrize("hold", HOLDS)
-def test_a_hook_slides_along_a_bar(hold: Hold, tmp_path: Path) -> None:
+def test_a_hook_slides_along_a_bar(hold: HoldMethod, tmp_path: Path) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     hooked, base = replace(robot, grips=Grip.HOOK), (0.300476, -1.502722, -3.024759)
     config = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(turning=False)))
@@ -95,26 +93,27 @@ def test_a_hook_slides_along_a_bar(hold: Hold, tmp_path: Path) -> None:
     assert all(touch.force < 150.0 for touch in done.collisions)
 
 
-def test_a_hand_that_found_a_handle_beside_the_plan_pushes_from_the_plan_later(
+def test_a_hand_that_grasped_with_an_offset_pushes_later_without_it(
     tmp_path: Path,
 ) -> None:
     toy, config = gripping(tmp_path), ExecutionConfig()
     assert toy.robot.model.urdf.path is not None
     dynamics, q = read_dynamics(toy.robot.model.urdf.path), toy.motion.q[0]
     hand = find_hand(toy.robot, dynamics.mimics)
-    light = Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
+    light = PartResistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
     world = build_simulation(
         toy.scene, toy.robot, BASE, q[None], toy.task, hand, dynamics, light, None, config
     )
     free = Seal(0.0, 0.0, 0.0, 1.0)
     run = ExecutionRun(world, toy.motion, toy.task, config, free, None, world, None)
-    run.aside, run.ahead = 0.024, np.array([0.03, 0.0, 0.0])  # as it was found by the first hold
+    # As found by the first grasp.
+    run.lateral_offset, run.forward_offset = 0.024, np.array([0.03, 0.0, 0.0])
     there = PacedTrajectory(still(q, 1), np.ones(1), np.zeros(1), np.ones(1))
-    push = Stretch(still(q, 1), toy.motion, Held(0, 0, None, "push"))
-    assert run.go(there, [push]) is Ending.DONE
+    push = Stretch(still(q, 1), toy.motion, Hold(0, 0, None, "push"))
+    assert carry_out(run, there, [push]) is Ending.DONE
 
 
-def test_in_two_holds_a_door_opens_and_the_hand_is_slow_beside_things(
+def test_between_two_grasps_the_hand_is_slow_near_obstacles(
     kitchen: Scene, plans: dict[str, PlacementPlan]
 ) -> None:
     plan, config = plans["cabinet_back"], ExecutionConfig()
@@ -140,8 +139,8 @@ def test_in_two_holds_a_door_opens_and_the_hand_is_slow_beside_things(
     speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(times)
     beside = np.array([w[2] for w in ways[1:]])
     assert beside.sum() > 100
-    # It takes some time to brake when it comes beside something, and returns to the plan meanwhile,
-    # where what it then meets was not looked at.
+    # The hand needs some time to brake near an obstacle, and returns to the plan meanwhile, where
+    # obstacles are not checked.
     came = np.maximum.accumulate(np.where(beside, -np.inf, times[1:]))
     braked = beside & (times[1:] - came > 0.05)
     assert speed[braked].max() < 1.5 * config.compliance.beside_speed

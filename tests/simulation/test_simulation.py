@@ -1,4 +1,4 @@
-"""Laws of the world: the engine's robot and furniture are those of the files."""
+"""Robot and furniture in the engine match their files."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from momapos.simulation.dynamics import read_dynamics, volume
 from momapos.simulation.geoms import Kind, masks
 from momapos.simulation.simulated_hand import find_hand
 from momapos.simulation.simulated_robot import body_of
-from momapos.simulation.simulated_room import Resistance
+from momapos.simulation.simulated_room import PartResistance
 from momapos.simulation.simulation import Simulation, build_simulation
 
 BASE = (1.9, -1.6, 1.5)
-LIGHT = Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
+LIGHT = PartResistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
 
 
 def world_of(
     robot: Robot, efforts: dict[str, float] | None = None, **options: object
 ) -> Simulation:
-    """A robot in the small kitchen, in front of its fridge, with other efforts of some joints."""
+    """Build the small kitchen with a robot at the fridge; `efforts` replaces effort limits."""
     scene, task = load_scene("kitchen_small"), Task("open", "fridge", "door_hinge", 1.0)
     dynamics = read_dynamics(robot.model.urdf.path)  # type: ignore[arg-type]
     dynamics = replace(dynamics, efforts={**dynamics.efforts, **(efforts or {})})
@@ -45,7 +45,7 @@ def world_of(
     )
 
 
-def test_links_are_where_the_urdf_has_them(robot: Robot) -> None:
+def test_link_poses_match_the_urdf(robot: Robot) -> None:
     world, rng = world_of(robot), np.random.default_rng(0)
     chain = robot.chain
     low, high = np.maximum(chain.lower, -3.0), np.minimum(chain.upper, 3.0)
@@ -63,7 +63,7 @@ def test_links_are_where_the_urdf_has_them(robot: Robot) -> None:
             )
 
 
-def test_the_door_is_where_the_scene_has_it_at_every_opening(
+def test_door_poses_match_the_scene_at_every_opening(
     robots: Callable[[str], Robot],
 ) -> None:
     world, item = world_of(robots("segway_ur5e")), load_scene("kitchen_small").object("fridge")
@@ -74,19 +74,19 @@ def test_the_door_is_where_the_scene_has_it_at_every_opening(
         np.testing.assert_allclose(world.T_world_part, T, atol=1e-6)
 
 
-def test_nothing_touches_where_the_robot_stands_free_at_home(robot: Robot) -> None:
+def test_a_free_robot_at_home_has_no_contacts(robot: Robot) -> None:
     world = world_of(robot)
     assert (world.data.contact.efc_address < 0).all()
 
 
-def test_a_robot_at_rest_stays_where_it_is(robot: Robot) -> None:
+def test_a_robot_at_rest_does_not_move(robot: Robot) -> None:
     world = world_of(robot)
     mujoco.mj_step(world.model, world.data, nstep=250)
     np.testing.assert_allclose(world.data.qpos[world.arm_q], robot.home, atol=1e-4)
     np.testing.assert_allclose(world.data.qpos[world.base_q], 0.0, atol=1e-4)
 
 
-def test_an_arm_that_weighs_more_than_its_efforts_bear_is_balanced_and_stays(
+def test_an_arm_heavier_than_its_effort_limits_is_balanced_and_does_not_move(
     robots: Callable[[str], Robot],
 ) -> None:
     fetch = robots("fetch")
@@ -97,20 +97,20 @@ def test_an_arm_that_weighs_more_than_its_efforts_bear_is_balanced_and_stays(
     np.testing.assert_allclose(world.data.qpos[world.arm_q], fetch.home, atol=1e-3)
 
 
-def test_masses_are_those_of_the_urdf(robot: Robot) -> None:
+def test_masses_match_the_urdf(robot: Robot) -> None:
     world = world_of(robot)
     for link, inertia in read_dynamics(robot.model.urdf.path).inertias.items():  # type: ignore[arg-type]
         assert world.model.body(body_of(link)).mass[0] == pytest.approx(inertia.mass)
 
 
-def test_the_grippers_of_the_library_close_toward_their_middle(robot: Robot) -> None:
+def test_library_grippers_close_toward_their_center(robot: Robot) -> None:
     fingers = find_hand(robot, {}).fingers
     assert len(fingers) == 2
     assert all(f.closed != f.open for f in fingers)
     assert sum(abs(f.closed - f.open) for f in fingers) == pytest.approx(robot.opening, rel=0.05)
 
 
-def test_kinds_meet_both_ways_or_not_at_all() -> None:
+def test_collision_masks_are_symmetric() -> None:
     for touched in (False, True):
         for one in Kind:
             for other in Kind:
@@ -123,7 +123,7 @@ def test_kinds_meet_both_ways_or_not_at_all() -> None:
                 assert meet or {one, other} != {Kind.ARM, Kind.ROOM}
 
 
-def test_furniture_that_touches_the_door_in_the_scene_does_not_hold_it(tmp_path: Path) -> None:
+def test_furniture_that_touches_the_door_in_the_scene_does_not_block_it(tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = case.cupboard.replace('xyz="-0.215', 'xyz="-0.209')
     done = toy(tmp_path, case).run()
@@ -131,10 +131,10 @@ def test_furniture_that_touches_the_door_in_the_scene_does_not_hold_it(tmp_path:
     assert done.success
 
 
-def test_an_element_of_its_own_object_on_its_way_does_not_hold_a_door_and_another_object_does(
+def test_an_element_of_its_own_object_does_not_block_a_door_and_another_object_does(
     tmp_path: Path,
 ) -> None:
-    """As the hull of a hollow frame, into which a door swings a little before it comes out."""
+    """A door may swing through the convex hull of its hollow frame."""
     size, place = "0.06 0.06 0.3", "-0.42 -0.15 -0.2"
     own = make_case()
     lump = (
@@ -161,7 +161,7 @@ def test_an_element_of_its_own_object_on_its_way_does_not_hold_a_door_and_anothe
         (Geometry("sphere", (0.2,), np.eye(4)), trimesh.creation.icosphere(4, 0.2)),
     ],
 )
-def test_volumes_are_those_of_meshes(shape: Geometry, mesh: trimesh.Trimesh) -> None:
+def test_volumes_match_meshes(shape: Geometry, mesh: trimesh.Trimesh) -> None:
     assert volume(shape) == pytest.approx(mesh.volume, rel=0.01)
 
 
@@ -172,7 +172,7 @@ def test_the_volume_of_a_mesh_is_that_of_its_hull(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", ["nan", "-3", "1e30", "heavy"])
-def test_a_mass_that_is_none_is_refused(value: str, tmp_path: Path) -> None:
+def test_an_invalid_mass_is_refused(value: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(
         '<robot name="r"><link name="a">'

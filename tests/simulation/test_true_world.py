@@ -1,4 +1,4 @@
-"""A plan is made for what the robot believes, and executed in what is really there."""
+"""Plans for the believed scene are executed in the true one."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from momapos.core.errors import InputError
 from momapos.model.records.tasks import Task
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.simulation.config import ExecutionConfig
-from momapos.simulation.execute import Outcome, attempt
+from momapos.simulation.execute import AttemptOutcome, attempt
 from momapos.simulation.true_worlds import moved, true_world
 
 HANDLE = np.array([0.095, 0.25, 0.8])
 
 
 def really(folder: Path, text: str) -> Scene:
-    """A room with a cupboard of another file and another name."""
+    """Return a room with a cupboard of another file and name."""
     file = folder / "real.urdf"
     file.write_text(text)
     return Scene("truth", (SceneObject.from_urdf("chest", file, (0.4, 0.0, 0.8)),))
 
 
 def backward(*, shift: float = 0.0) -> str:
-    """The cupboard with a hinge that opens toward negative values, some way behind the door."""
+    """Return the cupboard with a shifted hinge that opens toward negative values."""
     text = cupboard_urdf().replace('name="hinge"', 'name="real"')
     text = text.replace('axis xyz="0 0 1"', 'axis xyz="0 0 -1"')
     text = text.replace('lower="0" upper="1.2"', 'lower="-1.2" upper="0"')
@@ -38,7 +38,7 @@ def backward(*, shift: float = 0.0) -> str:
     return text.replace('origin xyz="-0.09 0.54', f'origin xyz="{-0.09 - shift} 0.54')
 
 
-def run(toy: Toy, there: Scene) -> Outcome:
+def run(toy: Toy, there: Scene) -> AttemptOutcome:
     hand = toy.motion.Ts_world_tool[0, :3, 3]
     world = true_world(there, toy.scene, toy.task, hand)
     return attempt(
@@ -46,7 +46,7 @@ def run(toy: Toy, there: Scene) -> Outcome:
     )
 
 
-def test_the_part_at_the_hand_is_opened_as_far_whatever_its_name_and_its_values(
+def test_the_part_at_the_hand_opens_as_far_regardless_of_its_name_and_values(
     tmp_path: Path,
 ) -> None:
     toy = gripping(tmp_path)
@@ -56,7 +56,7 @@ def test_the_part_at_the_hand_is_opened_as_far_whatever_its_name_and_its_values(
     assert done.reached == pytest.approx(-OPEN, rel=0.05)
 
 
-def test_a_hinge_that_is_not_where_the_scene_has_it_is_found_by_the_hand(tmp_path: Path) -> None:
+def test_the_hand_finds_a_hinge_that_the_scene_misplaces(tmp_path: Path) -> None:
     toy = gripping(tmp_path)
     done = run(toy, really(tmp_path, backward(shift=0.03))).execution
     assert done.success, done.reason
@@ -65,7 +65,7 @@ def test_a_hinge_that_is_not_where_the_scene_has_it_is_found_by_the_hand(tmp_pat
     assert np.linalg.norm(np.array(done.joint.point[:2]) - true) < 0.015
 
 
-def test_what_is_a_drawer_and_not_a_door_does_not_follow(tmp_path: Path) -> None:
+def test_a_drawer_does_not_follow_the_motion_for_a_door(tmp_path: Path) -> None:
     toy = gripping(tmp_path)
     drawer = cupboard_urdf().replace('type="revolute"', 'type="prismatic"')
     drawer = drawer.replace('axis xyz="0 0 1"', 'axis xyz="0 1 0"')
@@ -74,7 +74,7 @@ def test_what_is_a_drawer_and_not_a_door_does_not_follow(tmp_path: Path) -> None
     assert done.reached == pytest.approx(0.0, abs=0.05)
 
 
-def test_the_part_nearest_to_the_hand_is_the_one_and_none_far_away(tmp_path: Path) -> None:
+def test_the_part_nearest_to_the_hand_is_chosen_and_none_far_away(tmp_path: Path) -> None:
     toy = gripping(tmp_path)
     there = really(tmp_path, backward())
     other = replace(there.objects[0], name="far", T_world_object=np.eye(4))
@@ -83,11 +83,11 @@ def test_the_part_nearest_to_the_hand_is_the_one_and_none_far_away(tmp_path: Pat
     assert (world.task.object, world.task.joint, world.task.to) == ("chest", "real", -OPEN)
     with pytest.raises(InputError, match="no part that opens is within 30 cm of the hand"):
         true_world(moved(there, np.array([2.0, 0.0, 0.0])), toy.scene, toy.task, HANDLE)
-    with pytest.raises(InputError, match="is for doors and drawers, not to pick"):
+    with pytest.raises(InputError, match="opens or closes a joint, not 'pick'"):
         true_world(there, toy.scene, Task("pick", "bin"), HANDLE)
 
 
-def test_a_room_moved_there_and_back_is_as_it_was(tmp_path: Path) -> None:
+def test_moving_a_room_there_and_back_round_trips(tmp_path: Path) -> None:
     room = gripping(tmp_path).scene
     away = moved(room, np.array([0.4, -0.2, np.pi / 2]))
     c, s = np.cos(-np.pi / 2), np.sin(-np.pi / 2)
@@ -101,7 +101,7 @@ def test_a_room_moved_there_and_back_is_as_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("travel", "wide"), [(0.2, 0.2), (0.3, 0.3), (0.5, 0.3)])
-def test_a_drawer_for_a_door_opens_as_large_a_share_of_its_way_or_of_30_cm(
+def test_a_drawer_in_place_of_a_door_opens_by_the_same_share_of_its_travel_or_of_30_cm(
     tmp_path: Path, travel: float, wide: float
 ) -> None:
     toy = gripping(tmp_path)

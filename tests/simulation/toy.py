@@ -1,4 +1,4 @@
-"""The toy arm and its cupboard, ready to be executed."""
+"""The toy arm and its cupboard, ready to execute."""
 
 from __future__ import annotations
 
@@ -18,13 +18,18 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 from momapos.simulation.config import ExecutionConfig
-from momapos.simulation.execute import execute
+from momapos.simulation.execute import attempt
 from momapos.simulation.run_record import Execution
+
+
+def execute(*args: Any, **options: Any) -> Execution:
+    """Execute a motion once."""
+    return attempt(*args, **options).execution
 
 
 @dataclass
 class Toy:
-    """All that a run takes."""
+    """Inputs of a run."""
 
     scene: Scene
     robot: Robot
@@ -32,13 +37,13 @@ class Toy:
     task: Task = field(default_factory=lambda: Task("open", "cupboard", "hinge", OPEN))
 
     def run(self, **options: Any) -> Execution:
-        """Execute it."""
+        """Execute the motion."""
         config = options.pop("config", ExecutionConfig())
         return execute(self.scene, self.robot, BASE, self.motion, self.task, config, **options)
 
 
 def toy(folder: Path, case: Case | None = None) -> Toy:
-    """Write the files of a case and read them; motors are strong enough for its heavy links."""
+    """Write and read the files of a case, with motors strong enough for its heavy links."""
     case = case or make_case()
     case.robot = case.robot.replace('effort="1"', 'effort="300"')
     plan = read_plan(case.write(folder))
@@ -56,8 +61,7 @@ def toy(folder: Path, case: Case | None = None) -> Toy:
 
 
 def fingers(*, turning: bool = False) -> str:
-    """Two fingers on the palm, their pads 8 cm apart: they slide, or the second one turns after
-    the first."""
+    """Return the URDF of two sliding or coupled rotating fingers, with pads 8 cm apart."""
     text = []
     for name, side in (("left", 1), ("right", -1)):
         y = 0.046 * side
@@ -77,7 +81,7 @@ def fingers(*, turning: bool = False) -> str:
 
 
 def gripping(folder: Path, case: Case | None = None, *, turning: bool = False) -> Toy:
-    """The toy with fingers."""
+    """Return the toy with fingers."""
     case = case or make_case()
     case.robot = case.robot.replace("</robot>", fingers(turning=turning) + "</robot>")
     plain = toy(folder, case)
@@ -86,5 +90,5 @@ def gripping(folder: Path, case: Case | None = None, *, turning: bool = False) -
 
 
 def asked(toy: Toy, value: float) -> Toy:
-    """The same motion, judged by another value of the joint."""
+    """Return the same motion, judged by another joint value."""
     return replace(toy, task=replace(toy.task, to=value))

@@ -1,4 +1,4 @@
-"""The drawn faces and the truth about them belong together."""
+"""Laws of the drawn faces: their labels match the images."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ SEEDS = range(40)
 
 @pytest.fixture(scope="module")
 def faces() -> list[generator.Drawn]:
-    """Some drawn faces."""
+    """Draw some faces."""
     return [generator.draw(np.random.default_rng([7, i])) for i in SEEDS]
 
 
-def test_the_same_seed_draws_the_same_picture() -> None:
+def test_the_same_seed_draws_the_same_image() -> None:
     one, two = (generator.draw(np.random.default_rng(3)) for _ in range(2))
     np.testing.assert_array_equal(one.face.color, two.face.color)
     np.testing.assert_array_equal(one.face.height_map, two.face.height_map)
@@ -49,7 +49,7 @@ def test_every_handle_lies_within_its_part(faces: list[generator.Drawn]) -> None
     assert (handle[:, 2:] <= box[:, 2:] + 1e-9).all()
 
 
-def test_a_handle_of_a_door_is_mostly_opposite_of_its_hinge(faces: list[generator.Drawn]) -> None:
+def test_most_door_handles_are_opposite_the_hinge(faces: list[generator.Drawn]) -> None:
     far = [
         (sum(p.handle[::2]) > sum(p.box[::2])) == (p.kind == "door_left")
         for drawn in faces
@@ -59,7 +59,7 @@ def test_a_handle_of_a_door_is_mostly_opposite_of_its_hinge(faces: list[generato
     assert np.mean(far) > 0.85
 
 
-def test_a_face_is_a_front_where_something_moves(faces: list[generator.Drawn]) -> None:
+def test_a_face_is_a_front_if_it_has_parts(faces: list[generator.Drawn]) -> None:
     assert {drawn.front for drawn in faces} == {True, False}
     for drawn in faces:
         if drawn.family == "nothing":
@@ -76,7 +76,7 @@ def test_plans_keep_their_cells_within_the_face(maker: layouts.Maker) -> None:
         assert (cells[:, 3] <= plan.height + 1e-9).all()
 
 
-def test_crops_kept_as_bytes_come_back_nearly_the_same(faces: list[generator.Drawn]) -> None:
+def test_packed_crops_are_restored_approximately(faces: list[generator.Drawn]) -> None:
     stack = decode.planes(faces[0].face)
     small = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), 64)
     again = pool.unpacked(pool.packed(small)[None])[0]
@@ -86,7 +86,7 @@ def test_crops_kept_as_bytes_come_back_nearly_the_same(faces: list[generator.Dra
     np.testing.assert_array_equal(again[4] > 0, known)
 
 
-def test_a_proposal_means_the_part_that_it_covers(faces: list[generator.Drawn]) -> None:
+def test_a_proposal_is_assigned_to_the_part_that_it_covers(faces: list[generator.Drawn]) -> None:
     for i, drawn in enumerate(faces):
         boxes, meant = pool.proposals(np.random.default_rng(i), drawn)
         parts = np.array([p.box for p in drawn.parts]).reshape(-1, 4)
@@ -97,7 +97,7 @@ def test_a_proposal_means_the_part_that_it_covers(faces: list[generator.Drawn]) 
         assert ((best > 0.5) == (meant >= 0)).all()
 
 
-def test_targets_read_back_as_the_boxes_that_made_them() -> None:
+def test_targets_decode_to_their_boxes() -> None:
     targets = optional.module("training.fronts.targets", "torch")
     boxes = np.array([[0.1, 0.1, 0.45, 0.5], [0.55, 0.1, 0.9, 0.5], [0.1, 0.6, 0.9, 0.9]])
     kinds = np.array([0, 1, 4])
@@ -107,7 +107,7 @@ def test_targets_read_back_as_the_boxes_that_made_them() -> None:
     assert sorted(hot.argmax(axis=1)) == [0, 1, 4]
 
 
-def test_wall_cabinets_lift_some_doors_by_a_handle_below_and_none_of_their_parts_slides() -> None:
+def test_wall_cabinets_have_lifted_doors_with_low_handles_and_no_drawers() -> None:
     mix = generator.Mix({cabinets.hung: 1.0})
     faces = [generator.draw(np.random.default_rng([9, i]), mix) for i in SEEDS]
     parts = [part for drawn in faces for part in drawn.parts]

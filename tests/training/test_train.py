@@ -1,4 +1,4 @@
-"""A few steps of training: files of the shipped form, the same ones from the same seed."""
+"""Laws of training: files of the shipped form, equal for equal seeds."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ FACES = 6
 
 @pytest.fixture(scope="module")
 def faces(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small pool."""
+    """Write a small pool of faces."""
     folder = tmp_path_factory.mktemp("faces")
     pool.fill(folder, generator.ORDINARY, seed=5, count=FACES, workers=1)
     return folder
 
 
 def form(data: bytes) -> list[tuple[str, str, list[Any]]]:
-    """Names, types and shapes of what a network takes and gives."""
+    """Return names, types and shapes of a network's inputs and outputs."""
     session = optional.module("onnxruntime").InferenceSession(data)
     return [
         (one.name, one.type, one.shape) for one in (*session.get_inputs(), *session.get_outputs())
@@ -33,7 +33,7 @@ def form(data: bytes) -> list[tuple[str, str, list[Any]]]:
 
 
 @pytest.mark.parametrize("which", ["face", "part"])
-def test_training_writes_networks_of_the_shipped_form_and_the_same_again(
+def test_training_writes_reproducible_networks_of_the_shipped_form(
     which: str, faces: Path, tmp_path: Path
 ) -> None:
     train = optional.module("training.fronts.train", "torch")
@@ -49,7 +49,7 @@ def test_training_writes_networks_of_the_shipped_form_and_the_same_again(
     assert form(made[0]) == form(weights.read_bytes())
 
 
-def test_some_pictures_of_a_step_have_no_lines_and_some_no_relief(faces: Path) -> None:
+def test_some_training_images_lack_lines_and_some_lack_relief(faces: Path) -> None:
     train = optional.module("training.fronts.train", "torch")
     codes = np.repeat(pool.Pool.read(faces).faces[:1], 200, axis=0)
     stack = train.disturbed(np.random.default_rng(1), codes).numpy()
@@ -60,14 +60,14 @@ def test_some_pictures_of_a_step_have_no_lines_and_some_no_relief(faces: Path) -
     assert 0.4 < relief.mean() < 0.7
 
 
-def test_a_written_network_is_read_as_it_was(tmp_path: Path) -> None:
+def test_a_network_survives_writing_and_reading(tmp_path: Path) -> None:
     export = optional.module("training.fronts.export", "torch")
     networks = optional.module("training.fronts.networks", "torch")
     weights = resources.files("momapos.perception.reconstruction") / "weights" / "front_part.onnx"
     written, again = tmp_path / "written.onnx", tmp_path / "again.onnx"
     written.write_bytes(weights.read_bytes())
     export.write(export.read(written, networks.PartNetwork()), again)
-    one, two = (looks(path.read_bytes()) for path in (written, again))
+    one, two = (outputs_of(path.read_bytes()) for path in (written, again))
     for name, value in one.items():
         np.testing.assert_array_equal(value, two[name])
 
@@ -92,22 +92,22 @@ def test_training_on_lifted_doors_changes_nothing_but_their_heat(
 def trained_further(
     which: str, more: str, faces: Path, folder: Path
 ) -> list[dict[str, np.ndarray]]:
-    """What a network says after two steps, and after some of the last round."""
+    """Return a network's outputs after two steps, and after some steps of the last round."""
     train = optional.module("training.fronts.train", "torch")
-    path, said = folder / "net.onnx", []
+    path, found = folder / "net.onnx", []
     for fit, steps in ((f"train_{which}", 2), (f"train_{more}", 3)):
         getattr(train, fit)([faces], path, train.Schedule(steps=steps, batch=4), seed=3)
-        said.append(looks(path.read_bytes()))
-    return said
+        found.append(outputs_of(path.read_bytes()))
+    return found
 
 
-def looks(data: bytes) -> dict[str, np.ndarray]:
-    """What a network says of noise."""
+def outputs_of(data: bytes) -> dict[str, np.ndarray]:
+    """Return a network's outputs for random noise."""
     session = optional.module("onnxruntime").InferenceSession(data)
     rng = np.random.default_rng(1)
     given = {
         one.name: rng.normal(size=[2 if n == "n" else n for n in one.shape]).astype(np.float32)
         for one in session.get_inputs()
     }
-    said = session.run(None, given)
-    return dict(zip([one.name for one in session.get_outputs()], said, strict=True))
+    values = session.run(None, given)
+    return dict(zip([one.name for one in session.get_outputs()], values, strict=True))

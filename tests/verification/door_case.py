@@ -1,4 +1,4 @@
-"""A toy arm opens the door of a cupboard: a case small enough to know what is right.
+"""A toy arm opens the door of a cupboard, a case small enough to know the right answer.
 
 The plan comes from closed-form inverse kinematics along the arc of the handle, without a planner.
 """
@@ -28,7 +28,7 @@ HINGE, HANDLE = (0.185, -0.29, 0.8), (-0.09, 0.54, 0.0)
 
 
 def robot_urdf() -> str:
-    """Six axes with a spherical wrist on a box; a palm behind the tool frame."""
+    """Return a six-axis arm with a spherical wrist on a box, and a palm behind the tool frame."""
     links = {
         "base": ("0 0 0.3", '<box size="0.4 0.4 0.5"/>'),
         "shoulder": ("0 0 0.03", '<sphere radius="0.06"/>'),
@@ -67,7 +67,7 @@ def robot_urdf() -> str:
 
 
 def cupboard_urdf(*, handle: bool = True) -> str:
-    """A closed box with a door that turns out of its front, towards -x."""
+    """Return a closed box whose front door opens towards -x."""
     bar = '<collision><geometry><box size="0.02 0.02 0.12"/></geometry></collision>'
     return f"""<robot name="cupboard">
 <link name="body"><collision><geometry><box size="0.4 0.6 0.8"/></geometry></collision></link>
@@ -83,7 +83,7 @@ def cupboard_urdf(*, handle: bool = True) -> str:
 
 
 def scene_dict() -> dict[str, Any]:
-    """The cupboard in the world's frame, and a box that is in nobody's way."""
+    """Return a scene of the cupboard and a box away from all motion."""
     upright = [1.0, 0.0, 0.0, 0.0]
     return {
         "format": "momapos-scene",
@@ -104,7 +104,7 @@ def scene_dict() -> dict[str, Any]:
 
 
 def tool_poses(values: np.ndarray, turns: np.ndarray | float = 0.0) -> np.ndarray:
-    """Tool poses that hold the handle at angles of the door, turned about its bar."""
+    """Return tool poses at the handle for angles of the door, turned about the bar."""
     grip = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # approach along +x
     R_door, R_turn = rotation_about(UP, values), rotation_about(UP, turns + 0.0 * values)
     T_world_door = np.array([pose(HINGE, R) for R in R_door])
@@ -113,9 +113,9 @@ def tool_poses(values: np.ndarray, turns: np.ndarray | float = 0.0) -> np.ndarra
 
 @cache
 def arm_path(turn: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Arm states on the way to the handle, along its arc, and the door's values there.
+    """Return the arm states of approach and arc, and the door's values along the arc.
 
-    On its way the hand turns about the bar by so much of the door's angle.
+    The hand turns about the bar by `turn` times the door's angle.
     """
     with TemporaryDirectory() as folder:
         (Path(folder) / "robot.urdf").write_text(robot_urdf())
@@ -140,7 +140,7 @@ def arm_path(turn: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass
 class Case:
-    """All files of the case, to be changed before they are written."""
+    """The files of the case; tests change them before writing."""
 
     plan: dict[str, Any]
     scene: dict[str, Any]
@@ -157,22 +157,22 @@ class Case:
         return folder / "plan.json"
 
     def q(self) -> list[list[float]]:
-        """All states of the arm, approach first; changes go into the plan."""
+        """Return all states of the arm, approach first; the lists are the plan's own."""
         return [*self.plan["approach"], *self.plan["manipulation"]["q"]]
 
     def obstacle(self, size: list[float], xyz: list[float], name: str = "post") -> None:
-        """Put a box into the scene."""
+        """Add a box to the scene."""
         upright = [1.0, 0.0, 0.0, 0.0]
         box = {"name": name, "box": size, "pose": {"xyz": xyz, "wxyz": upright}}
         self.scene["objects"].append(box)
 
-    def regrasp(self, values: np.ndarray) -> None:
-        """Let the door lag behind the arm: the same arm states, other values of the door."""
+    def set_door_values(self, values: np.ndarray) -> None:
+        """Change the door's values without changing the arm states."""
         self.plan["manipulation"]["object_q"] = values.tolist()
 
 
 def make_case(turn: float = 0.0) -> Case:
-    """A valid plan and its files; the hand turns about the bar by so much of the door's angle."""
+    """Build a valid plan and its files; see `arm_path` for `turn`."""
     approach, q, values = arm_path(turn)
     plan = {
         "format": "momapos-plan",

@@ -1,4 +1,4 @@
-"""Ways to spoil the plan of `door_case`, each with the check that must catch it."""
+"""Ways to corrupt the plan of `door_case`, each with the check that must detect it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ MUTATIONS: dict[str, tuple[Callable[[Case], None], str]] = {}
 
 
 def mutation(check: str) -> Callable[[Callable[[Case], None]], Callable[[Case], None]]:
-    """Register a way to spoil the plan under its name."""
+    """Register a corruption of the plan under its name."""
 
-    def register(spoil: Callable[[Case], None]) -> Callable[[Case], None]:
-        MUTATIONS[spoil.__name__] = (spoil, check)
-        return spoil
+    def register(corrupt: Callable[[Case], None]) -> Callable[[Case], None]:
+        MUTATIONS[corrupt.__name__] = (corrupt, check)
+        return corrupt
 
     return register
 
@@ -100,7 +100,7 @@ def the_door_turns_less_far(case: Case) -> None:
 
 @mutation("grasp slips: translation in the moved part")
 def the_door_lags_behind(case: Case) -> None:
-    case.regrasp(OPEN * np.linspace(0.0, 1.0, 41) ** 1.2)
+    case.set_door_values(OPEN * np.linspace(0.0, 1.0, 41) ** 1.2)
 
 
 @mutation("grasp slips: rotation in the moved part")
@@ -116,27 +116,27 @@ def a_jump(case: Case) -> None:
         del held(case)[key][5:35]
 
 
-@mutation("base in the scene")
+@mutation("base collision with the scene")
 def furniture_under_the_base(case: Case) -> None:
     case.obstacle([0.3, 0.3, 0.5], [-0.75, 0.1, 0.3])
 
 
-@mutation("base in the scene")
+@mutation("base collision with the scene")
 def the_door_hits_the_base(case: Case) -> None:
     case.robot = case.robot.replace('size="0.4 0.4 0.5"', 'size="0.9 0.4 0.65"')
 
 
-@mutation("moved part in the room")
+@mutation("moved part collision with the scene")
 def an_obstacle_in_the_way_of_the_door(case: Case) -> None:
     case.obstacle([0.04, 0.04, 0.04], [-0.007, 0.06, 0.45])
 
 
-@mutation("arm in the scene")
+@mutation("arm collision with the scene")
 def an_obstacle_in_the_way_of_the_forearm(case: Case) -> None:
     case.obstacle([0.04, 0.04, 0.1], [-0.2, 0.25, 0.85])
 
 
-@mutation("arm in the scene")
+@mutation("arm collision with the scene")
 def an_obstacle_on_the_approach(case: Case) -> None:
     row = list(case.plan["approach"][0])
     row[0] += 1.0
@@ -144,7 +144,7 @@ def an_obstacle_on_the_approach(case: Case) -> None:
     case.obstacle([0.08, 0.08, 0.08], [-0.14, 0.57, 0.8])
 
 
-@mutation("robot in itself")
+@mutation("robot self-collision")
 def the_arm_folds_into_the_base(case: Case) -> None:
     row = list(case.plan["approach"][0])
     row[1], row[2] = 2.6, 2.0
@@ -168,7 +168,7 @@ def the_tool_is_far_from_the_part(case: Case) -> None:
     case.cupboard = cupboard_urdf(handle=False)
 
 
-@mutation("same number (2 or more) of q, object_q, T_world_tool")
+@mutation("q, object_q, T_world_tool have equal length >= 2")
 def a_single_state(case: Case) -> None:
     for key in ("q", "object_q", "T_world_tool"):
         held(case)[key] = held(case)[key][:1]

@@ -1,4 +1,4 @@
-"""Signed distances and swept depths: against closed forms and plain numpy twins."""
+"""Signed distances and swept depths agree with closed forms and reference implementations."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def random_pose(rng: np.random.Generator, reach: float = 0.3) -> np.ndarray:
 
 
 def exact_overlap(a: np.ndarray, b: np.ndarray, T: np.ndarray) -> float:
-    """The twin: signed distance of the origin from the hull of all differences."""
+    """Reference: the signed distance of the origin from the hull of all differences."""
     points = (a @ T[:3, :3].T + T[:3, 3])[:, None] - b
     points = points.reshape(-1, 3)
     depth = -float(ConvexHull(points).equations[:, 3].max())
     if depth >= 0.0:
         return depth
-    weight = 1e4  # of the condition that the weights add up to one
+    weight = 1e4  # for the condition that the hull weights sum to one
     _, rest = nnls(np.vstack([points.T, np.full(len(points), weight)]), [0.0, 0.0, 0.0, weight])
     return -float(rest)
 
@@ -86,7 +86,7 @@ def test_the_order_of_two_bodies_does_not_matter(seed: int) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(seeds)
-def test_a_ball_and_a_cylinder_agree_with_the_closed_form(seed: int) -> None:
+def test_the_overlap_of_a_ball_and_a_cylinder_agrees_with_the_closed_form(seed: int) -> None:
     rng = np.random.default_rng(seed)
     radius, length, ball = rng.uniform(0.02, 0.3, 3)
     center = rng.normal(size=3) * 0.2
@@ -115,7 +115,7 @@ def random_shapes(rng: np.random.Generator, count: int) -> Shapes:
 
 @pytest.mark.parametrize("floor", [0.0, -0.05])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_deepest_state_is_that_of_checking_every_state(seed: int, floor: float) -> None:
+def test_the_deepest_overlap_equals_that_of_checking_every_state(seed: int, floor: float) -> None:
     rng = np.random.default_rng(seed)
     a, b = random_shapes(rng, 4), random_shapes(rng, 5)
     turn = Rotation.from_rotvec(np.linspace(0, 2, 60)[:, None] * rng.normal(size=3)).as_matrix()
@@ -129,7 +129,7 @@ def test_the_deepest_state_is_that_of_checking_every_state(seed: int, floor: flo
         assert (where == -1) == (max(every) <= floor + 1e-6)
 
 
-def test_outside_is_the_distance_from_the_polygon() -> None:
+def test_outside_is_the_signed_distance_from_the_polygon() -> None:
     corner = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], float)
     points = np.array([[0.5, 0.5], [1.5, 1.5], [3.0, 0.5], [3.0, -1.0], [1.0, 1.0]])
     expected = [-0.5, 0.5, 1.0, np.sqrt(2), 0.0]

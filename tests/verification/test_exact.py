@@ -1,4 +1,4 @@
-"""The exact check accepts a plan that is right, and every way to spoil it is refused."""
+"""The exact check accepts a correct plan and rejects every corruption of it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.sweep import deepest
 from mutations import MUTATIONS
 
-RUN_THE_OTHER = """
+RUN_INDEPENDENT = """
 import json, sys, types
 from pathlib import Path
 import verify_plan
@@ -43,6 +43,17 @@ for path in map(Path, sys.argv[1:]):
     report, _ = verify_plan.verify(json.loads(path.read_text()), path.parent, None, options)
     print(json.dumps({check["check"]: (check["ok"], check["value"]) for check in report.checks}))
 """
+
+INDEPENDENT_NAMES = {
+    "q, object_q, T_world_tool have equal length >= 2": (
+        "same number (2 or more) of q, object_q, T_world_tool"
+    ),
+    "moved part collision with the scene": "moved part in the room",
+    "base collision with the scene": "base in the scene",
+    "arm collision with the scene": "arm in the scene",
+    "robot self-collision": "robot in itself",
+}
+"""Names of checks that the independent checker spells differently."""
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +75,8 @@ def toy_arm(folder: Path) -> UrdfArm:
     return UrdfArm(model, "base", "tool", JOINTS, frozenset())
 
 
-def test_links_that_touch_where_all_joints_are_at_rest_are_checked_elsewhere(
-    tmp_path: Path,
-) -> None:
-    """An arm that is folded into itself at rest, and passes through itself again beyond it."""
+def test_links_that_touch_at_rest_are_still_checked_in_other_states(tmp_path: Path) -> None:
+    """The arm is folded into itself at rest, and collides with itself again in another state."""
     case = make_case()
     straight = '<child link="wrist"/><origin xyz="0 0 0.4"/>'
     assert straight in case.robot
@@ -89,32 +98,32 @@ def test_a_plan_along_the_arc_of_the_handle_is_valid(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", MUTATIONS)
-def test_a_spoilt_plan_is_refused_for_its_reason(name: str, tmp_path: Path) -> None:
-    spoil, reason = MUTATIONS[name]
+def test_a_corrupted_plan_is_rejected_for_its_reason(name: str, tmp_path: Path) -> None:
+    corrupt, reason = MUTATIONS[name]
     case = make_case()
-    spoil(case)
+    corrupt(case)
     report = verify_files(case.write(tmp_path))
     assert reason in [check.name for check in report.violations]
 
 
-def test_the_independent_checker_finds_the_same(tmp_path: Path) -> None:
+def test_the_independent_checker_fails_the_same_checks(tmp_path: Path) -> None:
     plans = {"valid": make_case().write(tmp_path / "valid")}
-    for name, (spoil, _) in MUTATIONS.items():
+    for name, (corrupt, _) in MUTATIONS.items():
         case = make_case()
-        spoil(case)
+        corrupt(case)
         plans[name] = case.write(tmp_path / name)
-    for (name, path), theirs in zip(plans.items(), verdicts_of_the_other(plans), strict=True):
-        report = verify_files(path)
-        ours = {check.name for check in report.violations}
-        assert ours == {key for key, (ok, _) in theirs.items() if not ok}, name
-        for check in report.checks:
-            if check.name in theirs and check.unit:
-                assert check.value == pytest.approx(theirs[check.name][1], abs=0.02), name
+    for (name, path), theirs in zip(plans.items(), independent_verdicts(plans), strict=True):
+        ours = {INDEPENDENT_NAMES.get(c.name, c.name): c for c in verify_files(path).checks}
+        failed = {key for key, check in ours.items() if not check.ok}
+        assert failed == {key for key, (ok, _) in theirs.items() if not ok}, name
+        for key, check in ours.items():
+            if key in theirs and check.unit:
+                assert check.value == pytest.approx(theirs[key][1], abs=0.02), name
 
 
-def test_the_independent_checker_forgives_the_same_touch_at_the_start(tmp_path: Path) -> None:
-    """A neighbor that the closed door stands in, or that it turns deeper into, by so much [m]."""
-    plans, room = {}, "moved part in the room"
+def test_the_independent_checker_allows_the_same_initial_overlap(tmp_path: Path) -> None:
+    """The closed door overlaps a neighbor by `depth` [m], and leaves it or turns deeper into it."""
+    plans, collision = {}, "moved part collision with the scene"
     for depth in (-0.001, 0.0, 0.002, 0.008):
         for name, size, x, y in (
             ("leaves", [0.02, 0.3, 0.78], 0.185, 0.44 - depth),
@@ -123,14 +132,15 @@ def test_the_independent_checker_forgives_the_same_touch_at_the_start(tmp_path: 
             case = make_case()
             case.obstacle(size, [x, y, 0.8])
             plans[name, depth] = case.write(tmp_path / f"{name} {depth}")
-    for (key, path), theirs in zip(plans.items(), verdicts_of_the_other(plans), strict=True):
-        (ours,) = (check for check in verify_files(path).checks if check.name == room)
-        assert ours.ok == theirs[room][0] == (key[0] == "leaves"), key
+    for (key, path), theirs in zip(plans.items(), independent_verdicts(plans), strict=True):
+        (ours,) = (check for check in verify_files(path).checks if check.name == collision)
+        other = theirs[INDEPENDENT_NAMES[collision]][0]
+        assert ours.ok == other == (key[0] == "leaves"), key
 
 
-def verdicts_of_the_other(plans: Mapping[Any, Path]) -> list[dict[str, tuple[bool, float]]]:
-    """Verdict and value of every check of the independent checker, plan by plan."""
-    command = [sys.executable, "-c", RUN_THE_OTHER, *map(str, plans.values())]
+def independent_verdicts(plans: Mapping[Any, Path]) -> list[dict[str, tuple[bool, float]]]:
+    """Return verdict and value of each check of the independent checker, for each plan."""
+    command = [sys.executable, "-c", RUN_INDEPENDENT, *map(str, plans.values())]
     other = subprocess.run(
         command, capture_output=True, text=True, cwd=optional.there(TOOLS, "independent checker"),
         env={**os.environ, "PYTHONPATH": "."},
@@ -139,49 +149,47 @@ def verdicts_of_the_other(plans: Mapping[Any, Path]) -> list[dict[str, tuple[boo
     return [json.loads(line) for line in other.stdout.splitlines()]
 
 
-def test_numbers_that_are_not_finite_are_refused(world: PlanVerifier, motion: Motion) -> None:
+def test_non_finite_numbers_are_rejected(world: PlanVerifier, motion: Motion) -> None:
     for key in ("approach", "q", "object_q", "Ts_world_tool"):
         for number in (math.nan, math.inf, 1e300):
-            spoilt = getattr(motion, key).copy()
-            spoilt.reshape(-1)[3] = number
-            report = world.check(BASE, replace(motion, **{key: spoilt}))
+            corrupted = getattr(motion, key).copy()
+            corrupted.reshape(-1)[3] = number
+            report = world.check(BASE, replace(motion, **{key: corrupted}))
             assert [check.name for check in report.violations] == ["numbers are finite"]
     assert not world.check((math.nan, 0.0, 0.0), motion).valid
 
 
-def test_a_motion_with_fewer_values_than_states_is_refused(
+def test_a_motion_with_fewer_object_values_than_arm_states_is_rejected(
     world: PlanVerifier, motion: Motion
 ) -> None:
     with unchecked():
         report = world.check(BASE, replace(motion, object_q=motion.object_q[:-1]))
     (found,) = report.violations
-    assert found.name == "same number (2 or more) of q, object_q, T_world_tool"
+    assert found.name == "q, object_q, T_world_tool have equal length >= 2"
 
 
-def test_a_motion_too_long_to_check_is_refused(world: PlanVerifier, motion: Motion) -> None:
+def test_a_motion_too_long_to_check_is_rejected(world: PlanVerifier, motion: Motion) -> None:
     there_and_back = np.tile([[0.0] * 6, [9e5] * 6], (50, 1))
     report = world.check(BASE, replace(motion, approach=there_and_back))
     assert [check.name for check in report.violations] == ["states to check"]
 
 
-def test_one_world_serves_many_motions(world: PlanVerifier, motion: Motion) -> None:
+def test_one_verifier_checks_many_motions(world: PlanVerifier, motion: Motion) -> None:
     assert world.check(BASE, motion).valid
     assert world.first_violation((BASE[0], BASE[1], BASE[2] + 3.0), motion) is not None
     assert world.first_violation(BASE, motion) is None
 
 
-def test_a_refusal_names_the_pair_without_numbers(tmp_path: Path, motion: Motion) -> None:
+def test_a_rejection_names_the_pair_without_numbers(tmp_path: Path, motion: Motion) -> None:
     case = make_case()
     MUTATIONS["an_obstacle_in_the_way_of_the_forearm"][0](case)
     case.write(tmp_path)
     task = Task("open", "cupboard", "hinge", OPEN)
     world = PlanVerifier(load_scene(tmp_path / "scene.json"), toy_arm(tmp_path), task)
-    assert world.first_violation(BASE, motion) == "arm in the scene: fore in post/box"
+    assert world.first_violation(BASE, motion) == "arm collision with the scene: fore and post/box"
 
 
-def test_a_clearance_is_asked_for_with_a_penetration_below_zero(
-    tmp_path: Path, motion: Motion
-) -> None:
+def test_a_penetration_below_zero_requires_a_clearance(tmp_path: Path, motion: Motion) -> None:
     make_case().write(tmp_path)
     scene, arm = load_scene(tmp_path / "scene.json"), toy_arm(tmp_path)
     task = Task("open", "cupboard", "hinge", OPEN)
@@ -194,7 +202,7 @@ def test_a_clearance_is_asked_for_with_a_penetration_below_zero(
     assert not clear(0.3)
 
 
-def test_unknown_names_are_errors_that_offer_the_right_one(tmp_path: Path) -> None:
+def test_an_error_for_an_unknown_name_suggests_the_right_one(tmp_path: Path) -> None:
     case = make_case()
     case.plan["task"]["object"] = "cupbord"
     with pytest.raises(UnknownNameError, match="cupboard"):
@@ -212,13 +220,13 @@ def test_unknown_names_are_errors_that_offer_the_right_one(tmp_path: Path) -> No
 def test_a_task_without_a_value_is_an_error(tmp_path: Path) -> None:
     make_case().write(tmp_path)
     scene = load_scene(tmp_path / "scene.json")
-    with pytest.raises(TaskError, match="value"):
+    with pytest.raises(TaskError, match="to must be given"):
         PlanVerifier(scene, toy_arm(tmp_path), Task("open", "cupboard", "hinge"))
-    with pytest.raises(TaskError, match="joint"):
+    with pytest.raises(TaskError, match="joint must be given"):
         PlanVerifier(scene, toy_arm(tmp_path), Task("open", "cupboard"))
 
 
-def test_a_gripper_inside_the_part_is_told_and_not_refused(tmp_path: Path) -> None:
+def test_a_gripper_inside_the_part_is_reported_and_allowed(tmp_path: Path) -> None:
     case = make_case()
     case.robot = case.robot.replace('size="0.08 0.06 0.06"', 'size="0.08 0.06 0.16"')
     report = verify_files(case.write(tmp_path))
@@ -226,7 +234,7 @@ def test_a_gripper_inside_the_part_is_told_and_not_refused(tmp_path: Path) -> No
     assert report.gripper_depth == pytest.approx(0.02, abs=5e-4)  # the handle's width
 
 
-def test_kinematics_agree_with_the_scenes_own(tmp_path: Path) -> None:
+def test_kinematics_agree_with_those_of_the_scene_model(tmp_path: Path) -> None:
     make_case().write(tmp_path)
     model = Articulated(read_urdf(tmp_path / "robot.urdf"))
     bodies = bodies_of(model)
@@ -237,5 +245,5 @@ def test_kinematics_agree_with_the_scenes_own(tmp_path: Path) -> None:
     for state in range(5):
         poses = model.link_poses({name: v[state] for name, v in values.items()})
         for link, T in poses.items():
-            mine = Ts[state, bodies.of_link[link]] @ bodies.T_body_link[link]
-            np.testing.assert_allclose(mine, root @ T, atol=1e-12)
+            ours = Ts[state, bodies.of_link[link]] @ bodies.T_body_link[link]
+            np.testing.assert_allclose(ours, root @ T, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Joints that a URDF has follow others: the check moves them along, and holds plans to it."""
+"""Mimic joints move with their leaders in the check, and must do so in plans."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from momapos.model.urdf.reader import read_urdf
 from momapos.verification.link_bodies import bodies_of
 from momapos.verification.plan_check import verify_files
 
-FOLLOWS = "joints follow as in the URDF"
+FOLLOWS = "mimic joints follow their leaders"
 TWO_DRAWERS = """<robot name="chest"><link name="body"/><link name="upper"/><link name="lower"/>
 <link name="knob"/>
 <joint name="slide" type="prismatic"><parent link="body"/><child link="upper"/>
@@ -28,13 +28,13 @@ def with_mimic(text: str, joint: str, mimic: str) -> str:
     return text[:end] + mimic + text[end:]
 
 
-def test_a_plan_whose_joint_does_not_follow_is_refused(tmp_path: Path) -> None:
+def test_a_plan_whose_mimic_joint_does_not_follow_is_rejected(tmp_path: Path) -> None:
     case = make_case()
     case.robot = with_mimic(case.robot, "twist", '<mimic joint="roll"/>')
     assert FOLLOWS in [check.name for check in verify_files(case.write(tmp_path)).violations]
 
 
-def test_how_far_a_joint_is_from_where_it_must_be_is_told(tmp_path: Path) -> None:
+def test_the_error_of_a_mimic_joint_is_reported(tmp_path: Path) -> None:
     case = make_case()
     mimic = '<mimic joint="roll" multiplier="-0.5" offset="0.2"/>'
     case.robot = with_mimic(case.robot, "twist", mimic)
@@ -44,7 +44,7 @@ def test_how_far_a_joint_is_from_where_it_must_be_is_told(tmp_path: Path) -> Non
     assert check.value == pytest.approx(max(abs(q[twist] + 0.5 * q[roll] - 0.2) for q in states))
 
 
-def test_what_follows_a_joint_moves_with_it(tmp_path: Path) -> None:
+def test_mimic_joints_move_with_their_leader(tmp_path: Path) -> None:
     path = tmp_path / "chest.urdf"
     path.write_text(TWO_DRAWERS)
     model = Articulated(read_urdf(path))

@@ -1,4 +1,4 @@
-"""Files that are damaged at random are read, or refused in one line, soon and without noise."""
+"""Randomly damaged files are read or rejected in one line, quickly and without other output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from door_case import JOINTS, make_case
 
-from momapos.core.errors import LONGEST, MomaposError
+from momapos.core.errors import MAX_MESSAGE_LENGTH, MomaposError
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
@@ -61,7 +61,7 @@ SRDF = """<?xml version="1.0" encoding="utf-8"?>
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
-    """A file with one or two places damaged: bytes, pieces, and mostly numbers and words."""
+    """Damage a file in one or two places: bytes, pieces, and mostly numbers and words."""
     gentle = rng.random() < 0.6
     for _ in range(rng.integers(1, 3)):
         at, end = np.sort(rng.integers(0, len(data) + 1, 2))
@@ -92,7 +92,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def replaced(text: str, rng: np.random.Generator) -> str:
-    """JSON with one value replaced by another that JSON can say."""
+    """Replace one value of a JSON text."""
     data = json.loads(text)
     values: list[Any] = [
         0, -1, 1e9, 1e308, 10**400, None, True, "", "a" * 2000, [], {}, [[]], [None], "../x", -0.5,
@@ -111,7 +111,7 @@ def replaced(text: str, rng: np.random.Generator) -> str:
 
 @contextmanager
 def limited(what: str) -> Iterator[None]:
-    """Raise in what takes too long, and where a library warns."""
+    """Raise if the block takes too long or a library warns."""
 
     def stop(*_: object) -> None:
         raise TimeoutError(f"{what}: hangs")
@@ -128,7 +128,7 @@ def limited(what: str) -> Iterator[None]:
 
 
 def files(folder: Path) -> dict[str, tuple[bytes, Callable[[], Any]]]:
-    """Sound files by name, and what reads them."""
+    """Return valid files by name, each with a function that reads it."""
     plan = make_case().write(folder)
     (folder / "robot.toml").write_text(TOML)
     (folder / "robot.srdf").write_text(SRDF)
@@ -165,26 +165,26 @@ KINDS = [
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_damaged_file_is_read_or_refused_in_one_line(
+def test_a_damaged_file_is_read_or_rejected_in_one_line(
     kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    sound, act = files(tmp_path)[kind]
+    valid, act = files(tmp_path)[kind]
     act()
     rng = np.random.default_rng(KINDS.index(kind))
-    refused = 0
+    rejected = 0
     for number in range(COUNT):
-        text = sound.decode() if kind.endswith(".json") and number % 2 else None
-        content = damaged(sound, rng) if text is None else replaced(text, rng).encode()
+        text = valid.decode() if kind.endswith(".json") and number % 2 else None
+        content = damaged(valid, rng) if text is None else replaced(text, rng).encode()
         (tmp_path / kind).write_bytes(content)
         try:
             with limited(f"{kind} {number}"):
                 act()
         except MomaposError as error:
-            refused += 1
+            rejected += 1
             message = str(error)
-            assert 10 < len(message) <= LONGEST
+            assert 10 < len(message) <= MAX_MESSAGE_LENGTH
             for noise in ("NoneType", "object has no", "unhashable", "subscriptable", "Traceback"):
                 assert noise not in message
-    assert COUNT // 4 < refused <= COUNT, "the damage is too slight to tell anything"
+    assert COUNT // 4 < rejected <= COUNT, "too little damage for a meaningful test"
     assert capfd.readouterr() == ("", "")
     assert not caplog.messages

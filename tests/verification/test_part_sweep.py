@@ -1,4 +1,4 @@
-"""The moved part has room on its way, whoever moves it; what a scene has already is given."""
+"""The path of the moved part is free, relative to its overlap in the given scene."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from momapos.verification.plan_check import UrdfArm
 from momapos.verification.report import DEFAULT, Check, Limits
 
 DOOR = Task("open", "cupboard", "hinge", OPEN)
-CHECK = "moved part in the room"
+CHECK = "moved part collision with the scene"
 FLUSH = [0.02, 0.3, 0.78]
-"""A panel beside the door: its edge is the door's, on the side away from the hinge."""
+"""Size of a panel next to the door, flush with its edge on the side away from the hinge [m]."""
 
 
 def world_of(folder: Path, case: Case, task: Task = DOOR, limits: Limits = DEFAULT) -> PlanVerifier:
@@ -43,7 +43,7 @@ def verdict(world: PlanVerifier, motion: Motion) -> Check:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_first_hit_is_that_of_looking_at_every_value(seed: int, tmp_path: Path) -> None:
+def test_the_first_hit_equals_that_of_checking_every_value(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
     case = make_case()
     case.obstacle(
@@ -66,11 +66,11 @@ def test_the_first_hit_is_that_of_looking_at_every_value(seed: int, tmp_path: Pa
     if words is not None:
         first = round(np.degrees(values[int(np.argmax(deep))]))
         assert "hits post/box" in words
-        assert f"at {first} deg on its way from 0 to 57 deg" in words
+        assert f"at {first} deg, moving from 0 to 57 deg" in words
 
 
 @pytest.mark.parametrize("overlap_mm", [0.0, 2.0, 8.0])
-def test_a_door_may_leave_a_neighbor_that_it_stands_in(overlap_mm: float, tmp_path: Path) -> None:
+def test_a_door_may_leave_a_neighbor_that_it_overlaps(overlap_mm: float, tmp_path: Path) -> None:
     case = make_case()
     case.obstacle(FLUSH, [0.185, 0.44 - overlap_mm / 1000, 0.8])
     world = world_of(tmp_path, case)
@@ -78,7 +78,7 @@ def test_a_door_may_leave_a_neighbor_that_it_stands_in(overlap_mm: float, tmp_pa
     assert verdict(world, opening()).ok
 
 
-def test_a_door_may_not_turn_deeper_into_what_it_touches(tmp_path: Path) -> None:
+def test_a_door_may_not_turn_deeper_into_a_neighbor_that_it_touches(tmp_path: Path) -> None:
     case = make_case()
     case.obstacle([0.1, 0.1, 0.78], [0.125, -0.2, 0.8])  # flush before the door, near its hinge
     world = world_of(tmp_path, case)
@@ -87,20 +87,20 @@ def test_a_door_may_not_turn_deeper_into_what_it_touches(tmp_path: Path) -> None
     assert words.startswith("cupboard/door hits post/box at ")
     check = verdict(world, opening())
     assert not check.ok
-    assert check.culprit == "cupboard/door in post/box"
+    assert check.culprit == "cupboard/door and post/box"
 
 
 def test_a_door_may_turn_in_its_own_frame(tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = case.cupboard.replace('xyz="0 0.29 0"', 'xyz="0.025 0.29 0"')
-    world = world_of(tmp_path, case)  # its hull stands 2 cm in the body and sweeps through it
+    world = world_of(tmp_path, case)  # the door overlaps the body by 2 cm and sweeps through it
     assert world.blocked(0.05) is None
     assert verdict(world, opening()).ok
 
 
-def test_a_clearance_asks_nothing_of_what_is_nearer_already(tmp_path: Path) -> None:
+def test_a_clearance_does_not_apply_to_neighbors_that_are_nearer_already(tmp_path: Path) -> None:
     far, near = make_case(), make_case()
-    far.obstacle([0.04, 0.04, 0.04], [-0.4, 0.0, 0.45])  # 2 cm off the door's way at the nearest
+    far.obstacle([0.04, 0.04, 0.04], [-0.4, 0.0, 0.45])  # at least 2 cm from the door's path
     near.obstacle(FLUSH, [0.185, 0.445, 0.8])
     assert world_of(tmp_path / "far", far).blocked(0.05) is None
     limits = Limits(penetration=-0.1)
@@ -111,7 +111,7 @@ def test_a_clearance_asks_nothing_of_what_is_nearer_already(tmp_path: Path) -> N
 
 
 def stick_room(*obstacles: tuple[list[float], list[float]]) -> Case:
-    """A stick where the handle was, that hangs down below the hand, instead of the cupboard."""
+    """Replace the cupboard by a stick at the handle's position, hanging below the hand."""
     case = make_case()
     case.scene["objects"] = case.scene["objects"][1:]
     xyz = tool_poses(np.zeros(1))[0, :3, 3] - [0.0, 0.0, 0.13]
@@ -126,7 +126,7 @@ def stick_room(*obstacles: tuple[list[float], list[float]]) -> Case:
 
 
 def carried() -> tuple[Motion, Motion]:
-    """The arc of the door as the way of a stick: picked at its begin, or placed there."""
+    """Return motions along the door's arc that pick a stick at its start, or place it there."""
     approach, q, values = arm_path()
     zeros, Ts = np.zeros(len(q)), tool_poses(values)
     back = tool_poses(np.zeros(1))[0]
@@ -141,7 +141,7 @@ def carried() -> tuple[Motion, Motion]:
 @pytest.mark.parametrize(
     ("drop", "free"), [(0.2, False), (0.4, True)], ids=["at its height", "below it"]
 )
-def test_an_object_in_the_hand_has_room_all_along(
+def test_a_carried_object_is_checked_along_the_whole_path(
     verb: str, drop: float, free: bool, tmp_path: Path
 ) -> None:
     middle = tool_poses(np.array([0.5]))[0, :3, 3] - [0.0, 0.0, drop]
@@ -149,24 +149,26 @@ def test_an_object_in_the_hand_has_room_all_along(
     motion = dict(zip(("pick", "place"), carried(), strict=True))[verb]
     world = world_of(tmp_path, case, Task(verb, "stick"))  # type: ignore[arg-type]
     checks = {check.name: check for check in world.check(BASE, motion).checks}
-    assert checks["arm in the scene"].ok
+    assert checks["arm collision with the scene"].ok
     assert checks[CHECK].ok == free
     if not free:
-        assert checks[CHECK].culprit == "stick/box in post/box"
+        assert checks[CHECK].culprit == "stick/box and post/box"
 
 
 @pytest.mark.parametrize(
-    ("gap", "said"),
+    ("gap", "expected"),
     [(0.06, None), (0.02, "stick/box hits post/box when lifted by 0.03 of 0.05 m")],
 )
-def test_a_lift_ends_at_a_board_above(gap: float, said: str | None, tmp_path: Path) -> None:
+def test_a_lift_is_blocked_by_a_board_above(
+    gap: float, expected: str | None, tmp_path: Path
+) -> None:
     top = tool_poses(np.zeros(1))[0, :3, 3] + [0.0, 0.0, 0.02]
     board = [top[0], top[1], top[2] + gap + 0.01]
     case = stick_room(([0.3, 0.3, 0.02], board))
-    assert world_of(tmp_path, case, Task("pick", "stick")).blocked(0.05) == said
+    assert world_of(tmp_path, case, Task("pick", "stick")).blocked(0.05) == expected
 
 
-def test_what_an_object_stands_on_does_not_hold_it(tmp_path: Path) -> None:
+def test_the_support_of_an_object_does_not_block_its_lift(tmp_path: Path) -> None:
     foot = tool_poses(np.zeros(1))[0, :3, 3] - [0.0, 0.0, 0.28]
     board = [foot[0], foot[1], foot[2] - 0.01 + 0.004]  # 4 mm deep in it
     case = stick_room(([0.3, 0.3, 0.02], board))

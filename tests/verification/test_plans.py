@@ -1,4 +1,4 @@
-"""Plan files: what is written is what is read, and what cannot be used says why in one line."""
+"""Plan files round-trip, and unusable ones raise one-line errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def plan(tmp_path: Path) -> PlacementPlan:
 
 
 def same(a: PlacementPlan, b: PlacementPlan) -> bool:
-    """Equality to the last bit; a motion's arrays have no truth value of their own."""
+    """Compare plans exactly; `==` fails on the arrays of a motion."""
     if (a.motion is None) != (b.motion is None):
         return False
     if a.motion is not None and b.motion is not None:
@@ -38,7 +38,7 @@ def same(a: PlacementPlan, b: PlacementPlan) -> bool:
     return replace(a, motion=None) == replace(b, motion=None)
 
 
-def test_what_is_written_is_what_is_read(plan: PlacementPlan, tmp_path: Path) -> None:
+def test_a_plan_round_trips(plan: PlacementPlan, tmp_path: Path) -> None:
     assert plan.motion is not None
     noisy = replace(plan.motion, q=plan.motion.q + np.pi / 1e7)
     timed = replace(plan.motion, times=np.linspace(0.0, np.pi, len(plan.motion.q)))
@@ -47,20 +47,20 @@ def test_what_is_written_is_what_is_read(plan: PlacementPlan, tmp_path: Path) ->
         assert same(read_plan(tmp_path / "again.json"), item)
 
 
-def test_a_plan_without_a_solution_survives_too(plan: PlacementPlan, tmp_path: Path) -> None:
+def test_a_plan_without_a_solution_round_trips(plan: PlacementPlan, tmp_path: Path) -> None:
     none = replace(plan, status="timeout", base_pose=None, motion=None, navigation_cost=None)
     write_plan(none, tmp_path / "none.json")
     assert same(read_plan(tmp_path / "none.json"), none)
 
 
-def test_a_plan_without_an_approach_survives_too(plan: PlacementPlan, tmp_path: Path) -> None:
+def test_a_plan_without_an_approach_round_trips(plan: PlacementPlan, tmp_path: Path) -> None:
     assert plan.motion is not None
     bare = replace(plan, motion=replace(plan.motion, approach=np.empty((0, 6))))
     write_plan(bare, tmp_path / "bare.json")
     assert same(read_plan(tmp_path / "bare.json"), bare)
 
 
-def test_a_folder_can_be_moved_as_a_whole(plan: PlacementPlan, tmp_path: Path) -> None:
+def test_a_folder_of_plans_can_be_moved(plan: PlacementPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plans" / "plan.json")
     data = json.loads((tmp_path / "plans" / "plan.json").read_text())
     assert (data["scene"], data["robot"]["urdf"]) == ("../scene.json", "../robot.urdf")
@@ -69,7 +69,7 @@ def test_a_folder_can_be_moved_as_a_whole(plan: PlacementPlan, tmp_path: Path) -
     assert verify_files(moved / "plans" / "plan.json").valid
 
 
-def test_names_not_beside_the_plan_are_found_below_the_root(tmp_path: Path) -> None:
+def test_files_not_next_to_the_plan_are_found_below_the_scene_root(tmp_path: Path) -> None:
     case = make_case()
     case.write(tmp_path / "files")
     case.plan.update(scene="files/scene.json")
@@ -77,14 +77,12 @@ def test_names_not_beside_the_plan_are_found_below_the_root(tmp_path: Path) -> N
     (tmp_path / "elsewhere").mkdir()
     path = tmp_path / "elsewhere" / "plan.json"
     path.write_text(json.dumps(case.plan))
-    with pytest.raises(FileFormatError, match="scene-root"):
+    with pytest.raises(FileFormatError, match="scene_root"):
         verify_files(path)
     assert verify_files(path, tmp_path).valid
 
 
-def test_a_plan_that_cannot_be_written_leaves_the_old_file(
-    plan: PlacementPlan, tmp_path: Path
-) -> None:
+def test_a_failed_write_leaves_the_old_file(plan: PlacementPlan, tmp_path: Path) -> None:
     path = tmp_path / "kept" / "plan.json"
     write_plan(plan, path)
     before = path.read_bytes()
@@ -96,7 +94,7 @@ def test_a_plan_that_cannot_be_written_leaves_the_old_file(
     assert [entry.name for entry in path.parent.iterdir()] == ["plan.json"]
 
 
-def test_the_dictionary_is_what_the_file_holds(plan: PlacementPlan, tmp_path: Path) -> None:
+def test_the_dictionary_of_a_plan_equals_its_file(plan: PlacementPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "again.json")
     data = json.loads((tmp_path / "again.json").read_text())
     assert set(data.pop("hashes")) == {"scene", "robot"}
@@ -105,7 +103,7 @@ def test_the_dictionary_is_what_the_file_holds(plan: PlacementPlan, tmp_path: Pa
 
 
 def text(change: Callable[[dict[str, Any]], object]) -> str:
-    """The plan's file with something changed."""
+    """Return the text of the plan file with a change."""
     data = make_case().plan
     change(data)
     return json.dumps(data)
@@ -115,18 +113,18 @@ WHOLE = json.dumps(make_case().plan)
 MALFORMED: dict[str, tuple[str, str]] = {
     "empty": ("", "is empty"),
     "blank": (" \n", "is empty"),
-    "truncated": (WHOLE[:-40], "damaged JSON"),
-    "not JSON": ("robot: fetch", "damaged JSON"),
-    "deep": ("[" * 100_000, "damaged JSON|object"),
+    "truncated": (WHOLE[:-40], "invalid JSON"),
+    "not JSON": ("robot: fetch", "invalid JSON"),
+    "deep": ("[" * 100_000, "invalid JSON|object"),
     "a list": ("[]", "object"),
     "a scene": ('{"format": "momapos-scene", "version": 1}', "momapos-plan"),
     "no format": ("{}", "momapos-plan"),
     "a later version": (text(lambda d: d.update(version=2)), "version 2"),
     "version as text": (text(lambda d: d.update(version="1")), "version '1'"),
     "version as truth": (text(lambda d: d.update(version=True)), "version True"),
-    "NaN": (WHOLE.replace("0.7", "NaN", 1), "damaged JSON"),
-    "Infinity": (text(lambda d: d["base_pose"].update(x=float("inf"))), "damaged JSON"),
-    "too large a number": (WHOLE.replace("-0.7,", "1e999,", 1), "out of range|damaged"),
+    "NaN": (WHOLE.replace("0.7", "NaN", 1), "invalid JSON"),
+    "Infinity": (text(lambda d: d["base_pose"].update(x=float("inf"))), "invalid JSON"),
+    "too large a number": (WHOLE.replace("-0.7,", "1e999,", 1), "out of range|invalid"),
     "a word for a number": (text(lambda d: d["base_pose"].update(x="0")), r"base_pose\.x"),
     "null in q": (text(lambda d: d["manipulation"]["q"][3].__setitem__(0, None)), r"q\[3\]"),
     "no scene": (text(lambda d: d.pop("scene")), "`scene`"),
@@ -142,7 +140,7 @@ MALFORMED: dict[str, tuple[str, str]] = {
     "name with NUL": (text(lambda d: d.update(scene="a\0b")), "scene"),
     "short row": (text(lambda d: d["manipulation"]["q"][3].pop()), "rows of different length"),
     "narrow q": (
-        text(lambda d: d["manipulation"].update(q=[[0.0] * 5] * 41)), "need 6, one a joint",
+        text(lambda d: d["manipulation"].update(q=[[0.0] * 5] * 41)), "need 6, one per joint",
     ),
     "too few values of the door": (
         text(lambda d: d["manipulation"]["object_q"].pop()), "41 q, 40 object_q and 41",
@@ -156,7 +154,7 @@ MALFORMED: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("name", MALFORMED)
-def test_a_malformed_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+def test_a_malformed_file_is_rejected_in_one_line(name: str, tmp_path: Path) -> None:
     content, message = MALFORMED[name]
     path = make_case().write(tmp_path)
     path.write_text(content)
@@ -166,7 +164,7 @@ def test_a_malformed_file_is_refused_in_one_line(name: str, tmp_path: Path) -> N
     assert "\n" not in str(caught.value)
 
 
-def test_missing_files_and_binaries_are_refused(tmp_path: Path) -> None:
+def test_missing_files_and_binaries_are_rejected(tmp_path: Path) -> None:
     for path, why in (
         (tmp_path / "none.json", "no such file"),
         (tmp_path, "is a folder"),
@@ -175,18 +173,22 @@ def test_missing_files_and_binaries_are_refused(tmp_path: Path) -> None:
         with pytest.raises(FileFormatError, match=why):
             read_plan(path)
     (tmp_path / "binary").write_bytes(bytes(range(256)))
-    with pytest.raises(FileFormatError, match="damaged"):
+    with pytest.raises(FileFormatError, match="invalid"):
         read_plan(tmp_path / "binary")
 
 
-def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_too_large_is_rejected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("momapos.model.plan_files.plan_format.MAX_BYTES", 100)
     with pytest.raises(FileFormatError, match="larger"):
         read_plan(make_case().write(tmp_path))
 
 
-def test_a_plan_that_jumps_is_refused_before_it_is_laid_out(tmp_path: Path) -> None:
-    assert verify_files(make_case().write(tmp_path)).valid  # what is loaded once is not counted
+def test_a_plan_with_a_jump_is_rejected_before_its_states_are_allocated(tmp_path: Path) -> None:
+    assert verify_files(
+        make_case().write(tmp_path)
+    ).valid  # warm up, so that caches are not counted
     for jump in (1e3, 9e5):
         case = make_case()
         case.plan["manipulation"]["object_q"][1] = jump
@@ -198,7 +200,7 @@ def test_a_plan_that_jumps_is_refused_before_it_is_laid_out(tmp_path: Path) -> N
         assert peak < 50_000_000
 
 
-def test_the_command_tells_valid_from_invalid_from_unusable(
+def test_the_exit_status_distinguishes_valid_invalid_and_unusable_plans(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     case = make_case()
@@ -216,6 +218,6 @@ def test_the_command_tells_valid_from_invalid_from_unusable(
     case.plan["version"] = 9
     case.write(tmp_path)
     assert main(["verify", path]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1

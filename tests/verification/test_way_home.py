@@ -1,4 +1,4 @@
-"""Laws of the arm's way home after a task, as before another."""
+"""Laws of the arm's path home after a task."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.verification.exact_check import PlanVerifier
 
 CONFIG = PipelineConfig(motion=MotionConfig(home_again=True))
-ASKED = {
+TARGETS = {
     "open": ("cabinet_right", "drawer_middle_slide"),
     "pick": ("bottle", None),
     "place": ("cup", None),
@@ -40,11 +40,11 @@ def segway() -> Robot:
     return load_robot("segway_ur5e")
 
 
-@pytest.fixture(scope="module", params=list(ASKED))
+@pytest.fixture(scope="module", params=list(TARGETS))
 def solved(
     request: pytest.FixtureRequest, kitchen: Scene, segway: Robot
 ) -> tuple[PlacementPlan, Task]:
-    task = make_task(kitchen, request.param, *ASKED[request.param])
+    task = make_task(kitchen, request.param, *TARGETS[request.param])
     return plan_base_placement(kitchen, segway, task, config=CONFIG).plan, task
 
 
@@ -55,7 +55,7 @@ def check(scene: Scene, robot: Robot, plan: PlacementPlan, motion: Motion | None
     return [check.name for check in report.violations]
 
 
-def test_the_arm_comes_home_and_the_exact_check_accepts_it(
+def test_the_exact_check_accepts_the_path_home(
     kitchen: Scene, segway: Robot, solved: tuple[PlacementPlan, Task]
 ) -> None:
     plan, _ = solved
@@ -68,10 +68,10 @@ def test_the_arm_comes_home_and_the_exact_check_accepts_it(
     assert check(kitchen, segway, plan, motion) == []
     if plan.task.verb == "open":
         (hold,) = motion.holds
-        assert hold.last < len(motion.q) - 1  # it draws back before
+        assert hold.last < len(motion.q) - 1  # it retreats first
 
 
-def test_a_way_home_through_the_room_or_to_elsewhere_is_refused(
+def test_a_path_home_that_collides_or_ends_elsewhere_is_rejected(
     kitchen: Scene, segway: Robot, solved: tuple[PlacementPlan, Task]
 ) -> None:
     plan, _ = solved
@@ -79,23 +79,23 @@ def test_a_way_home_through_the_room_or_to_elsewhere_is_refused(
     assert motion is not None
     assert motion.home is not None
     short = replace(motion, home=motion.home[:-3])
-    assert "way home ends where the approach starts" in check(kitchen, segway, plan, short)
+    assert "path home ends where the approach starts" in check(kitchen, segway, plan, short)
     down = motion.home[-1].copy()
     down[1] += np.pi / 2 + 0.6  # the upper arm into the base or the floor
     dips = np.linspace(motion.home[-1], down, 60)
     low = replace(motion, home=np.concatenate([motion.home, dips, dips[::-1]]))
     assert {
-        "robot in itself",
-        "arm in the scene",
+        "robot self-collision",
+        "arm collision with the scene",
         "arm below the floor",
-        "base in the scene",
+        "base collision with the scene",
     } & set(check(kitchen, segway, plan, low))
     jump = replace(motion, home=motion.home[-1:])
     named = check(kitchen, segway, plan, jump)
     assert "largest step of the manipulation" in named
 
 
-def test_a_file_keeps_the_way_home(
+def test_the_path_home_round_trips_through_a_file(
     solved: tuple[PlacementPlan, Task], tmp_path: Path, segway: Robot
 ) -> None:
     plan, _ = solved
@@ -113,7 +113,7 @@ def test_a_file_keeps_the_way_home(
         read_plan(tmp_path / "bad.json")
 
 
-def test_without_being_asked_the_arm_stays(kitchen: Scene, segway: Robot) -> None:
+def test_by_default_the_arm_stays(kitchen: Scene, segway: Robot) -> None:
     task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
     motion = plan_base_placement(kitchen, segway, task).plan.motion
     assert motion is not None

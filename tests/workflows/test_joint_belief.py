@@ -1,4 +1,4 @@
-"""Laws of what a hand that pulls a part learns of how it moves."""
+"""Laws of the hypotheses of a part's joint, updated by the path of the hand."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.perception.reconstruction.object_model import ModelConfig, furniture_model
+from momapos.perception.reconstruction.model_config import ModelConfig
+from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.result import PlacementResult
 from momapos.simulation.config import ComplianceConfig, Ending
 from momapos.verification.plan_check import verify_files
 from momapos.workflows.joint_belief import (
-    PROBABLE,
+    MIN_PROBABILITY,
     JointBeliefs,
-    ask_in_turn,
     joint_beliefs,
+    plan_by_hypothesis,
     save_learned,
 )
 from momapos.workflows.run import run_plan
@@ -42,7 +43,7 @@ from momapos.workflows.run import run_plan
 CONFIG = ComplianceConfig()
 Odds = tuple[tuple[PartKind, float], ...]
 MIDDLE = (0.6, 0.4, 0.66, 0.6)
-NEAR, FAR = 0.87, 0.75
+BLOCKS_TWO, BLOCKS_ONE = 0.87, 0.75
 
 
 def room(
@@ -53,10 +54,10 @@ def room(
     post: float | None = None,
     turn: float = np.pi / 2,
 ) -> Scene:
-    """A cupboard before a robot, its one part believed to move in some ways.
+    """Build a cupboard with one part and several hypotheses of its joint.
 
-    A post stands before it at an x [m]: at `NEAR` in the way of a drawer and of a door hinged at
-    the right, at `FAR` of such a door alone. A hinged part turns by `turn` at most [rad].
+    A post at x [m] is in the way: at `BLOCKS_TWO` of a drawer and of a door hinged at the right, at
+    `BLOCKS_ONE` only of such a door. A hinged part turns by at most `turn` [rad].
     """
     pixels = (240, 240)
     color = np.full((*pixels, 3), 200, np.uint8)
@@ -93,28 +94,28 @@ def guessed(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     index=st.integers(0, 3), length=st.floats(0.15, 0.25), seed=st.integers(0, 1000),
     handle=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.05, 0.2)),
 )  # fmt: skip
-def test_a_hand_that_goes_the_way_of_a_joint_makes_it_the_likeliest(
+def test_the_path_of_the_hand_makes_its_joint_the_most_probable(
     guessed: Scene, index: int, length: float, seed: int, handle: tuple[float, float]
 ) -> None:
     beliefs = beliefs_of(guessed)
     axis = beliefs.beliefs[index].axis
     start = np.array([1.22, handle[0], 0.8 + handle[1]])
     values = np.linspace(0.0, length / axis.lever_at(start), 30)
-    if values[-1] > 1.5:  # no part opens so far
+    if values[-1] > 1.5:  # beyond any part's limit
         return
     noise = np.random.default_rng(seed).normal(0.0, 1e-3, (30, 3))
     way = [apply(axis.moved(v), start[None])[0] + e for v, e in zip(values, noise, strict=True)]
     other = beliefs.fail(way)
     weights = [belief.log_weight for belief in beliefs.beliefs]
     if index == 0:
-        assert not beliefs_of(guessed).speaks_against(way)
+        assert not beliefs_of(guessed).contradicts(way)
     else:
         assert other is not None
-        assert (other.way.kind, int(np.argmax(weights))) == (ALL[index][0], index)
+        assert (other.hypothesis.kind, int(np.argmax(weights))) == (ALL[index][0], index)
         assert other.moved == pytest.approx(values[-1], abs=0.03 / axis.lever_at(start))
 
 
-def test_a_part_that_does_not_yield_is_taken_for_the_next_likely_kind(guessed: Scene) -> None:
+def test_after_a_part_does_not_move_the_next_probable_kind_is_tried(guessed: Scene) -> None:
     beliefs, held = beliefs_of(guessed), [np.array([1.22, 0.1, 0.8])]
     tried = [beliefs.kind]
     for _ in range(3):
@@ -123,19 +124,19 @@ def test_a_part_that_does_not_yield_is_taken_for_the_next_likely_kind(guessed: S
     assert tried == ["door_right", "door_left", "drawer", "door_down"]
 
 
-def test_a_hand_that_does_not_find_the_part_again_learns_no_way_but_doubts(guessed: Scene) -> None:
+def test_a_hand_that_loses_the_part_measures_nothing_but_lowers_the_weight(guessed: Scene) -> None:
     beliefs = beliefs_of(guessed)
     assert not beliefs.moved
     before = beliefs.beliefs
     other = beliefs.fail(())
     assert other is not None
-    assert other.way.kind == "door_left"
+    assert other.hypothesis.kind == "door_left"
     assert [b.moved for b in beliefs.beliefs] == [b.moved for b in before]
     beliefs.fail([np.array([1.22 - 0.01 * k, 0.1, 0.8]) for k in range(10)])
     assert beliefs.moved
 
 
-def test_the_ways_are_ranked_by_what_the_hand_did_and_the_one_tried_is_marked(
+def test_hypotheses_are_ranked_by_the_path_of_the_hand_and_the_current_one_is_none(
     guessed: Scene,
 ) -> None:
     beliefs = beliefs_of(guessed)
@@ -144,38 +145,38 @@ def test_the_ways_are_ranked_by_what_the_hand_did_and_the_one_tried_is_marked(
     assert len(ranked) == len(ALL)
     assert ranked.count(None) == 1
     assert ranked[0] is not None
-    assert ranked[0].way.kind == "drawer"
+    assert ranked[0].hypothesis.kind == "drawer"
     weights = [belief.log_weight for belief in ranked if belief is not None]
     assert weights == sorted(weights, reverse=True)
 
 
-def test_a_way_that_is_given_up_is_not_tried_again(guessed: Scene) -> None:
+def test_a_dropped_hypothesis_is_not_tried_again(guessed: Scene) -> None:
     beliefs, held = beliefs_of(guessed), [np.array([1.22, 0.1, 0.8])]
     tried = [beliefs.kind]
-    while (other := beliefs.give_up()) is not None:
-        tried.append(other.way.kind)
+    while (other := beliefs.drop_current()) is not None:
+        tried.append(other.hypothesis.kind)
         assert beliefs.kind == tried[-1]
     assert tried == [kind for kind, _ in ALL]
     assert beliefs.fail(held) is None
 
 
-def test_an_improbable_way_is_not_tried_where_the_others_are_given_up(tmp_path: Path) -> None:
+def test_an_improbable_hypothesis_is_not_tried(tmp_path: Path) -> None:
     beliefs = beliefs_of(room(tmp_path / "sure", (("door_right", 0.995), ("drawer", 0.005))))
-    assert beliefs.give_up() is None
+    assert beliefs.drop_current() is None
     assert beliefs.kind == "door_right"
 
 
-def test_where_the_scene_knows_how_a_part_moves_nothing_else_is_tried(tmp_path: Path) -> None:
+def test_a_part_with_one_hypothesis_has_no_alternative(tmp_path: Path) -> None:
     beliefs = beliefs_of(room(tmp_path / "known", (("door_left", 1.0),)))
     way = [np.array([1.22 - 0.01 * k, 0.001 * k, 0.8]) for k in range(20)]
     assert beliefs.kind == ""
-    assert not beliefs.speaks_against(way)
+    assert not beliefs.contradicts(way)
     assert beliefs.ranked(way) == [None]
     assert beliefs.fail(way) is None
-    assert beliefs.give_up() is None
+    assert beliefs.drop_current() is None
 
 
-def test_a_door_hinged_at_the_other_side_than_believed_is_opened_and_remembered(
+def test_a_door_hinged_on_the_other_side_is_opened_and_its_joint_saved(
     tmp_path: Path,
 ) -> None:
     guessed = room(tmp_path / "guessed", (("door_right", 0.7), ("door_left", 0.3)))
@@ -204,23 +205,23 @@ def test_a_door_hinged_at_the_other_side_than_believed_is_opened_and_remembered(
     assert not (tmp_path / "none.json").exists()
 
 
-def test_where_the_likeliest_way_has_no_plan_the_next_is_planned_verified_and_carried_out(
+def test_if_the_most_probable_hypothesis_is_infeasible_the_next_is_planned_verified_and_executed(
     tmp_path: Path,
 ) -> None:
     odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
-    guessed = room(tmp_path / "guessed", odds, post=NEAR)
-    really = room(tmp_path / "really", (("door_left", 1.0),), post=NEAR)
+    guessed = room(tmp_path / "guessed", odds, post=BLOCKS_TWO)
+    really = room(tmp_path / "really", (("door_left", 1.0),), post=BLOCKS_TWO)
     robot, asked = load_robot("segway_ur5e"), list[str]()
 
-    def ask(scene: Scene, task: Task) -> list[PlacementResult]:
+    def plan_task(scene: Scene, task: Task) -> list[PlacementResult]:
         asked.append(scene.object("cupboard").hypotheses["drawer_slide"][0].kind)
         return [plan_base_placement(scene, robot, task, Everywhere())]
 
     first = make_task(guessed, "open", "cupboard", "drawer_slide")
-    _, _, (answer,) = ask_in_turn(guessed, first, ask)
+    _, _, (answer,) = plan_by_hypothesis(guessed, first, plan_task)
     assert asked == ["drawer", "door_right", "door_left"]
     assert answer.plan.scene_hypotheses == {"cupboard": {"drawer_slide": 2}}
-    assert "taken       for a door_left" in summary(answer, None)
+    assert "joint type  door_left;" in summary(answer, None)
     write_plan(answer.plan, tmp_path / "plan.json")
     assert verify_files(tmp_path / "plan.json").valid
     plan, again, _ = open_plan(tmp_path / "plan.json", None, None, "to execute")
@@ -230,9 +231,9 @@ def test_where_the_likeliest_way_has_no_plan_the_next_is_planned_verified_and_ca
 
 
 @pytest.mark.slow
-def test_a_run_goes_on_to_the_next_way_where_the_likeliest_has_no_plan(tmp_path: Path) -> None:
+def test_a_run_skips_a_hypothesis_without_a_plan(tmp_path: Path) -> None:
     odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
-    guessed = room(tmp_path / "guessed", odds, post=FAR)
+    guessed = room(tmp_path / "guessed", odds, post=BLOCKS_ONE)
     stuck = room(tmp_path / "stuck", (("door_right", 1.0),), turn=0.01)
     robot = load_robot("segway_ur5e")
     task = make_task(guessed, "open", "cupboard", "drawer_slide")
@@ -242,7 +243,7 @@ def test_a_run_goes_on_to_the_next_way_where_the_likeliest_has_no_plan(tmp_path:
     assert record.kinds == ("drawer", "door_left")
 
 
-def test_where_no_way_has_a_plan_the_answer_is_about_the_likeliest(guessed: Scene) -> None:
+def test_if_no_hypothesis_has_a_plan_the_error_is_that_of_the_most_probable(guessed: Scene) -> None:
     task = make_task(guessed, "open", "cupboard", "door_hinge")
     asked = list[str]()
 
@@ -251,7 +252,7 @@ def test_where_no_way_has_a_plan_the_answer_is_about_the_likeliest(guessed: Scen
         raise TaskError(f"no hand holds a {asked[-1]}")
 
     with pytest.raises(TaskError, match="no hand holds a door_right"):
-        ask_in_turn(guessed, task, refuse)
-    assert asked == [kind for kind, share in ALL if share >= PROBABLE]
+        plan_by_hypothesis(guessed, task, refuse)
+    assert asked == [kind for kind, share in ALL if share >= MIN_PROBABILITY]
     likely = guessed.object("cupboard").hypotheses["door_hinge"]
     assert len(asked) == len(likely)

@@ -1,4 +1,4 @@
-"""Laws of what a robot tries next where a motion failed."""
+"""Laws of the recovery from a failed motion."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.navigation.drive_record import DriveRecord
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.task_setup import NO_OTHER_GRASP
 from momapos.simulation.config import ExecutionConfig
-from momapos.simulation.joint_estimate import Axis, Learned
+from momapos.simulation.joint_estimate import Axis, LearnedPart
 from momapos.simulation.simulation import Simulation
 from momapos.workflows.recovery import (
-    OTHER_ANGLE,
-    OTHER_POSITION,
-    arm_way_home,
+    MIN_GRASP_ANGLE,
+    MIN_GRASP_DISTANCE,
+    arm_home_path,
     believed_scene,
-    falls_shut,
+    falls_closed,
     grasp_in_part,
     other_grasps,
-    taken_as_felt,
+    with_estimated_joint,
     without_pushes,
 )
 from momapos.workflows.run import run_plan
@@ -65,27 +64,29 @@ def test_another_grasp_at_the_same_base_pose_differs_from_the_one_that_failed(
     failed = grasp_in_part(kitchen, plan.task, plan.motion)
     others = other_grasps(kitchen, plan.task, [failed])
     found = check_base_pose(
-        kitchen, robot, plan.task, plan.base_pose, Everywhere(), how_far=False, grasp_filter=others
+        kitchen, robot, plan.task, plan.base_pose, Everywhere(), how_far=False, keep_grasps=others
     )
     assert found.motion is not None, found.reason
     other = grasp_in_part(kitchen, plan.task, found.motion)
     away = np.linalg.norm(other[:3, 3] - failed[:3, 3])
-    assert away > OTHER_POSITION or rotation_angle(other[:3, :3], failed[:3, :3]) > OTHER_ANGLE
+    assert (
+        away > MIN_GRASP_DISTANCE or rotation_angle(other[:3, :3], failed[:3, :3]) > MIN_GRASP_ANGLE
+    )
 
 
-def test_where_no_grasp_is_left_the_answer_says_so(
+def test_if_no_other_grasp_is_left_the_reason_states_it(
     kitchen: Scene, robot: Robot, plan: PlacementPlan
 ) -> None:
     assert plan.base_pose is not None
     found = check_base_pose(
         kitchen, robot, plan.task, plan.base_pose, Everywhere(), how_far=False,
-        grasp_filter=lambda motion: np.zeros(len(motion.Ts_world_tool), bool),
+        keep_grasps=lambda motion: np.zeros(len(motion.Ts_world_tool), bool),
     )  # fmt: skip
     assert found.motion is None
     assert NO_OTHER_GRASP in found.reason
 
 
-def test_the_believed_room_has_the_part_where_the_hand_left_it(kitchen: Scene) -> None:
+def test_the_believed_scene_has_the_part_where_the_hand_left_it(kitchen: Scene) -> None:
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     offset = np.array([0.01, -0.02, 0.005])
     believed = believed_scene(kitchen, task, 0.7, offset)
@@ -99,7 +100,7 @@ def test_the_believed_room_has_the_part_where_the_hand_left_it(kitchen: Scene) -
 
 
 def door_points(room: Scene, task: Task, value: float) -> np.ndarray:
-    """Corners of a task's part in the world at a value of its joint."""
+    """Return the vertices of a task's part in the world at a joint value."""
     assert task.joint is not None
     item = room.object(task.object)
     poses = item.link_poses({task.joint: value})
@@ -108,7 +109,7 @@ def door_points(room: Scene, task: Task, value: float) -> np.ndarray:
 
 
 def hinge(room: Scene, task: Task) -> Axis:
-    """The joint of a task's part in the world."""
+    """Return the joint of a task's part in the world."""
     assert task.joint is not None
     item = room.object(task.object)
     joint = item.model.joint(task.joint)
@@ -119,9 +120,7 @@ def hinge(room: Scene, task: Task) -> Axis:
 @pytest.mark.parametrize(
     ("thing", "joint"), [("fridge", "door_hinge"), ("cabinet_right", "drawer_top_slide")]
 )
-def test_a_part_is_taken_to_move_about_the_joint_that_the_hand_found(
-    kitchen: Scene, thing: str, joint: str
-) -> None:
+def test_a_part_moves_about_the_measured_joint(kitchen: Scene, thing: str, joint: str) -> None:
     task = make_task(kitchen, "open", thing, joint)
     modeled = hinge(kitchen, task)
     lean = rotation_of(np.array([0.03, 0.05, 0.0]))
@@ -132,55 +131,55 @@ def test_a_part_is_taken_to_move_about_the_joint_that_the_hand_found(
     )
     assert task.to is not None
     sign = np.sign(task.to)
-    room, same, value = taken_as_felt(kitchen, task, found, 0.5 * task.to)
+    room, same, value = with_estimated_joint(kitchen, task, found, 0.5 * task.to)
     assert same.to == pytest.approx(abs(task.to))
     assert value == pytest.approx(0.5 * abs(task.to))
-    shut = door_points(kitchen, task, 0.0)
-    np.testing.assert_allclose(door_points(room, same, 0.0), shut, atol=1e-6)
-    expected = apply(found.moved(sign * value), shut)
+    closed = door_points(kitchen, task, 0.0)
+    np.testing.assert_allclose(door_points(room, same, 0.0), closed, atol=1e-6)
+    expected = apply(found.moved(sign * value), closed)
     np.testing.assert_allclose(door_points(room, same, value), expected, atol=1e-6)
 
 
-def test_a_grasp_is_the_same_whatever_its_part_is_taken_to_move_about(
-    kitchen: Scene, plan: PlacementPlan
-) -> None:
+def test_a_grasp_does_not_depend_on_the_believed_joint(kitchen: Scene, plan: PlacementPlan) -> None:
     assert plan.motion is not None
     axis = hinge(kitchen, plan.task)
-    other, _, _ = taken_as_felt(kitchen, plan.task, axis.shifted(np.array([0.1, 0.0, 0.2])), 0.1)
+    other, _, _ = with_estimated_joint(
+        kitchen, plan.task, axis.shifted(np.array([0.1, 0.0, 0.2])), 0.1
+    )
     before = grasp_in_part(kitchen, plan.task, plan.motion)
     np.testing.assert_allclose(grasp_in_part(other, plan.task, plan.motion), before, atol=1e-6)
 
 
 @pytest.mark.parametrize(("lean", "falls"), [(0.08, True), (0.0, False), (-0.08, False)])
-def test_a_door_falls_shut_where_its_hinge_leans_so_that_opening_lifts_it(
+def test_a_door_falls_closed_if_its_hinge_leans_so_that_opening_lifts_it(
     kitchen: Scene, lean: float, *, falls: bool
 ) -> None:
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     modeled = hinge(kitchen, task)
     assert task.to is not None
-    shut = door_points(kitchen, task, 0.0).mean(0)
-    way = np.sign(task.to) * modeled.way_at(shut)
-    arm = shut - modeled.point
-    # About the door's own level line the hinge leans, so that its edge rises or sinks as it opens.
+    closed = door_points(kitchen, task, 0.0).mean(0)
+    way = np.sign(task.to) * modeled.way_at(closed)
+    arm = closed - modeled.point
+    # Tilt the hinge about the door's horizontal line, so that opening lifts or lowers its edge.
     across = arm - (arm @ modeled.direction) * modeled.direction
     turn = rotation_of(lean * across / np.linalg.norm(across))
     tilted = replace(modeled, direction=turn @ modeled.direction)
-    if lean and (np.sign(task.to) * tilted.way_at(shut)[2] > 0.0) != (lean > 0.0):
+    if lean and (np.sign(task.to) * tilted.way_at(closed)[2] > 0.0) != (lean > 0.0):
         turn = rotation_of(-lean * across / np.linalg.norm(across))
         tilted = replace(modeled, direction=turn @ modeled.direction)
     assert abs(way[2]) < 1e-6
-    learned = Learned(0.5 * task.to, tilted, np.zeros(3), (shut,))
-    assert falls_shut(kitchen, task, learned) is falls
+    learned = LearnedPart(0.5 * task.to, tilted, np.zeros(3), (closed,))
+    assert falls_closed(kitchen, task, learned) is falls
 
 
-def test_without_pushes_no_motion_lets_go_and_takes_hold_again() -> None:
+def test_without_pushes_only_the_push_family_is_removed() -> None:
     config = without_pushes(CONFIG)
     assert "push" in CONFIG.motion.grasps.families
     assert "push" not in config.motion.grasps.families
     assert replace(config, motion=CONFIG.motion) == CONFIG
 
 
-def test_the_arm_finds_home_from_a_grasp_with_the_drawer_half_open(
+def test_the_arm_has_a_path_home_from_a_half_open_drawer(
     kitchen: Scene, robot: Robot, plan: PlacementPlan
 ) -> None:
     assert plan.base_pose is not None
@@ -188,7 +187,7 @@ def test_the_arm_finds_home_from_a_grasp_with_the_drawer_half_open(
     half = len(plan.motion.q) // 2
     value, q = float(plan.motion.object_q[half]), plan.motion.q[half]
     believed = believed_scene(kitchen, plan.task, value, np.zeros(3))
-    way = arm_way_home(
+    way = arm_home_path(
         believed, robot, plan.task, np.array(plan.base_pose), q, config=CONFIG, seed=0
     )
     assert way is not None
@@ -198,7 +197,7 @@ def test_the_arm_finds_home_from_a_grasp_with_the_drawer_half_open(
 
 
 @pytest.mark.slow
-def test_where_the_hand_loses_its_hold_another_grasp_does_the_task(
+def test_after_a_lost_grasp_another_grasp_does_the_task(
     kitchen: Scene, robot: Robot, plan: PlacementPlan
 ) -> None:
     worlds: list[Simulation] = []
@@ -218,8 +217,8 @@ def test_where_the_hand_loses_its_hold_another_grasp_does_the_task(
         )  # fmt: skip
 
     record = run_plan(
-        plan, kitchen, robot, Everywhere(), config=CONFIG, go=stand_there, watch=weaken_the_first,
-        physics=ExecutionConfig(),
+        plan, kitchen, robot, Everywhere(), config=CONFIG, driver=stand_there,
+        watch=weaken_the_first, physics=ExecutionConfig(),
     )  # fmt: skip
     assert len(record.failed) == 1
     assert not record.failed[0].success
@@ -228,14 +227,14 @@ def test_where_the_hand_loses_its_hold_another_grasp_does_the_task(
     assert record.execution.start == pytest.approx(0.0)
 
 
-def test_an_arm_with_a_telescope_finds_home_in_all_its_joints(kitchen: Scene) -> None:
+def test_the_path_home_of_a_telescopic_arm_has_all_its_joints(kitchen: Scene) -> None:
     stretch = load_robot("stretch")
     task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
     home = stretch.chain.joint_values(stretch.home)
     away = stretch.home.copy()
     away[1] += 0.1
     base = np.array([1.9, -1.6, 1.5708])
-    way = arm_way_home(
+    way = arm_home_path(
         kitchen, stretch, task, base, stretch.chain.joint_values(away), config=CONFIG, seed=0
     )
     assert way is not None
@@ -243,12 +242,12 @@ def test_an_arm_with_a_telescope_finds_home_in_all_its_joints(kitchen: Scene) ->
     assert np.allclose(way[-1], home)
 
 
-def test_base_poses_of_an_arm_of_few_joints_are_answered(kitchen: Scene) -> None:
+def test_base_poses_of_an_arm_with_few_joints_can_be_checked(kitchen: Scene) -> None:
     task = make_task(kitchen, "open", "fridge", "door_hinge", 0.2)
     stretch = load_robot("stretch")
-    there, beside = (
+    feasible, infeasible = (
         check_base_pose(kitchen, stretch, task, pose, Everywhere(), how_far=False)
         for pose in ((0.4, -1.3, np.pi), (0.7, -1.0, np.pi))
     )
-    assert there.motion is not None
-    assert beside.reason == "out of reach at the pre-grasp"
+    assert feasible.motion is not None
+    assert infeasible.reason == "out of reach at the pre-grasp"

@@ -1,4 +1,4 @@
-"""A kitchen is rendered, scanned, made into a scene, and opened."""
+"""A rendered kitchen is scanned and modeled, and its doors are opened."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from momapos.workflows.solve import ScanTask, solve_scan
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scan of a built-in kitchen in a folder."""
+    """Return a folder with a scan of a built-in kitchen."""
     path = tmp_path_factory.mktemp("scan") / "kitchen"
     kitchen = load_scene("kitchen_small")
     write_scan(synthetic_scan(kitchen, frames=40, seed=3, sensor=DepthSensor()), path)
@@ -79,7 +79,7 @@ def nearest(made: Modeled, box: UprightBox) -> str:
 
 
 def same_door(made: Modeled, folder: Path) -> tuple[str, str, float]:
-    """The fridge of the scan, its door that is the true one, and how far its handle strays [m]."""
+    """Return the scanned fridge, its true door, and the error of its handle path [m]."""
     truth, scene = load_scene("kitchen_small"), load_scene(str(made.scene))
     name = nearest(made, true_fridge(folder))
     ours = apply(made.T_scene_scan, hand_path(truth, "fridge", "door_hinge", np.pi / 2))
@@ -92,12 +92,12 @@ def same_door(made: Modeled, folder: Path) -> tuple[str, str, float]:
     return name, door, gaps[door]
 
 
-def test_the_fridge_of_a_scan_opens_where_the_true_one_does(made: Modeled, folder: Path) -> None:
+def test_the_scanned_fridge_opens_like_the_true_one(made: Modeled, folder: Path) -> None:
     _, _, gap = same_door(made, folder)
     assert gap < 0.06
 
 
-def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
+def test_a_robot_opens_the_fridge_in_the_scene_of_a_scan(
     made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     name, door, _ = same_door(made, folder)
@@ -115,7 +115,7 @@ def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
         pytest.param("fridge", "fridge", {"door_right"}, marks=pytest.mark.slow),
     ],
 )
-def test_an_appliance_whose_front_returns_no_depth_is_completed_and_told(
+def test_an_appliance_front_without_depth_is_completed_and_reported(
     scan: Scan, tools: Tools, thing: str, label: str, kinds: set[str], tmp_path: Path
 ) -> None:
     low, high = load_scene("kitchen_small").object(thing).bounds
@@ -139,12 +139,12 @@ def test_an_appliance_whose_front_returns_no_depth_is_completed_and_told(
     assert found.detection.seen is not None
     assert found.detection.seen < 0.2
     assert {part.kind for part in found.parts} == kinds
-    assert any("no depth" in text and name in text for text in found.warnings)
+    assert any("depth is missing" in text and name in text for text in found.warnings)
     told = next(o for o in report_to_dict(made, scan, None)["objects"] if o["name"] == name)
     assert told["completed"] == pytest.approx(found.detection.completed, abs=1e-3)
 
 
-def test_only_what_matters_for_the_target_is_modeled(
+def test_only_objects_that_matter_for_the_target_are_modeled(
     made: Modeled, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
 ) -> None:
     target = nearest(made, true_fridge(folder))
@@ -161,7 +161,7 @@ def test_only_what_matters_for_the_target_is_modeled(
     assert not (tmp_path / "other.json").exists()
 
 
-def test_boxes_that_someone_gives_are_taken_and_given_models_too(
+def test_given_boxes_and_models_are_used(
     scan: Scan, tools: Tools, folder: Path, tmp_path: Path
 ) -> None:
     box = true_fridge(folder)
@@ -178,7 +178,7 @@ def test_boxes_that_someone_gives_are_taken_and_given_models_too(
 
 
 @pytest.mark.slow
-def test_what_a_thing_is_may_be_seen_said_or_pointed_at(
+def test_a_target_may_be_labeled_by_images_or_user_or_pointed_at(
     scan: Scan, tools: Tools, made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     fridge = true_fridge(folder)
@@ -211,7 +211,7 @@ def test_what_a_thing_is_may_be_seen_said_or_pointed_at(
     assert (item.label_from, item.score) == ("given", 1.0)
 
 
-def test_how_a_doubtful_part_opens_is_told_by_a_label_that_is_believed(
+def test_a_confident_label_determines_how_an_ambiguous_part_opens(
     seen: Survey, tools: Tools, folder: Path
 ) -> None:
     def doubtful(face: FaceImage, label: str) -> Front:
@@ -242,12 +242,12 @@ def test_how_a_doubtful_part_opens_is_told_by_a_label_that_is_believed(
     assert {part.kind for part in parts} == {"door_left"}  # nothing slides above the eyes
 
 
-def test_how_sure_a_scan_is_stands_in_its_scene(made: Modeled) -> None:
+def test_a_scene_has_the_confidences_of_its_scan(made: Modeled) -> None:
     scene = load_scene(str(made.scene))
     assert scene.warnings == ()
     for decision in made.decisions:
         sure = scene.object(decision.detection.name).confidence
-        if decision.reason == "a wall":
+        if decision.reason == "wall":
             assert sure is None
             continue
         assert sure is not None
@@ -258,7 +258,7 @@ def test_how_sure_a_scan_is_stands_in_its_scene(made: Modeled) -> None:
         assert all(0 < value <= 1 for value in (*sure.joints.values(), *sure.handles.values()))
 
 
-def test_the_report_says_why_everything_is_what_it_is(
+def test_the_report_gives_a_reason_for_every_object(
     made: Modeled, scan: Scan, tmp_path: Path
 ) -> None:
     data = report_to_dict(made, scan, None)
@@ -276,12 +276,12 @@ def test_the_report_says_why_everything_is_what_it_is(
 
 def test_an_empty_room_is_refused(scan: Scan, tools: Tools, tmp_path: Path) -> None:
     nothing = replace(tools, segment=lambda _: [])
-    with pytest.raises(InputError, match="nothing was found"):
+    with pytest.raises(InputError, match="no object was found"):
         scan_to_scene(scan, tmp_path / "scene.json", nothing)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_prints_one_object_of_json(
+def test_the_command_prints_one_json_object(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "scene.json"
@@ -311,7 +311,7 @@ def test_the_command_prints_one_object_of_json(
         (["SCAN", "--target", "frigde"], "frigde"),
     ],
 )
-def test_wrong_words_end_in_one_line(
+def test_wrong_options_are_refused_in_one_line(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
 ) -> None:
     given = [str(folder) if word == "SCAN" else word for word in words]
@@ -324,7 +324,7 @@ def test_wrong_words_end_in_one_line(
 
 
 @pytest.mark.slow
-def test_what_fails_is_asked_again_with_more_of_the_scan_until_all_is_modeled(
+def test_a_failed_task_is_replanned_with_more_objects_until_all_are_modeled(
     made: Modeled, scan: Scan, tools: Tools, tmp_path: Path
 ) -> None:
     looks = 0
@@ -354,7 +354,7 @@ def test_what_fails_is_asked_again_with_more_of_the_scan_until_all_is_modeled(
     assert looks == all_at_once  # nothing is looked at twice
 
 
-def test_one_command_leads_from_a_scan_to_an_opened_door(
+def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, door, _ = same_door(made, folder)
@@ -377,11 +377,11 @@ def test_one_command_leads_from_a_scan_to_an_opened_door(
 
 
 @pytest.mark.slow
-def test_what_the_scan_does_not_show_is_one_line(
+def test_a_target_that_the_scan_does_not_show_is_refused_in_one_line(
     made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     box = next(d.detection.name for d in made.decisions if d.looked and d.view is None)
-    for target, told in ((box, "no door or drawer as far as the scan shows"), ("frigde", "mean")):
+    for target, told in ((box, "no door or drawer was found"), ("frigde", "mean")):
         words = ["solve", str(folder), "open", target, "--out", str(tmp_path / "solved")]
         assert main(words) == 2
         said = capsys.readouterr().err
@@ -390,7 +390,7 @@ def test_what_the_scan_does_not_show_is_one_line(
 
 
 @pytest.mark.slow
-def test_a_door_that_stands_open_in_a_second_scan_tells_how_it_moves(
+def test_a_door_that_is_open_in_a_second_scan_gets_the_observed_joint(
     scan: Scan, tools: Tools, seen: Survey, made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     kitchen = load_scene("kitchen_small").with_joint("fridge", "door_hinge", np.radians(60.0))
@@ -417,5 +417,5 @@ def test_a_door_that_stands_open_in_a_second_scan_tells_how_it_moves(
     near = later.points[:, 0] < np.median(later.points[:, 0])
     bare = Cloud(later.points[near], later.normals[near], later.colors[near])
     other = Cloud(0.6 * bare.points, later.normals[: len(bare.points)], bare.colors)
-    with pytest.raises(InputError, match="elsewhere: the two scans are not of one room"):
+    with pytest.raises(InputError, match="elsewhere: the two scans do not show the same room"):
         cloud_after(Scan("elsewhere", (), other), seen, ScanConfig())

@@ -1,4 +1,4 @@
-"""What every package needs: errors, units, files, caches, geometry and compiled kernels."""
+"""Utilities for all packages: errors, units, files, caches, geometry and compiled kernels."""
 
 import lazy_loader
 

@@ -1,8 +1,19 @@
+from .arguments import as_path as as_path
+from .arguments import check_fields as check_fields
+from .arguments import expect as expect
+from .arguments import expect_callable as expect_callable
+from .arguments import finite_array as finite_array
+from .arguments import finite_number as finite_number
+from .arguments import one_of as one_of
+from .arguments import refuse_below as refuse_below
+from .arguments import shown as shown
+from .arguments import whole_number as whole_number
 from .cache import Cache as Cache
 from .cache import content_key as content_key
 from .cache import default_cache_dir as default_cache_dir
 from .cache import user_cache as user_cache
 from .cache import write_atomic as write_atomic
+from .equality import compare_by_content as compare_by_content
 from .errors import FileFormatError as FileFormatError
 from .errors import InputError as InputError
 from .errors import MomaposError as MomaposError
@@ -12,7 +23,6 @@ from .errors import TaskError as TaskError
 from .errors import UnknownNameError as UnknownNameError
 from .errors import UrdfError as UrdfError
 from .errors import one_line as one_line
-from .errors import refuse_below as refuse_below
 from .errors import require as require
 from .errors import unknown_name as unknown_name
 from .files import check_outputs as check_outputs

@@ -1,7 +1,7 @@
-"""A folder of results that are dear to compute, each under a key made from what it came from.
+"""A folder that caches expensive results under keys made from their inputs.
 
-Entries carry a checksum and are written in one step, so that a file that is damaged, cut short or
-foreign is never taken for a result, and two processes may use one folder at once.
+Entries carry a checksum and are written atomically. So damaged, truncated or foreign files are
+never used, and several processes may share a folder.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
 
 def default_cache_dir() -> Path:
-    """Where results are kept: $MOMAPOS_CACHE, else `momapos` in the user's cache folder (XDG)."""
+    """Return $MOMAPOS_CACHE, or `momapos` in the user's cache folder (XDG)."""
     if folder := os.environ.get("MOMAPOS_CACHE"):
         return Path(folder).expanduser()
     home = os.environ.get("XDG_CACHE_HOME")
@@ -39,8 +39,8 @@ def content_key(*parts: object) -> str:
     """Hash values into a key of 32 hexadecimal digits.
 
     Args:
-        parts: bytes and arrays by content, all else by `repr`, so that numbers, texts, tuples and
-            frozen records of these can be given.
+        parts: Bytes and arrays, hashed by content; other values, such as numbers, strings, tuples
+            and frozen records of these, by `repr`.
     """
     digest = hashlib.sha256()
     for part in parts:
@@ -58,12 +58,7 @@ def content_key(*parts: object) -> str:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file so that readers see the old content or the new, never a part.
-
-    Args:
-        path: The file; its folder is made if it does not exist.
-        data: The content.
-    """
+    """Write a file atomically, creating its folder: readers see the old or the new content."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.")
     temporary = Path(name)
@@ -72,7 +67,7 @@ def write_atomic(path: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        # mkstemp lets only the owner read; a result is as readable as any file of the user.
+        # mkstemp grants only the owner access; use the permissions of the user's other files.
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
@@ -90,45 +85,45 @@ class Cache:
         self.folder = folder
 
     def path(self, key: str) -> Path:
-        """File of an entry.
+        """Return the file of an entry.
 
         Raises:
-            ValueError: The key could not be a file name everywhere.
+            ValueError: The key is not a portable file name.
         """
         if not _KEY.fullmatch(key):
             raise ValueError(f"cache key {key!r} must be letters, digits, '.', '_' and '-'")
         return self.folder / key
 
     def get(self, key: str) -> bytes | None:
-        """Content of an entry, or None where there is none that is whole."""
+        """Return the content of an entry, or None if it is missing or damaged."""
         path = self.path(key)
         if not path.exists():
             return None
         try:
             data = read_bytes_bounded(path, MAX_ENTRY_BYTES)
         except FileFormatError as error:
-            log.warning("%s; ignored", error)
+            log.warning("ignoring a cache entry: %s", error)
             return None
         head = len(_MAGIC) + 32
         body = data[head:]
         whole = data.startswith(_MAGIC) and data[len(_MAGIC) : head] == _digest(key, body)
         if not whole:
-            log.warning("%s: damaged or foreign, ignored", path)
+            log.warning("%s: ignoring a damaged or foreign cache entry", path)
             return None
         return body
 
     def put(self, key: str, data: bytes) -> Path:
-        """Keep an entry, in place of an older one; returns its file."""
+        """Store an entry, replacing an older one; return its file."""
         path = self.path(key)
         write_atomic(path, _MAGIC + _digest(key, data) + data)
         return path
 
 
 def user_cache() -> Cache:
-    """The cache in the default folder."""
+    """Return the cache in the default folder."""
     return Cache(default_cache_dir())
 
 
 def _digest(key: str, data: bytes) -> bytes:
-    """Checksum over key and content: a file renamed to another key is foreign there."""
+    """Return a checksum of key and content, so that a renamed file does not match."""
     return hashlib.sha256(key.encode() + b"\n" + data).digest()

@@ -1,13 +1,12 @@
-"""The errors that momapos raises on purpose.
+"""Errors that momapos raises for unusable input.
 
-Every one of them says in one line what is wrong, where, and what would be right.
-The command line prints that line and exits with status 2.
+Each message is one line: what is wrong, where, and what would be right. The command line prints it
+and exits with status 2.
 """
 
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Literal
@@ -15,102 +14,106 @@ from typing import Literal
 Extra = Literal[
     "bench", "film", "kitchens", "parquet", "physics", "scan", "torch", "usd", "view", "xacro"
 ]  # fmt: skip
-"""The extras of the package, each with the packages that one kind of work needs."""
+"""Names of the package's extras."""
+REQUIREMENTS: dict[Extra, tuple[str, ...]] = {
+    "bench": ("distributed>=2024.8",),
+    "film": ("av>=14",),
+    "kitchens": ("scene-synthesizer>=1.0",),
+    "parquet": ("pyarrow>=15",),
+    "physics": ("mujoco>=3.10", "pillow>=10.1"),
+    "scan": ("onnxruntime>=1.18", "pillow>=10", "rosbags>=0.10"),
+    "torch": ("torch>=2.10,<2.14",),
+    "usd": ("usd-core>=25.5",),
+    "view": ("viser>=1.1",),
+    "xacro": ("xacrodoc>=2.0",),
+}
+"""Packages of each extra, as in pyproject.toml."""
 
-LONGEST = 500
-"""Messages have at most so many characters; what is cut is the middle."""
+MAX_MESSAGE_LENGTH = 500
+"""Largest number of characters in a message; longer ones lose their middle [-]."""
 
 
 def one_line(text: str) -> str:
-    """A message as one line that a terminal can show: no control characters, not endless."""
-    if len(text) > 8 * LONGEST:  # what a file says may be millions of characters
-        text = f"{text[: 4 * LONGEST]} ... {text[-4 * LONGEST :]}"
+    """Convert a message to one printable line of limited length."""
+    longest = MAX_MESSAGE_LENGTH
+    if len(text) > 8 * longest:  # text quoted from a file may have millions of characters
+        text = f"{text[: 4 * longest]} ... {text[-4 * longest :]}"
     text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
-    if len(text) <= LONGEST:
+    if len(text) <= longest:
         return text
-    return f"{text[: LONGEST * 3 // 5]} ... {text[-LONGEST // 3 :]}"
+    return f"{text[: longest * 3 // 5]} ... {text[-longest // 3 :]}"
 
 
 class MomaposError(Exception):
-    """Base of all errors raised on purpose; its message is one line, whatever it quotes."""
+    """Base class of momapos errors; its message is always one line."""
 
     def __str__(self) -> str:
         return one_line(super().__str__())
 
 
 class InputError(MomaposError):
-    """Something given from outside cannot be used."""
+    """Unusable input."""
 
 
 class FileFormatError(InputError):
-    """A file is missing, unreadable, of the wrong format or version, or damaged."""
+    """A file is missing, unreadable, damaged, or of the wrong format or version."""
 
 
 class UrdfError(FileFormatError):
-    """A URDF cannot be used: malformed, hostile, or not a tree."""
+    """A URDF is unusable: malformed, malicious, or not a tree."""
 
 
 class SceneError(InputError):
-    """A scene contradicts itself, or does not hold what is asked for."""
+    """A scene is inconsistent or does not contain what was requested."""
 
 
 class RobotError(InputError):
-    """A robot file contradicts itself or its URDF."""
+    """A robot file is inconsistent with itself or with its URDF."""
 
 
 class TaskError(InputError):
-    """A task cannot be asked of this scene and robot."""
+    """A task does not fit the scene or the robot."""
 
 
 class UnknownNameError(InputError):
-    """A name that does not exist; the message offers the nearest ones."""
+    """A name does not exist; the message suggests similar ones."""
 
 
 class MissingExtraError(MomaposError):
-    """An optional package is not installed; the message names the extra."""
-
-
-def refuse_below(config: object, least: float, *names: str) -> None:
-    """Refuse fields of a configuration that are less than something, or no finite number.
-
-    Raises:
-        InputError: One is; the message names its option.
-    """
-    for name in names:
-        value = getattr(config, name)
-        if not least <= value < math.inf:
-            raise InputError(
-                f"--{name.replace('_', '-')} must be at least {least:g}, not {value:g}"
-            )
+    """An optional package is not installed; the message tells how to install it."""
 
 
 @contextmanager
 def require(extra: Extra) -> Iterator[None]:
-    """Import packages that an extra brings, as in `with require("scan"): import PIL`.
+    """Guard the import of an extra's packages, as in `with require("scan"): import PIL`.
 
     Raises:
-        MissingExtraError: One of them is not installed; the message says how to get it.
+        MissingExtraError: A package is not installed; the message tells how to install it.
     """
     try:
         yield
     except ImportError as error:
         name = error.name.partition(".")[0] if error.name else "a package"
-        raise MissingExtraError(
-            f"{name} is not installed; pip install 'momapos[{extra}]'"
-        ) from error
+        raise MissingExtraError(f"{name} is not installed; {install_hint(extra)}") from error
+
+
+def install_hint(extra: Extra) -> str:
+    """Return the command that installs the packages of an extra."""
+    names = (
+        f"'{requirement}'" if "<" in requirement else requirement.partition(">")[0]
+        for requirement in REQUIREMENTS[extra]
+    )
+    return f"pip install {' '.join(names)}"
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> UnknownNameError:
-    """Build the error for a name that does not exist.
+    """Build an error for a name that does not exist; its message suggests similar names.
 
     Args:
-        kind: What is named, e.g. "object".
-        name: The name that was given.
-        known: The names that exist.
+        kind: Kind of the named item, e.g. "object".
+        name: The unknown name.
+        known: Existing names.
         where: Where they exist, e.g. "scene kitchen".
-
-    Returns:
-        An error whose message lists the nearest names first.
     """
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.4)

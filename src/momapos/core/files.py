@@ -1,4 +1,4 @@
-"""Reading files that come from strangers, and knowing beforehand where a result can go."""
+"""Read untrusted files safely, and check early that results can be written."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 
 
 _CHUNK = 1 << 20
-"""Read at once [bytes]; of a read, Python makes the whole buffer at once."""
+"""Size of one read; Python allocates the whole buffer of a read in advance [bytes]."""
 
 
 def open_regular(
     path: Path, limit: int | None = None, *, error: type[MomaposError] = FileFormatError
 ) -> BinaryIO:
-    """Open a file for reading, if it is one: no folder, fifo, socket or device.
+    """Open a regular file for reading; reject folders, fifos, sockets and devices.
 
     Args:
         path: The file; links are followed.
-        limit: Largest size [bytes]; any where None.
-        error: What to raise.
+        limit: Largest size [bytes]; None for no limit.
+        error: Class of the error to raise.
 
     Raises:
-        MomaposError: As `error`: it does not exist, is no regular file, or is too large.
+        MomaposError: As `error`: the file does not exist, is not regular, or is too large.
     """
     try:
-        # Looked at before it is opened: opening a fifo waits, opening a device may act on it.
+        # Check before opening: opening a fifo blocks, opening a device may have side effects.
         _refuse_special(os.stat(path), path, limit, error)
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except FileNotFoundError as missing:
@@ -40,7 +40,7 @@ def open_regular(
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror})") from reason
     except ValueError as reason:  # a NUL in the name
-        raise error(f"{str(path)!r}: is no name of a file") from reason
+        raise error(f"{str(path)!r}: not a valid file name") from reason
     try:
         _refuse_special(os.fstat(file.fileno()), path, limit, error)
     except BaseException:
@@ -52,17 +52,7 @@ def open_regular(
 def read_bytes_bounded(
     path: Path, limit: int, *, error: type[MomaposError] = FileFormatError
 ) -> bytes:
-    """Read a file that may come from a stranger.
-
-    Args:
-        path: The file; links are followed.
-        limit: Largest size [bytes].
-        error: What to raise.
-
-    Raises:
-        MomaposError: As `error`: it does not exist, is no regular file (a fifo, a device, a
-            folder), cannot be read, or is larger than the limit.
-    """
+    """Read an untrusted file; arguments and errors as for `open_regular`."""
     with open_regular(path, limit, error=error) as file:
         data = bytearray()
         try:
@@ -70,21 +60,16 @@ def read_bytes_bounded(
                 data += chunk
         except OSError as reason:
             raise error(f"{path}: cannot be read ({reason.strerror})") from reason
-    if len(data) > limit:  # it grew meanwhile
+    if len(data) > limit:  # it has grown meanwhile
         raise error(_too_large(path, limit))
     return bytes(data)
 
 
 def read_xml(path: Path, limit: int, *, error: type[MomaposError] = FileFormatError) -> Element:
-    """Read an XML file as UTF-8, whatever it declares; no DTDs, no entities.
-
-    Args:
-        path: The file.
-        limit: Largest size [bytes].
-        error: What to raise.
+    """Read an XML file as UTF-8, ignoring the declared encoding; see `parse_xml`.
 
     Raises:
-        MomaposError: As `error`: it cannot be read or is not well-formed.
+        MomaposError: As `error`: the file is unreadable, or not well-formed XML.
     """
     return parse_xml(read_text_bounded(path, limit, error=error), path, error=error)
 
@@ -92,22 +77,21 @@ def read_xml(path: Path, limit: int, *, error: type[MomaposError] = FileFormatEr
 def read_text_bounded(
     path: Path, limit: int, *, error: type[MomaposError] = FileFormatError
 ) -> str:
-    """Read a text file in UTF-8 as `read_bytes_bounded` does; what is no UTF-8 becomes U+FFFD."""
+    """Read an untrusted text file in UTF-8; invalid bytes become U+FFFD."""
     data = read_bytes_bounded(path, limit, error=error)
     return data.decode("utf-8-sig", errors="replace")
 
 
 def parse_xml(text: str, path: Path, *, error: type[MomaposError] = FileFormatError) -> Element:
-    """Parse XML; no DTDs, no entities.
+    """Parse XML without DTDs and entities.
 
     Raises:
-        MomaposError: As `error`: it is not well-formed.
+        MomaposError: As `error`: the text is not well-formed, or has a DTD.
     """
     from defusedxml import DefusedXmlException, ElementTree
 
     try:
-        # A text, not bytes: a declared encoding is then passed over, which may be one that
-        # Python does not know.
+        # Pass text, not bytes: Python may not know the declared encoding.
         root: Element = ElementTree.fromstring(text, forbid_dtd=True)
     except DefusedXmlException as reason:
         raise error(f"{path}: DTDs and entities are not allowed") from reason
@@ -122,31 +106,30 @@ def _refuse_special(
     if stat.S_ISDIR(status.st_mode):
         raise error(f"{path}: is a folder, not a file")
     if not stat.S_ISREG(status.st_mode):
-        raise error(f"{path}: is a fifo, a socket or a device; give a regular file")
+        raise error(f"{path}: is a fifo, socket or device; give a regular file")
     if limit is not None and status.st_size > limit:
         raise error(_too_large(path, limit))
 
 
 def _too_large(path: Path, limit: int) -> str:
-    return f"{path}: larger than such a file can be ({limit / 1e6:g} MB)"
+    return f"{path}: larger than the limit of {limit / 1e6:g} MB"
 
 
 def check_outputs(files: Sequence[Path | None] = (), folders: Sequence[Path | None] = ()) -> None:
-    """Make sure that results can be written, before the work that makes them.
+    """Check that results can be written, before computing them.
 
     Args:
-        files: Files that will be written, made or replaced; None is passed over.
-        folders: Folders that files will be written into, which need not exist yet.
+        files: Files to write or replace; None is skipped.
+        folders: Folders to write into; they need not exist.
 
     Raises:
-        InputError: A file is a folder or the other way round, or its folder cannot be made or
-            written to; the message says which.
+        InputError: A file is a folder or vice versa, or a folder cannot be created or written to.
     """
     for path in files:
         if path is not None:
             kind = _kind(path)
             if kind is not None and not stat.S_ISREG(kind):
-                what = "is a folder" if stat.S_ISDIR(kind) else "is no regular file"
+                what = "is a folder" if stat.S_ISDIR(kind) else "is not a regular file"
                 raise InputError(f"{path}: {what}; give the name of a file to write")
             _check_folder(path.absolute().parent, path)
     for path in folders:
@@ -155,23 +138,23 @@ def check_outputs(files: Sequence[Path | None] = (), folders: Sequence[Path | No
 
 
 def _kind(path: Path) -> int | None:
-    """Mode of what is at a path; None where nothing is."""
+    """Return the mode of a path, or None if it does not exist."""
     try:
         return os.stat(path).st_mode
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except OSError as error:  # a name too long, links in a circle
+    except OSError as error:  # the name is too long, or the links form a cycle
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
     except ValueError as error:
-        raise InputError(f"{str(path)!r}: is no name of a file") from error
+        raise InputError(f"{str(path)!r}: not a valid file name") from error
 
 
 def _check_folder(folder: Path, path: Path) -> None:
-    """Whether a folder can be written into, or made below the nearest one that exists."""
+    """Check that a folder can be written to, or created below its nearest existing parent."""
     there = folder
     while (kind := _kind(there)) is None:
         there = there.parent
     if not stat.S_ISDIR(kind):
-        raise InputError(f"{path}: cannot be written, for {there} is no folder")
+        raise InputError(f"{path}: cannot be written, {there} is not a folder")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{path}: cannot be written, for {there} may not be written to")
+        raise InputError(f"{path}: cannot be written, no write permission for {there}")

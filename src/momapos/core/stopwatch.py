@@ -1,4 +1,4 @@
-"""Processing time by stage."""
+"""Measure processing time by stage."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 Clock = Callable[[], float]
-"""Seconds from some origin; passed in, so that nothing else depends on the time of day."""
+"""Returns seconds since some origin; passed in as an argument."""
 
 
 @dataclass
 class Stopwatch:
-    """Adds up seconds by stage."""
+    """Accumulates seconds by stage."""
 
     clock: Clock
     seconds: dict[str, float] = field(default_factory=dict)
-    """Seconds spent so far, by stage [s]."""
+    """Time by stage [s]."""
     began: float = field(init=False)
-    """When it was made [s]."""
+    """Time of creation [s]."""
     _inner: float = 0.0
-    """Seconds spent so far in stages within the one that runs [s]."""
+    """Time in stages nested in the current one [s]."""
 
     def __post_init__(self) -> None:
         self.began = self.clock()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time of a block for a stage, but for that of stages within the block."""
+        """Add the time of a block to a stage, without the time of nested stages."""
         began, before, self._inner = self.clock(), self._inner, 0.0
         try:
             yield
@@ -38,10 +38,10 @@ class Stopwatch:
 
     @property
     def timing(self) -> dict[str, float]:
-        """Seconds by stage, and "total"."""
+        """Return the time by stage, and "total" [s]."""
         return {**self.seconds, "total": self.total}
 
     @property
     def total(self) -> float:
-        """Seconds since it was made [s]."""
+        """Return the time since creation [s]."""
         return self.clock() - self.began

@@ -1,4 +1,4 @@
-"""Values as people write them: 90deg, 1.2rad, 0.3m, 30cm."""
+"""Parse values with units: 90deg, 1.2rad, 0.3m, 30cm."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ from .errors import TaskError
 ANGLES = {"deg": math.pi / 180, "rad": 1.0}
 LENGTHS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 MAX = "max"
-"""What is written instead of a value to open a part as far as it can be opened."""
+"""Keyword in place of a value: open the part as far as possible."""
 EXAMPLES = "write it as 90deg, 1.2rad, 0.3m or 30cm"
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*")
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number and the unit that was written after it."""
+    """A number with an optional unit."""
 
     value: float
-    """In SI units where a unit was written, else the number as it is."""
+    """In SI units if a unit is given, otherwise the plain number."""
     unit: str
-    """As written; "" for none."""
+    """The unit as written, or ""."""
     text: str
 
     def angle(self, what: str) -> float:
-        """The value as an angle [rad].
+        """Return the value as an angle [rad].
 
         Raises:
-            TaskError: It was written as a length.
+            TaskError: The unit is a length.
         """
-        return self._of(ANGLES, what, "angle; write it as 90deg or 1.2rad")
+        return self._of(ANGLES, what, "an angle; write it as 90deg or 1.2rad")
 
     def length(self, what: str) -> float:
-        """The value as a length [m].
+        """Return the value as a length [m].
 
         Raises:
-            TaskError: It was written as an angle.
+            TaskError: The unit is an angle.
         """
-        return self._of(LENGTHS, what, "length; write it as 0.3m or 30cm")
+        return self._of(LENGTHS, what, "a length; write it as 0.3m or 30cm")
 
     def _of(self, units: dict[str, float], what: str, rule: str) -> float:
         if self.unit and self.unit not in units:
-            raise TaskError(f"{what} {self.text} is no {rule}")
+            raise TaskError(f"{what} {self.text} is not {rule}")
         return self.value
 
 
 def parse_quantity(text: str) -> Quantity:
-    """Read a number with or without a unit.
+    """Parse a number with or without a unit.
 
     Raises:
-        TaskError: It is none.
+        TaskError: The text is neither.
     """
     match = _QUANTITY.fullmatch(text)
     factors = {"": 1.0, **ANGLES, **LENGTHS}
@@ -61,4 +61,4 @@ def parse_quantity(text: str) -> Quantity:
             return Quantity(float(match[1]) * factors[match[2]], match[2], text.strip())
     except ValueError:
         match = None
-    raise TaskError(f"{text[:80]!r} is no value; {EXAMPLES}")
+    raise TaskError(f"{text[:80]!r} is not a value; {EXAMPLES}")

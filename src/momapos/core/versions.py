@@ -1,4 +1,4 @@
-"""Versions of installed packages, for the records of answers and runs."""
+"""Versions of installed packages, for the records of plans and runs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from momapos import __version__
 
 @cache
 def version_of(package: str) -> str:
-    """Version of an installed package, without importing it.
+    """Return the version of an installed package without importing it.
 
-    Most often the name of the folder that holds its metadata tells it; importlib.metadata, which
-    reads the metadata themselves, takes longer to import than many a stage of an answer.
+    Usually the name of its metadata folder contains the version. importlib.metadata, which reads
+    the metadata, is slow to import.
 
     Raises:
-        importlib.metadata.PackageNotFoundError: It is not installed.
+        importlib.metadata.PackageNotFoundError: The package is not installed.
     """
     if package == "momapos":
         return __version__

@@ -1,4 +1,4 @@
-"""Robots, scenes and plans, and the kinematics and collision kernels that work on them."""
+"""Robots, scenes and plans, with their kinematics and collision kernels."""
 
 import lazy_loader
 

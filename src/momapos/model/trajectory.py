@@ -1,33 +1,47 @@
-"""When the arm is where: a path becomes a trajectory within limits of speed and acceleration."""
+"""Time-parameterize arm paths within limits of speed and acceleration."""
 
 from __future__ import annotations
 
 import csv
 import io
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import InputError, write_atomic
+from momapos.core import (
+    InputError,
+    as_path,
+    check_fields,
+    compare_by_content,
+    expect,
+    finite_number,
+    refuse_below,
+    write_atomic,
+)
 from momapos.model.records import Motion, PlacementPlan, Verb
 from momapos.model.robots import Robot
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-CORNER = np.radians(10.0)
+MAX_CORNER_ANGLE = np.radians(10.0)
 """The arm stops where its path turns by more than this in joint space [rad]."""
-_SAME = 1e-9
-_STILL = 1e-6
-"""A tool that moves less has no limits [m]."""
+MIN_STEP = 1e-4
+"""Shortest time between samples; a plan of one minute then has 600,000 [s]."""
+MIN_SPEED = 1e-3
+"""Smallest speed, acceleration or share of one in a configuration."""
+_MIN_STATE_DISTANCE = 1e-9
+"""Nearer states count as equal [rad] or [m]."""
+_MIN_TOOL_MOTION = 1e-6
+"""A coordinate of the tool that moves less is not limited [m]."""
 _NO_LIMIT = 1e3
-"""Stands for infinity where numbers are wanted [m/s] or [m/s^2]."""
-_GRID = 400
-"""Points of a piece at which the limits are met, at least [-]."""
+"""A finite number in place of infinity [m/s] or [m/s^2]."""
+_MIN_GRID_POINTS = 400
+"""Smallest number of points per piece at which the limits hold [-]."""
 
 
 @dataclass(frozen=True)
@@ -35,58 +49,62 @@ class SpeedConfig:
     """How fast the arm moves."""
 
     approach_speed: float = 0.5
-    """Share of the joints' speed limits used on the way to the object [-]."""
+    """Share of the joints' speed limits used in the approach [-]."""
     manipulation_speed: float = 0.5
-    """Share of the joints' speed limits used while it holds the object [-]."""
+    """Share of the joints' speed limits used in the manipulation [-]."""
     tool_speed: float = 0.25
-    """Speed limit of the tool while it holds the object, as ISO 10218-1 has for hand-guided work
-    [m/s]."""
+    """Speed limit of the tool in the manipulation, as in ISO 10218-1 for hand guiding [m/s]."""
     acceleration: float = 2.0
-    """Limit for joints that turn [rad/s^2]."""
+    """Acceleration limit of revolute joints [rad/s^2]."""
     slide_acceleration: float = 0.5
-    """Limit for joints that slide [m/s^2]."""
+    """Acceleration limit of prismatic joints [m/s^2]."""
     carry_acceleration: float = 1.0
-    """Limit of the tool in each direction while it carries an object by friction [m/s^2]."""
+    """Acceleration limit of the tool along each axis while it carries an object [m/s^2]."""
     default_speed: float = 1.5
-    """Limit of joints whose URDF gives none [rad/s] or [m/s]."""
+    """Speed limit of joints without a limit in the URDF [rad/s] or [m/s]."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        refuse_below(self, MIN_SPEED, *(item.name for item in fields(self)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples at equal times, the first and the last at rest."""
+    """Samples at equal time steps; the first and last are at rest."""
 
     q: Float[np.ndarray, "t n"]
     v: Float[np.ndarray, "t n"]
     a: Float[np.ndarray, "t n"]
     state_times: Float[np.ndarray, " m"]
-    """When each state of the path is passed [s], from the first sample."""
+    """Time at which each state of the path is passed, from the first sample [s]."""
 
     def __len__(self) -> int:
         return len(self.q)
 
 
-@dataclass(frozen=True)
+@compare_by_content
+@dataclass(frozen=True, eq=False)
 class TimedTrajectory:
-    """The arm's motion of a plan over time: the approach, then the manipulation."""
+    """The arm trajectory of a plan: the approach, then the manipulation."""
 
     joints: tuple[str, ...]
     times: Float[np.ndarray, " t"]
-    """[s], from 0."""
+    """Times from 0 [s]."""
     positions: Float[np.ndarray, "t n"]
-    """[rad] or [m]"""
+    """Joint positions [rad] or [m]."""
     velocities: Float[np.ndarray, "t n"]
-    """[rad/s] or [m/s]"""
+    """Joint velocities [rad/s] or [m/s]."""
     grasp_index: int
-    """The first sample at which the gripper holds the object, or holds it no more for `place`."""
+    """First sample at which the gripper holds the object, or for `place` has released it."""
 
-    def write_csv(self, path: Path) -> None:
-        """Write a line a sample: the time [s], the positions, the velocities."""
+    def write_csv(self, path: str | Path) -> None:
+        """Write one row per sample: time [s], positions, velocities."""
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
         rows.writerow(["time", *self.joints, *(f"{name}_velocity" for name in self.joints)])
         samples = np.column_stack([self.times, self.positions, self.velocities])
         rows.writerows([f"{value:.9g}" for value in row] for row in samples.tolist())
-        write_atomic(path, text.getvalue().encode())
+        write_atomic(as_path("path", path), text.getvalue().encode())
 
 
 DEFAULT = SpeedConfig()
@@ -95,21 +113,30 @@ DEFAULT = SpeedConfig()
 def time_plan(
     plan: PlacementPlan, robot: Robot, config: SpeedConfig = DEFAULT, *, step: float = 0.02
 ) -> TimedTrajectory:
-    """Say when the arm is where: the motion of a solved plan as a trajectory.
+    """Compute the arm trajectory of a solved plan.
 
-    The arm rests at the grasp, where the gripper closes; both parts begin and end at rest.
+    Approach and manipulation each start and end at rest; in between, the gripper closes.
 
     Args:
         plan: A solved plan of this robot.
-        robot: Its joints' speed limits count.
-        config: How fast.
+        robot: The robot, with its joints' speed limits.
+        config: Speed and acceleration limits.
         step: Time between samples [s].
 
     Raises:
-        InputError: The plan is not solved, or no trajectory keeps the limits.
+        InputError: The plan is not solved or not for this robot, or the limits cannot be met.
     """
+    expect("plan", plan, PlacementPlan, "read_plan reads one")
+    expect("robot", robot, Robot, "load_robot reads one")
+    expect("config", config, SpeedConfig)
+    step = finite_number("step", step, MIN_STEP, 1.0)
     if plan.motion is None:
-        raise InputError(f"the plan is {plan.status!r}: it holds no motion to be timed")
+        raise InputError(f"plan must be solved, but its status is {plan.status!r}")
+    if plan.joints != robot.moved_joints:
+        raise InputError(
+            f"plan is for {plan.robot_name} with joints {', '.join(plan.joints)}, not for robot "
+            f"{robot.name}"
+        )
     approach, manipulation = time_motion(robot, plan.motion, config, step, verb=plan.task.verb)
     return TimedTrajectory(
         joints=robot.moved_joints,
@@ -123,7 +150,7 @@ def time_plan(
 def with_times(
     plan: PlacementPlan, robot: Robot, config: SpeedConfig = DEFAULT, *, step: float = 0.02
 ) -> PlacementPlan:
-    """The same plan with a time for each of its arm states, see `time_plan`; unsolved as it is."""
+    """Return a plan with a time for each of its arm states, see `time_plan`."""
     if plan.motion is None:
         return plan
     approach, manipulation = time_motion(robot, plan.motion, config, step, verb=plan.task.verb)
@@ -139,15 +166,15 @@ def with_times(
 def time_motion(
     robot: Robot, motion: Motion, config: SpeedConfig, step: float, *, verb: Verb | None = None
 ) -> tuple[Trajectory, Trajectory]:
-    """The approach and the manipulation of a motion, each from rest to rest.
+    """Compute trajectories of a motion's approach and manipulation, each from rest to rest.
 
     Args:
-        robot: Its joints' speed limits count.
-        motion: What the arm does.
-        config: How fast.
+        robot: The robot, with its joints' speed limits.
+        motion: The motion.
+        config: Speed and acceleration limits.
         step: Time between samples [s].
-        verb: What it is for: to pick an object the hand carries it in the manipulation, to place
-            one in the approach.
+        verb: The task's verb: `pick` carries an object in the manipulation, `place` in the
+            approach.
     """
     joints = [robot.model.joint(name) for name in robot.moved_joints]
     speed = np.array([joint.velocity for joint in joints])
@@ -173,7 +200,7 @@ def time_motion(
 
 
 def still(q: Float[np.ndarray, " n"], count: int) -> Trajectory:
-    """Stay at a state."""
+    """Return a trajectory that stays at a state."""
     rest = np.zeros((count, len(q)))
     return Trajectory(np.tile(q, (count, 1)), rest, rest, np.zeros(1))
 
@@ -188,31 +215,31 @@ def time_path(
     tool_speed: float = np.inf,
     tool_acceleration: float = np.inf,
 ) -> Trajectory:
-    """Follow a path as fast as limits allow (Pham and Pham, TOPP-RA, 2018).
+    """Follow a path as fast as the limits allow (Pham and Pham, TOPP-RA, 2018).
 
-    Between its corners the path is a cubic spline through its states, which are close together;
-    at a corner the arm stops, so that no spline swings out of the checked path.
+    Between corners, the path is a cubic spline through its states, which are close together. The
+    arm stops at corners, so that the spline does not leave the checked path.
 
     Args:
         q: States [rad] or [m].
-        speed: Limit of each joint [rad/s] or [m/s].
-        acceleration: Limit of each joint [rad/s^2] or [m/s^2].
+        speed: Speed limit of each joint [rad/s] or [m/s].
+        acceleration: Acceleration limit of each joint [rad/s^2] or [m/s^2].
         step: Time between samples [s].
-        tool: Positions of the tool at the states [m], where its speed is limited too.
-        tool_speed: That limit [m/s].
-        tool_acceleration: Its limit in each direction [m/s^2].
+        tool: Positions of the tool at the states, if the tool has limits [m].
+        tool_speed: Speed limit of the tool [m/s].
+        tool_acceleration: Acceleration limit of the tool along each axis [m/s^2].
 
     Raises:
-        InputError: No trajectory meets the limits, or a state is not finite.
+        InputError: The limits cannot be met, or a state is not finite.
     """
     if not np.isfinite(q).all():
-        raise InputError("the motion holds NaN or infinity; nothing can be executed")
-    keep = np.append(True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > _SAME)
+        raise InputError("the motion contains NaN or infinity")
+    keep = np.append(True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > _MIN_STATE_DISTANCE)
     q = q[keep]
     state = np.cumsum(keep) - 1
     if len(q) < 2:
         return replace(still(q[0], 1), state_times=np.zeros(len(state)))
-    # The tool's way is one more coordinate with a limit, and each direction of it another.
+    # The tool adds coordinates with limits: the distance along its path, and x, y, z.
     more = None if tool is None else np.column_stack([_along(tool[keep]), tool[keep]])
     limits = (
         np.append(speed, [tool_speed, *[np.inf] * 3]),
@@ -231,16 +258,16 @@ def time_path(
 
 
 def _along(points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
-    """Distance along a path of points [m]."""
+    """Return the distance along a path of points [m]."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
 def _corners(q: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
-    """Where the path turns sharply, and its ends."""
+    """Return which states are corners or ends of the path."""
     steps = np.diff(q, axis=0)
     unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
     cosine = np.einsum("ij,ij->i", unit[:-1], unit[1:])
-    return np.concatenate([[True], cosine < np.cos(CORNER), [True]])
+    return np.concatenate([[True], cosine < np.cos(MAX_CORNER_ANGLE), [True]])
 
 
 def _piece(
@@ -250,9 +277,9 @@ def _piece(
     acceleration: Float[np.ndarray, " d"],
     step: float,
 ) -> Trajectory:
-    """A smooth piece from rest to rest along the first n coordinates, the joints.
+    """Time-parameterize a smooth piece from rest to rest.
 
-    The others only have limits, as far as they have some and move at all.
+    The first n coordinates are joints. The others only impose limits, if finite and if they move.
     """
     import toppra
     from toppra import algorithm, constraint
@@ -260,7 +287,7 @@ def _piece(
     logging.getLogger("toppra").setLevel(logging.ERROR)
     speed, acceleration = speed[: path.shape[1]], acceleration[: path.shape[1]]
     bounded = np.isfinite(speed) | np.isfinite(acceleration)
-    counts = (np.arange(path.shape[1]) < n) | (bounded & (np.ptp(path, axis=0) > _STILL))
+    counts = (np.arange(path.shape[1]) < n) | (bounded & (np.ptp(path, axis=0) > _MIN_TOOL_MOTION))
     speed = np.minimum(speed[counts], _NO_LIMIT)
     acceleration = np.minimum(acceleration[counts], _NO_LIMIT)
     s = _along_max(path[:, :n])
@@ -269,11 +296,11 @@ def _piece(
         constraint.JointVelocityConstraint(np.stack([-speed, speed], 1)),
         constraint.JointAccelerationConstraint(np.stack([-acceleration, acceleration], 1)),
     ]
-    grid = np.linspace(s[0], s[-1], max(_GRID, 2 * len(s)))
+    grid = np.linspace(s[0], s[-1], max(_MIN_GRID_POINTS, 2 * len(s)))
     solver = algorithm.TOPPRA(limits, spline, grid, parametrizer="ParametrizeConstAccel")
     timed = solver.compute_trajectory(0.0, 0.0)
     if timed is None:
-        raise InputError("no trajectory along the motion keeps the joints' limits")
+        raise InputError("no trajectory along the motion meets the joints' limits")
     t = np.append(np.arange(0.0, timed.duration, step), timed.duration)
     position, velocity, change = (timed(t, order)[:, :n] for order in (0, 1, 2))
     velocity[-1], change[-1] = 0.0, 0.0
@@ -284,12 +311,12 @@ def _piece(
 def _passing_times(
     grid: Float[np.ndarray, " g"], speed: Float[np.ndarray, " g"], s: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, " m"]:
-    """When points of a path are passed that is accelerated evenly between grid points [s].
+    """Return when points of a path are passed, at constant acceleration between grid points [s].
 
     Args:
-        grid: Positions along the path, rising.
-        speed: Speed along the path at each.
-        s: The points.
+        grid: Increasing positions along the path.
+        speed: Speed along the path at each grid point.
+        s: Positions of the points along the path.
     """
     step = np.diff(grid)
     begin = np.append(0.0, np.cumsum(2 * step / (speed[:-1] + speed[1:])))
@@ -303,12 +330,12 @@ def _passing_times(
 
 
 def _along_max(q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
-    """Way along a path, by the joint that moves most in each step."""
+    """Return the distance along a path, by the joint that moves most in each step."""
     return np.append(0.0, np.cumsum(np.abs(np.diff(q, axis=0)).max(1)))
 
 
 def joined(parts: list[Trajectory]) -> tuple[Trajectory, Int[np.ndarray, " t"]]:
-    """One trajectory after the other, and the index of the part that each sample is of."""
+    """Concatenate trajectories; also return the index of each sample's part."""
     keys = ("q", "v", "a", "state_times")
     whole = Trajectory(*(np.concatenate([getattr(part, key) for part in parts]) for key in keys))
     return whole, np.repeat(np.arange(len(parts)), [len(part) for part in parts])

@@ -1,4 +1,4 @@
-"""From a scan to a scene with joints; `pipeline.py` calls one stage after the other."""
+"""Build a scene with joints from a scan; `pipeline.py` calls the stages in order."""
 
 import lazy_loader
 

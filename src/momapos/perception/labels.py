@@ -1,4 +1,4 @@
-"""What the things of a scan are called: by the user, by the images, by their size."""
+"""Label the objects of a scan: by the user, by the images, by size."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .records import Found, ScanConfig
 
 
 def with_labels(
-    things: Sequence[Detection],
+    objects: Sequence[Detection],
     cloud: Cloud,
     frames: Sequence[Frame],
     detector: Detector | None,
@@ -29,34 +29,34 @@ def with_labels(
     config: ScanConfig,
     opens: Callable[[Detection], bool],
 ) -> list[Detection]:
-    """Name the things of a scan, the surest word first.
+    """Label the objects of a scan, the most reliable source first.
 
     Args:
-        things: As their sizes and the segmenter call them.
+        objects: With labels by size and segmenter.
         cloud: In the upright world.
         frames: In the upright world.
-        detector: Looks at every image, unless `found` holds what another one saw.
-        found: What was found in the images, by the frame's name.
-        given: Labels from the user, by the names that things have without them.
+        detector: Runs on every image if `found` is None.
+        found: 2-D detections by frame name.
+        given: Labels from the user, by the objects' default names.
         config: Constants.
-        opens: Whether doors or drawers with handles are seen on a thing. It is asked of what the
-            images take for a bed or another thing that has none; they then err.
+        opens: Checks whether an object shows doors or drawers with handles. A detector's label
+            without doors, such as a bed, is ignored for such an object.
 
     Raises:
-        UnknownNameError, InputError: A given label is of nothing, or is none.
+        UnknownNameError, InputError: A given label names no object, or is empty.
     """
-    told = LABELS
+    labels = LABELS
     if found is None and detector is not None:
-        found, told = detect(frames, detector), detector.labels
+        found, labels = detect(frames, detector), detector.labels
     if found is not None:
         looked_at = [frame for frame in frames if frame.name in found]
-        verdicts = vote(things, cloud, looked_at, found, config.votes)
+        verdicts = vote(objects, cloud, looked_at, found, config.votes)
         verdicts = [
             replace(verdict, label="", confidence=0.0, hits=0)
-            if verdict.label in WITHOUT_DOORS and opens(thing)
+            if verdict.label in WITHOUT_DOORS and opens(item)
             else verdict
-            for verdict, thing in zip(verdicts, things, strict=True)
+            for verdict, item in zip(verdicts, objects, strict=True)
         ]
-        things = relabeled(things, verdicts, told, config.votes)
-    things = named(things)
-    return named(with_given_labels(things, given)) if given else list(things)
+        objects = relabeled(objects, verdicts, labels, config.votes)
+    objects = named(objects)
+    return named(with_given_labels(objects, given)) if given else list(objects)

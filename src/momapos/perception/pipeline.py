@@ -1,4 +1,4 @@
-"""From a scan to a scene that moves, one call a stage (MoMa-Pos, sections III-B and III-C)."""
+"""Build an articulated scene from a scan, one call per stage (MoMa-Pos, sections III-B, III-C)."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ from momapos.perception.reconstruction import (
 from momapos.perception.segmentation import (
     ClassicalSegmenter,
     boxes,
+    drop_fragments,
     find_room,
     inside,
     pointed_at,
     wall_detections,
     with_coverage,
-    without_pieces,
 )
-from momapos.perception.views import Seen, split_row
+from momapos.perception.views import KnownFront, split_row
 
 from .labels import with_labels
-from .modeling import decide, opens, watched
-from .open_doors import open_leaves, shut
+from .modeling import decide, shows_handles, with_observed_motion
+from .open_doors import close_leaves, open_leaves
 from .records import Decision, Found, Modeled, Progress, ScanConfig, Survey, Target, Tools, silent
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 BUILDING = ("wall", "floor", "ceiling", "window", "door")
-"""Labels of segmenters for what is no furniture."""
+"""Segmenter labels that are part of the building, not furniture."""
 DEFAULT = ScanConfig()
 
 
 def default_tools() -> Tools:
-    """What works without anything from elsewhere: no trained segmenter, our own network.
+    """Return tools that need no external models: the classical segmenter and our own network.
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
@@ -65,19 +65,19 @@ def default_tools() -> Tools:
 
 
 def cloud_after(after: Scan, seen: Survey, config: ScanConfig) -> Cloud:
-    """What stands in a room at a later time, in the frame of its survey.
+    """Return the cloud of a later scan in the frame of a survey.
 
     Raises:
-        InputError: It is another room, or the scan holds nothing.
+        InputError: The scan shows another room, or is empty.
     """
     cloud = after.cloud or fuse(after.frames, config.voxel, config.fusion)
     T = align_to_gravity(cloud, after.frames, config.gravity)
-    upright, _ = _turned(cloud, (), T)
+    upright, _ = _transformed(cloud, (), T)
     try:
         T = register(seen.cloud, upright, config.registration)
     except InputError as error:
         raise InputError(f"{after.name}: {error}") from error
-    return _turned(upright, (), T)[0]
+    return _transformed(upright, (), T)[0]
 
 
 def survey(
@@ -90,45 +90,45 @@ def survey(
     progress: Progress = silent,
     clock: Clock = time.perf_counter,
 ) -> Survey:
-    """Find what stands in a scanned room; arguments are those of `momapos.scan_to_scene`.
+    """Find the objects of a scanned room; the arguments are those of `momapos.scan_to_scene`.
 
     Raises:
-        InputError: The scan holds nothing.
+        InputError: The scan is empty or shows no objects.
     """
     watch = Stopwatch(clock)
     with watch.stage("fuse"):
-        progress("fusing", 0.0)
+        progress("fusing depth images", 0.0)
         cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
     with watch.stage("boxes"):
         progress("finding objects", 0.2)
         T = align_to_gravity(cloud, scan.frames, config.gravity)
-        cloud, frames = _turned(cloud, scan.frames, T)
+        cloud, frames = _transformed(cloud, scan.frames, T)
         measured = len(cloud.points)
         room = find_room(cloud, config.room)
         walls = [(wall.axis, wall.offset) for wall in room.walls]
         cloud = complete(cloud, frames, walls, config.voxel, config.completion)
         leaves = open_leaves(cloud, frames, walls, config)
-        cloud, frames, known = shut(leaves, cloud, frames, tools, config)
-        things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
-        detections = boxes(cloud, things, room, config.boxes)
+        cloud, frames, known = close_leaves(leaves, cloud, frames, tools, config)
+        instances = [item for item in tools.segment(cloud) if item.label not in BUILDING]
+        detections = boxes(cloud, instances, room, config.boxes)
     with watch.stage("rows"):
-        progress("dividing rows", 0.3)
-        instances, rows = divide(detections, cloud, frames, tools.look, config, known)
+        progress("splitting rows of cabinets", 0.3)
+        instances, rows = split_rows(detections, cloud, frames, tools.look, config, known)
         if len(instances) > len(detections):
             detections = boxes(cloud, instances, room, config.boxes)
-        detections = without_pieces(detections, cloud)
+        detections = drop_fragments(detections, cloud)
     if not detections:
-        raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
+        raise InputError(f"{scan.name}: the scan shows only floor and walls; no object was found")
     boards = wall_detections(room, config.boxes)
     seen = Survey(
         cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves, found,
         watch.seconds,
     )  # fmt: skip
     with watch.stage("labels"):
-        progress("looking what it is", 0.35)
+        progress("labeling objects", 0.35)
         detections = with_labels(
             detections, cloud, frames, tools.detect, found, labels, config,
-            lambda item: opens(item, seen, tools, config),
+            lambda item: shows_handles(item, seen, tools, config),
         )  # fmt: skip
         detections = with_coverage(detections, cloud, boards, measured)
     return replace(seen, detections=tuple(detections))
@@ -148,16 +148,16 @@ def model_room(
     progress: Progress = silent,
     clock: Clock = time.perf_counter,
 ) -> Modeled:
-    """Model what matters of a surveyed room, and write the scene.
+    """Model the important objects of a surveyed room, and write the scene.
 
     Args:
-        seen: The room.
-        out: The scene file to write; URDF files go into a folder beside it.
+        seen: The surveyed room.
+        out: Scene file to write; URDF files go into a folder next to it.
         tools: Predictors.
-        scores: Importance of the objects by name; all that have none are modeled.
-        alpha: Objects of less importance stay boxes [-].
-        known: Decisions about objects that were looked at before.
-        later: What stands in the room when some of the parts have been opened.
+        scores: Importance of objects by name; objects without a score are modeled.
+        alpha: Objects of lower importance stay boxes [-].
+        known: Earlier decisions; examined objects are not examined again.
+        later: Cloud of the same room after some parts were opened.
         given, config, progress, clock: As for `scan_to_scene`.
     """
     watch, scores, known = Stopwatch(clock), scores or {}, known or {}
@@ -175,8 +175,8 @@ def model_room(
                 decision = decide(item, score, seen, tools, given or {}, config)
                 decisions.append(replace(decision, seconds=clock() - at))
         if later is not None:
-            decisions = [watched(d, seen.cloud, later, config) for d in decisions]
-        decisions += [Decision(wall, None, None, (), None, "a wall") for wall in seen.walls]
+            decisions = [with_observed_motion(d, seen.cloud, later, config) for d in decisions]
+        decisions += [Decision(wall, None, None, (), None, "wall") for wall in seen.walls]
     with watch.stage("write"):
         models = {d.detection.name: d.model for d in decisions if d.model is not None}
         build_scene([d.detection for d in decisions], models, floor_outline(seen.cloud), out)
@@ -185,40 +185,39 @@ def model_room(
     return Modeled(out, seen.cloud, seen.frames, seen.T_scene_scan, tuple(decisions), timing)
 
 
-# ----------------------------------------------------------------------------------- what is where
+# ----------------------------------------------------------------------------- geometry of the room
 
 
-def _turned(
+def _transformed(
     cloud: Cloud, frames: Sequence[Frame], T: Float[np.ndarray, "4 4"]
 ) -> tuple[Cloud, tuple[Frame, ...]]:
-    """Everything in the upright world."""
     upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
     return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
 
 
-def divide(
+def split_rows(
     detections: Sequence[Detection],
     cloud: Cloud,
     frames: Sequence[Frame],
     look: ArticulationPredictor,
     config: ScanConfig,
-    known: Sequence[Seen] = (),
-) -> tuple[list[Instance], list[Seen]]:
-    """Cut rows of furniture between their fronts.
+    known: Sequence[KnownFront] = (),
+) -> tuple[list[Instance], list[KnownFront]]:
+    """Split rows of furniture between their fronts.
 
     Args:
-        detections: Things with their boxes.
+        detections: Objects with their boxes.
         cloud: In the upright world.
         frames: In the upright world.
-        look: What is on a face.
-        config: How to cut.
-        known: Parts that are known to be there.
+        look: Finds the parts on a face.
+        config: How to split.
+        known: Parts that are already known.
 
     Returns:
-        All things, the pieces of rows without a label yet; and what was seen on the rows.
+        All objects, where pieces of split rows have no label yet; and the fronts of these rows.
     """
     instances: list[Instance] = []
-    before: list[Seen] = []
+    before: list[KnownFront] = []
     for item in detections:
 
         def seen(face: FaceImage, label: str = item.label) -> Front:
@@ -236,19 +235,19 @@ def divide(
 
 
 def floor_outline(cloud: Cloud) -> list[tuple[float, float]]:
-    """The rectangle that was scanned, seen from above [m]."""
+    """Return the scanned rectangle in the floor plane [m]."""
     (x0, y0), (x1, y1) = np.percentile(cloud.points[:, :2], [0.2, 99.8], axis=0).tolist()
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
-# ----------------------------------------------------------------------------------- what matters
+# --------------------------------------------------------------------------------------- the target
 
 
 def name_of(target: Target, seen: Survey) -> str:
-    """The name of an object, which may be pointed at.
+    """Return the name of a target, which may be a point or a pixel.
 
     Raises:
-        InputError: Nothing is where it is pointed at.
+        InputError: No object is at that point or pixel.
     """
     if isinstance(target, str):
         return target

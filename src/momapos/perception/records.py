@@ -1,4 +1,4 @@
-"""What a scan becomes on its way to a scene: its configuration, survey, decisions and model."""
+"""Records of the scan pipeline: configuration, survey, decisions and the modeled room."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ from momapos.perception.segmentation import (
     OpenLeafConfig,
     PixelOf,
     PointAt,
-    Room,
     RoomConfig,
+    RoomShell,
 )
-from momapos.perception.views import RowConfig, Seen, View, ViewConfig
+from momapos.perception.views import FrontView, KnownFront, RowConfig, ViewConfig
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 Progress = Callable[[str, float], None]
-"""Told what is at work, and the share of the whole that is done."""
+"""Called with the current step and the completed share in [0, 1]."""
 Found = Mapping[str, Sequence[ImageDetection]]
-"""What a 2-D detector found, by the frame's name."""
+"""2-D detections by frame name."""
 Target: TypeAlias = str | PointAt | PixelOf
-"""The object of a task: its name, or where it is."""
+"""The object of a task: its name, or a point or pixel on it."""
 
 
 @dataclass(frozen=True)
@@ -57,103 +57,103 @@ class ScanConfig:
     """How a scan becomes a scene."""
 
     voxel: float = 0.015
-    """Edge of the voxels that depth images are fused in [m]."""
+    """Edge length of the fusion voxels [m]."""
     least_sides: tuple[float, float] = (0.1, 0.2)
-    """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
+    """Objects with a shorter shortest or middle edge have no doors or drawers [m]."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
     completion: CompletionConfig = field(default_factory=CompletionConfig)
-    """Which holes in depth images are taken for black, mirrored or glass fronts."""
+    """Which depth holes are treated as black, mirrored or glass fronts."""
     gravity: GravityConfig = field(default_factory=GravityConfig)
     open_leaves: OpenLeafConfig = field(default_factory=OpenLeafConfig)
-    """What is taken for a door that stands open."""
+    """What counts as an open door or flap."""
     room: RoomConfig = field(default_factory=RoomConfig)
     boxes: BoxConfig = field(default_factory=BoxConfig)
     rows: RowConfig = field(default_factory=RowConfig)
     votes: VoteConfig = field(default_factory=VoteConfig)
-    """When the images are believed about what a thing is."""
+    """When 2-D detections override other labels."""
     view: ViewConfig = field(default_factory=ViewConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
-    """How a second scan is brought to the first."""
+    """How a second scan is registered to the first."""
     seen_motion: SeenMotionConfig = field(default_factory=SeenMotionConfig)
-    """How parts are found that moved between them."""
+    """How parts that moved between two scans are found."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tools:
-    """The parts that can be exchanged."""
+    """The exchangeable components."""
 
     segment: Segmenter
     look: ArticulationPredictor
-    """Tells fronts from other faces, and where a row is to be cut."""
+    """Tells fronts from other faces, and finds where to split a row."""
     predict: ArticulationPredictor
     """Finds the parts of an object; often the same as `look`."""
     guess: ArticulationPredictor | None = None
-    """Asked where `predict` sees a front but no parts on it."""
+    """Used if `predict` finds no parts on a front."""
     detect: Detector | None = None
-    """Tells in the images what things are; without one their sizes do."""
+    """Labels objects in the images; without it, labels follow from sizes."""
 
 
 class PartSource(StrEnum):
-    """Where the parts of an object are from."""
+    """Source of an object's parts."""
 
     PREDICTED = "predicted"
-    """Seen on the images."""
+    """Detected in the images."""
     GUESSED = "guessed"
-    """From a template, for a front on which nothing was seen."""
+    """From a template, for a front without detected parts."""
     GIVEN = "given"
-    """A URDF file of the user's."""
+    """From a URDF file given by the user."""
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What was decided about one object, and why."""
+    """How one object is modeled, and why."""
 
     detection: Detection
     importance: float | None
-    """Score against the target; None where no target was named."""
-    view: View | None
-    """Its front; None where it was not looked for, or none was seen."""
+    """Score against the target; None without a target."""
+    view: FrontView | None
+    """Its front; None if not searched for or not found."""
     parts: tuple[Part, ...]
     source: PartSource | None
-    """Where the parts are from; None for a box."""
+    """Source of the parts; None for a box."""
     reason: str
-    """Why it stays a box; "" where it is modeled."""
+    """Why it stays a box; "" if it is modeled."""
     looked: bool = True
-    """Whether it mattered enough to be looked at."""
+    """Whether it was important enough to be examined."""
     seconds: float = 0.0
     model: Piece | SceneObject | None = None
-    """What stands in the scene; None for a box."""
+    """Its model in the scene; None for a box."""
     warnings: tuple[str, ...] = ()
     moved: Mapping[str, SeenMotion] = field(default_factory=dict)
-    """Parts that stand elsewhere in the second scan, or stand open in the only one, by name."""
+    """Parts that the second scan shows moved, or the only scan shows open, by name."""
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What stands in a scanned room, before anything of it is modeled."""
+    """The objects of a scanned room, before any is modeled."""
 
     cloud: Cloud
     """The room, upright."""
     frames: tuple[Frame, ...]
     """The images, with poses in the upright world."""
     T_scene_scan: Float[np.ndarray, "4 4"]
-    room: Room
+    room: RoomShell
     detections: tuple[Detection, ...]
     walls: tuple[Detection, ...]
-    rows: tuple[Seen, ...]
-    """What was seen on rows of furniture when they were cut, after the leaves that stand open."""
+    rows: tuple[KnownFront, ...]
+    """Parts of open leaves, then fronts of the rows that were split."""
     leaves: tuple[OpenLeaf, ...]
-    """Doors and flaps that stand open; in the cloud and the images they are shut."""
+    """Open doors and flaps; `cloud` and `frames` show them closed."""
     found: Found | None
-    """What another program found in the images; None where there is no such file."""
+    """2-D detections from another program, if there are any."""
     timing: Mapping[str, float]
     """Seconds by stage."""
 
 
 @dataclass(frozen=True, eq=False)
 class Modeled:
-    """A scene made from a scan, with all that was decided on the way."""
+    """A scene made from a scan, with all decisions."""
 
     scene: Path
     cloud: Cloud
@@ -165,9 +165,8 @@ class Modeled:
     timing: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage, and "total"."""
     target: str | None = None
-    """Name of the object that the task is about, where one was given."""
+    """Name of the task's object, if given."""
 
 
 def silent(what: str, share: float) -> None:
-    """Progress that nobody wants to see."""
-    del what, share
+    """Ignore progress."""

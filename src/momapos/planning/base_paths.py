@@ -1,4 +1,4 @@
-"""The ways to base poses, and on from there when the task is done."""
+"""Paths of the base: to base poses, and away from them after the task."""
 
 from __future__ import annotations
 
@@ -27,96 +27,97 @@ from .task_setup import roomy_place
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_AWAY = 0.3
-"""A part that stays so far from where the robot came from leaves it there as free as it was [m]."""
+_MAX_INFLUENCE = 0.3
+"""A moved part farther than this from the robot's path does not affect it [m]."""
 
 
-@dataclass(frozen=True)
-class Drives:
-    """The ways to base poses with the arm at home."""
+@dataclass(frozen=True, eq=False)
+class BasePaths:
+    """Paths to base poses with the arm at home."""
 
     query: PlacementQuery
     start: Float[np.ndarray, "3"]
     _paths: dict[bytes, BasePath | None] = field(default_factory=dict)
     _cut_off: list[Float[np.ndarray, "3"]] = field(default_factory=list)
-    """Base poses to which no way was found, which is told slowly."""
+    """Base poses without a path; finding that out is slow."""
 
     def path(self, base: Float[np.ndarray, "3"] | None) -> BasePath | None:
-        """The way to a base pose that was checked, if there is one."""
+        """Return the path to a base pose that was checked, if there is one."""
         return None if base is None else self._paths.get(base.tobytes())
 
     def drivable(self, check: AttemptPose) -> AttemptPose:
-        """A check that asks for a way to the base pose as well, and what the query does."""
+        """Extend a check by the path to the base pose and the query's final check."""
 
         def attempt(
             base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
         ) -> Attempt:
             nav_map, no_way = self.query.nav_map, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
-            with self.query.watch.stage("way"):
+            with self.query.watch.stage("path"):
                 if any(leads_straight(nav_map, base, other) for other in self._cut_off):
                     return Attempt(None, no_way)
             found = check(base, screened, ways)
             if found.motion is None:
                 return found
-            with self.query.watch.stage("way"):
+            with self.query.watch.stage("path"):
                 path = self._paths[base.tobytes()] = plan_path(nav_map, self.start, base)
             if path is None:
                 self._cut_off.append(base)
                 return Attempt(None, no_way)
-            also = self.query.also
-            refused = None if also is None else also(base)
+            final = self.query.final_check
+            refused = None if final is None else final(base)
             return found if refused is None else Attempt(None, refused)
 
         return attempt
 
 
-@dataclass(frozen=True)
-class WaysOn:
-    """Whether the robot can drive on from base poses when the task is done.
+@dataclass(frozen=True, eq=False)
+class OnwardPaths:
+    """Check whether the robot can drive on from base poses after the task.
 
-    Mostly the way that it came is free still. Else there has to be a way for the whole footprint to
-    where it came from, or, where the part has come near to that, to a roomy place close by.
+    Usually the path that it came by is still free. If not, there must be a path for the whole
+    footprint to its start or, if the moved part is close to that, to a free place near it.
     """
 
-    drives: Drives
+    drives: BasePaths
     _known: dict[bool, list[Float[np.ndarray, "3"]]] = field(
         default_factory=lambda: {True: [], False: []}
     )
-    """Base poses from which a way leads there, and from which none does."""
+    """Base poses with such a path, and without."""
     _compared: dict[bytes, tuple[int, bool]] = field(default_factory=dict)
-    """By base pose: with how many that shut the robot in it was compared, and whether one of them
-    is beside it."""
+    """By base pose: the number of blocked poses it was compared with, and whether one of them
+    is next to it."""
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
-        """Look at a base pose to which a way was found."""
+        """Return whether the robot can drive on from a base pose that has a path."""
         came, query = self.drives.path(base), self.drives.query
         assert came is not None
-        room = gaps(came.poses, query.nav_map.prisms, query.outlines_after, cap=_AWAY)
-        if room[0] >= _AWAY and (room > 0.0).all():
+        room = gaps(came.poses, query.nav_map.prisms, query.outlines_after, cap=_MAX_INFLUENCE)
+        if room[0] >= _MAX_INFLUENCE and (room > 0.0).all():
             return True
         if room[-1] <= 0.0:
             return False
-        with query.watch.stage("way"):
+        with query.watch.stage("path"):
             if any(leads_straight(self._map_after, base, free) for free in self._known[True]):
                 return True
-            goal = came.poses[0] if room[0] >= _AWAY else self._roomy
+            goal = came.poses[0] if room[0] >= _MAX_INFLUENCE else self._roomy
             leads = goal is not None and plan_path(self._map_after, base, goal) is not None
         self._known[leads].append(base)
         return leads
 
-    def hopeless(self, base: Float[np.ndarray, "3"]) -> bool:
-        """Whether it touches what was moved, or is beside a pose from which no way leads on.
+    def is_known_blocked(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Return whether the base touches the moved part or is next to a pose that is blocked in.
 
-        A search comes to many poses in the same corner, and that no way leads out is told slowly.
+        A search visits many poses in the same corner, and planning a path that does not exist is
+        slow.
         """
-        query, shut_in, key = self.drives.query, self._known[False], base.tobytes()
+        query, blocked, key = self.drives.query, self._known[False], base.tobytes()
         before, out = self._compared.get(key, (0, False))
         if key not in self._compared:
             out = bool((gaps(base[None], query.nav_map.prisms, query.outlines_after) <= 0.0).any())
-        with query.watch.stage("way"):
+        with query.watch.stage("path"):
             nav_map = self._map_after
-            out = out or any(leads_straight(nav_map, base, other) for other in shut_in[before:])
-        self._compared[key] = len(shut_in), out
+            out = out or any(leads_straight(nav_map, base, other) for other in blocked[before:])
+        self._compared[key] = len(blocked), out
         return out
 
     @cached_property
@@ -133,7 +134,7 @@ class WaysOn:
 
     @cached_property
     def _roomy(self) -> Float[np.ndarray, "3"] | None:
-        """A place with room near the start; None where there is none in all of the room."""
+        """Return a free place near the start; None if the scene has none."""
         try:
             return roomy_place(self._after, self._map_after, self.drives.start[:2])
         except SceneError:

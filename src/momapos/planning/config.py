@@ -1,4 +1,4 @@
-"""One configuration a stage; the pipeline's is all of them, and the options of `momapos place`."""
+"""One configuration per stage, and the pipeline's, which holds all of them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from momapos.planning.placement import PlaceConfig
 
 @dataclass(frozen=True)
 class PaperConfig:
-    """MoMa-Pos as printed (`--method paper`), sections III-C and III-D; see docs/paper.md.
+    """MoMa-Pos as printed (method `paper`), sections III-C and III-D; see docs/paper.md.
 
-    k0 and alpha are those of importance.
+    k0 and alpha are fields of `ImportanceConfig`.
     """
 
     samples: int = 100
-    """M: Latin Hypercube samples in the first batch (paper) [-]; each further has twice as many."""
+    """M: Latin Hypercube samples in the first batch (paper) [-]; each further batch doubles it."""
     batches: int = 4
     """Batches before alpha is lowered (paper) [-]."""
     group: int = 10
@@ -29,26 +29,26 @@ class PaperConfig:
     k_potential: float = 1 / 6
     """k1': weight of potential in the open tour (paper) [-]."""
     heights: tuple[float, ...] = (0.4, 1.0, 1.4)
-    """z: heights from which the field looks at the target (paper) [m]."""
+    """z: heights at which the field F is sampled (paper) [m]."""
     field: bool = True
-    """Whether the field F counts in the potential (paper)."""
+    """Whether the potential includes the field F (paper)."""
     inverse_map: bool = True
-    """Whether inverse reachability counts in the potential, and drops samples (paper)."""
+    """Whether the potential includes inverse reachability, which also drops samples (paper)."""
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "samples", "batches", "group")
         refuse_below(self, 0, "k_distance", "k_potential")
         if not self.heights:
-            raise InputError("heights must hold at least one number")
+            raise InputError("PaperConfig.heights must hold at least one number")
 
 
 @dataclass(frozen=True)
 class PipelineConfig:
-    """How a question is answered."""
+    """How a query is answered."""
 
     importance: ImportanceConfig = field(default_factory=ImportanceConfig)
     expand_distance: float = 0.05
-    """A plan that comes this near to a box has its object modeled, and is checked again [m]."""
+    """If a plan comes this close to a box, its object is modeled and the plan checked again [m]."""
     motion: MotionConfig = field(default_factory=MotionConfig)
     place: PlaceConfig = field(default_factory=PlaceConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
@@ -56,7 +56,7 @@ class PipelineConfig:
     arm_clearance: float = 0.003
     """Distance that the arm's spheres keep from everything [m]."""
     timeout: float = 120.0
-    """Time to search for one answer [s]; what is read and compiled before does not count."""
+    """Time limit for one answer [s], without reading files and compiling kernels."""
 
     def __post_init__(self) -> None:
         refuse_below(self, 0, "expand_distance", "arm_clearance")
@@ -64,14 +64,14 @@ class PipelineConfig:
 
     @property
     def arm_planner(self) -> PlannerConfig:
-        """How the arm gets to the first waypoint: as asked for, else as the method does."""
+        """Return the arm planner's configuration; the method sets its default."""
         if self.planner.planner is None and self.place.method == "paper":
             return replace(self.planner, planner="RRTstar")
         return self.planner
 
     @property
     def ranking(self) -> ImportanceConfig:
-        """How importance is measured: as asked for, else as the method does."""
+        """Return the configuration of importance; the method sets its defaults."""
         printed = self.place.method == "paper"
         scorer: ScorerName = self.importance.scorer or ("deepwalk" if printed else "reach")
         weights: WeightsName = self.importance.weights or ("printed" if printed else "scaled")

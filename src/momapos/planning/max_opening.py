@@ -1,8 +1,7 @@
-"""How far a part can be moved: the last value that works, found by halving.
+"""Find the largest value that works by bisection.
 
-A motion that works to a value works to every value before it, so between one that works and one
-that does not a few questions find the last. Values are whole degrees or centimeters, as people ask
-for them.
+A motion to a value passes all values before it, so few tries between a value that works and one
+that does not find the largest. Values are whole degrees or centimeters.
 """
 
 from __future__ import annotations
@@ -19,21 +18,21 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 T = TypeVar("T")
-_SAME = 1e-6
-"""Shares of a degree or a centimeter that are none [-]."""
+_ROUNDING = 1e-6
+"""Fractions of a degree or a centimeter that count as rounding errors [-]."""
 
 
 def values_before(begin: float, goal: float, *, slides: bool) -> Float[np.ndarray, " k"]:
-    """Values in whole degrees or centimeters between two, the nearest to the first one first.
+    """Return the whole degrees or centimeters between two values, starting at the first one.
 
     Args:
-        begin: Where the part is [rad] or [m]; it is not among them.
-        goal: Where it shall go [rad] or [m]; it is not among them either.
-        slides: Whether it slides [m]; it turns otherwise [rad].
+        begin: The part's value [rad] or [m], excluded.
+        goal: The value it must reach [rad] or [m], excluded.
+        slides: Whether it slides [m]; otherwise it turns [rad].
     """
     unit = 0.01 if slides else math.radians(1.0)
     low, high = sorted((begin / unit, goal / unit))
-    whole = np.arange(math.floor(low + _SAME) + 1, math.ceil(high - _SAME))
+    whole = np.arange(math.floor(low + _ROUNDING) + 1, math.ceil(high - _ROUNDING))
     return unit * (whole if goal > begin else whole[::-1])
 
 
@@ -48,15 +47,15 @@ def last_that_works(
     """Find the last index that works, between one that does and one that does not.
 
     Args:
-        ask: What comes of an index, None where it does not work.
+        ask: Returns the result for an index, None if it does not work.
         low: An index that works, or the one before the first.
         high: An index that does not work, or the one after the last.
-        within: The answer is at most so many before one that does not work.
-        first_step: Step ahead first by so many, then by twice as many: for a low one that is near
-            the last. Without it, always halve.
+        within: Maximum distance of the returned index from one that does not work.
+        first_step: First step ahead, doubled each time, if `low` is close to the last index that
+            works; None always bisects.
 
     Returns:
-        The index, and what came of it; None where it is still the low one, which was not asked.
+        The index and its result; None if it is `low`, which was not tried.
     """
     best, step = None, first_step
     while high - low > within:
@@ -72,14 +71,14 @@ def last_that_works(
 
 
 def from_the_top(ask: Callable[[int], T | None], count: int, stride: int) -> T | None:
-    """What comes of the last of some indices that works, looked for from the end.
+    """Return the result of the last index that works, searching from the end.
 
-    For answers that hold no more than mostly: one that fails among some that work is passed by.
+    Unlike bisection it skips an index that fails among some that work.
 
     Args:
-        ask: What comes of an index, None where it does not work.
-        count: How many indices there are.
-        stride: Only every so many-th is asked until one works, then those after it.
+        ask: Returns the result for an index, None if it does not work.
+        count: Number of indices.
+        stride: Step between tried indices until one works; then those after it are tried.
     """
     top = count
     for index in range(count - 1, -1, -stride):
@@ -101,16 +100,15 @@ def farthest_answer(
     waypoint: int,
     within: int,
 ) -> T | None:
-    """The answer for the farthest of some values that has one.
+    """Return the result for the largest value that has one.
 
-    Samples alone say quickly how far it goes about; from there on a grid decides, a waypoint
-    farther at first.
+    Samples estimate it quickly; from there on a grid decides, first one waypoint farther.
 
     Args:
-        ask: The answer for a value, by samples alone or by a grid as well (True), if there is one.
-        values: The values, the nearest to where the part is first [rad] or [m].
-        waypoint: How many values lie between two waypoints [-].
-        within: The answer is at most so many values before one for which the grid has none [-].
+        ask: Returns the result for a value, from samples alone or (True) also from a grid.
+        values: The values in opening order [rad] or [m].
+        waypoint: Number of values between two waypoints [-].
+        within: Maximum number of values between the result and one that the grid excludes [-].
     """
     some, best = last_that_works(lambda i: ask(values[i], False), -1, len(values))
     _, better = last_that_works(
@@ -120,6 +118,6 @@ def farthest_answer(
 
 
 def values_per_waypoint(config: MotionConfig, *, slides: bool) -> int:
-    """How many whole degrees or centimeters lie between two waypoints [-]."""
+    """Return the number of whole degrees or centimeters between two waypoints [-]."""
     step = 100.0 * config.waypoint_slide if slides else config.waypoint_angle
-    return max(1, math.floor(step + _SAME))
+    return max(1, math.floor(step + _ROUNDING))

@@ -1,4 +1,4 @@
-"""Plans that move a part as far as it can be moved."""
+"""Plan the maximum opening of a part."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
-LEAST_TIMEOUT = 0.001
-"""No search is begun with less time than this [s]."""
+MIN_TIMEOUT = 0.001
+"""Searches start only with more time left than this [s]."""
 
 
-def as_far_as_possible(query: PlacementQuery, answer: Answer) -> PlacementResult:
-    """The answer for the farthest value up to the task's that has one.
+def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
+    """Return the answer for the largest value up to the task's that has one.
 
     Args:
-        query: What is asked.
+        query: The question.
         answer: Answers it for the value that a task names.
     """
     task, config, watch = query.task, query.config, query.watch
@@ -39,15 +39,15 @@ def as_far_as_possible(query: PlacementQuery, answer: Answer) -> PlacementResult
         best, sure = at_once, True
     else:
         values = np.append(values_short_of(query), task.to)
-        found, sure = farthest_plan(query, answer, values, within=1, timeout=config.timeout)
-        left = max(config.timeout - watch.total, LEAST_TIMEOUT)
+        found, sure = find_max_opening(query, answer, values, within=1, timeout=config.timeout)
+        left = max(config.timeout - watch.total, MIN_TIMEOUT)
         best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
     known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
     timing = watch.timing
     return replace(best, plan=replace(best.plan, task=known, timing=timing))
 
 
-def farthest_plan(
+def find_max_opening(
     query: PlacementQuery,
     answer: Answer,
     values: Float[np.ndarray, " k"],
@@ -55,24 +55,24 @@ def farthest_plan(
     within: int,
     timeout: float,
 ) -> tuple[PlacementResult | None, bool]:
-    """Find the farthest of some values for which there is a plan.
+    """Find the largest value for which there is a plan.
 
     Args:
-        query: What is asked; the value of its task does not count.
+        query: The question; the value of its task does not count.
         answer: Answers it for the value that a task names.
-        values: The values, the nearest to where the part is first [rad] or [m].
-        within: The answer is at most so many values before one that the grid rules out [-].
-        timeout: Time for it, counted by the query's stopwatch from its beginning [s].
+        values: The values in opening order [rad] or [m].
+        within: Maximum number of values between the answer and one that the grid excludes [-].
+        timeout: Time limit, counted by the query's stopwatch from its start [s].
 
     Returns:
-        The answer to that value, if any has one; and whether the time was enough.
+        The answer for that value, if any has one, and whether the time was sufficient.
     """
     config, in_time = query.config, True
 
     def ask(value: float, thorough: bool) -> PlacementResult | None:
         nonlocal in_time
         left = timeout - query.watch.total
-        if left < LEAST_TIMEOUT:
+        if left < MIN_TIMEOUT:
             in_time = False
             return None
         how = replace(config if thorough else _by_samples(config), timeout=left)
@@ -85,7 +85,7 @@ def farthest_plan(
 
 
 def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:
-    """Whole degrees or centimeters between where the part is and where it shall go [rad] or [m]."""
+    """Return the whole degrees or centimeters between the part's value and its goal."""
     task = query.task
     assert task.joint is not None
     assert task.to is not None
@@ -96,7 +96,7 @@ def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:
 def _answer_to(
     query: PlacementQuery, answer: Answer, value: float, config: PipelineConfig
 ) -> PlacementResult:
-    """The answer to the same question about another value; its time is added to the query's."""
+    """Answer the query for another value; add the time to the query's stopwatch."""
     task = replace(query.task, to=float(value), farthest=False)
     watch = Stopwatch(query.watch.clock)
     result = answer(replace(query, task=task, config=config, watch=watch))
@@ -106,7 +106,7 @@ def _answer_to(
 
 
 def _by_samples(config: PipelineConfig) -> PipelineConfig:
-    """A quick search: one round of samples, and no grid where none of them works."""
+    """Return the configuration of a quick search: one round of samples and no grid."""
     place = config.place
     method: Method = "ours" if place.method == "exhaustive" else place.method
     return replace(config, place=replace(place, rounds=1, grid=False, method=method))

@@ -1,4 +1,4 @@
-"""How far a part can be moved from everywhere: a grid over the floor, each cell at its best yaw."""
+"""Map how far a part can be moved from each cell of the floor, at the best yaw of the cell."""
 
 from __future__ import annotations
 
@@ -24,43 +24,42 @@ if TYPE_CHECKING:
 
 DEFAULT = PipelineConfig()
 YAWS = 16
-"""Yaws that are tried in each cell [-]."""
-TURNING = 1e-6
-"""What the score of a way of holding that turns is multiplied by: it costs more to try [-]."""
-WAVES = (1, 4, YAWS)
-"""So many of the yaws of a cell, best reached first, are tried before the others are [-]."""
+"""Number of yaws tried in each cell [-]."""
+TURNING_GRASP_WEIGHT = 1e-6
+"""Factor on the scores of turning grasps, so that they are tried last: they take longer [-]."""
+YAW_BATCHES = (1, 4, YAWS)
+"""Ends of the batches in which the yaws of a cell are tried, best reached first [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OpeningMap:
-    """The farthest value of a joint from each cell of the floor."""
+    """The farthest joint value that works from each cell of the floor."""
 
     scene: Scene
-    """The room."""
     task: Task
     begin: float
-    """Where the part is at first [rad] or [m]."""
+    """Joint value in the scene [rad] or [m]."""
     farthest: Float[np.ndarray, "rows columns"]
-    """Farthest value that works [rad] or [m]; NaN where not even the first one does."""
+    """Farthest value that works [rad] or [m]; NaN where not even the first one works."""
     yaw: Float[np.ndarray, "rows columns"]
-    """The yaw at which it does [rad]; NaN likewise."""
+    """Yaw at which it works [rad]; NaN likewise."""
     low: Float[np.ndarray, "2"]
     """Corner of cell (0, 0) [m]."""
     cell: float
     """Edge of a cell [m]."""
     values: Float[np.ndarray, " k"]
-    """Values that were tried, the nearest to where the part is first [rad] or [m]."""
+    """Values that were tried, the nearest to `begin` first [rad] or [m]."""
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom, top [m]."""
+        """Return left, right, bottom and top [m]."""
         rows, columns = self.farthest.shape
         right, top = self.low + self.cell * np.array([columns, rows])
         return (float(self.low[0]), float(right), float(self.low[1]), float(top))
 
     def _repr_png_(self) -> bytes:
-        """The picture that a notebook shows."""
-        # By name: what draws records is downstream of them.
+        """Return the figure that a notebook shows."""
+        # By name: figures depend on records.
         png: bytes = import_module("momapos.apps.plots.notebook_images").opening_png(self)
         return png
 
@@ -78,26 +77,26 @@ def opening_map(
 ) -> OpeningMap:
     """Find how far a part can be moved from each cell of the floor.
 
-    At the middle of a cell, with all objects modeled, every value is checked in full, way from
-    home and exact check included, from the farthest down; whether a way leads there is not asked.
+    At the center of a cell, with all objects modeled, values are checked from the farthest down,
+    including the arm path from home and the exact check. The base path to the cell is not checked.
 
     Args:
-        scene: The room.
+        scene: The scene.
         robot: The robot.
-        task: What is moved; its value is the farthest that is tried.
+        task: The task; its value is the farthest that is tried.
         reach: The robot's reachability map.
         cell: Edge of a cell [m].
         config: How to plan.
-        seed: Same seed, same map.
-        report: Is told the share that is done, in [0, 1].
+        seed: The same seed gives the same map.
+        report: Called with the completed share, in [0, 1].
     """
     values = waypoint_values(scene, task, config)
     nearest = _prepared(scene, robot, task, float(values[0]), config)
     low, shape = _grid(nearest, cell)
     x, y = (low[k] + cell * (np.arange(shape[1 - k]) + 0.5) for k in (0, 1))
-    middle = np.stack(np.meshgrid(x, y))
+    centers = np.stack(np.meshgrid(x, y))
     poses = np.empty((shape[0] * shape[1], YAWS, 3))
-    poses[..., :2] = middle.reshape(2, -1).T[:, None]
+    poses[..., :2] = centers.reshape(2, -1).T[:, None]
     poses[..., 2] = 2 * np.pi / YAWS * np.arange(YAWS) - np.pi
     farthest, yaw = np.full(len(poses), np.nan), np.full(len(poses), np.nan)
     for done, value in enumerate(values[::-1].tolist()):
@@ -117,7 +116,7 @@ def opening_map(
 
 
 def waypoint_values(scene: Scene, task: Task, config: PipelineConfig) -> Float[np.ndarray, " k"]:
-    """Values of a task's joint a waypoint apart, the nearest to where the part is first."""
+    """Return the values of a task's joint at the spacing of waypoints, excluding its value now."""
     assert task.joint is not None
     assert task.to is not None
     begin = scene.object(task.object).values()[task.joint]
@@ -135,7 +134,7 @@ def _prepared(
 
 
 def _grid(prepared: PreparedTask, cell: float) -> tuple[Float[np.ndarray, "2"], tuple[int, int]]:
-    """Corner of the grid [m], and its rows and columns; no cells where nothing is in reach."""
+    """Return the grid's corner [m], and its rows and columns; no cells if nothing is in reach."""
     corners = reachable_rectangle(prepared.geometry)
     if corners is None:
         return np.zeros(2), (0, 0)
@@ -150,15 +149,15 @@ def _best_yaws(
     reach: ReachScorer,
     poses: Float[np.ndarray, "c y 3"],
 ) -> Int[np.ndarray, " c"]:
-    """For each cell the first of its yaws, best reached first, that works; -1 where none does."""
+    """Return for each cell the best-reached of its yaws that works; -1 where none does."""
     flat, geometry = poses.reshape(-1, 3), prepared.geometry
-    scores = np.zeros((len(flat), prepared.motion.turning.ways), np.float32)
+    scores = np.zeros((len(flat), prepared.motion.turning.modes), np.float32)
     clear = np.flatnonzero(base_pose_status(geometry, flat)[0] == BaseStatus.CLEAR)
     scores[clear] = _scores(reach, flat[clear], prepared)
     best = scores.max(1, initial=0.0).reshape(poses.shape[:2])
     order = np.argsort(-best, axis=1, kind="stable")
     found = np.full(len(poses), -1)
-    for first, last in zip((0, *WAVES[:-1]), WAVES, strict=True):
+    for first, last in zip((0, *YAW_BATCHES[:-1]), YAW_BATCHES, strict=True):
         yaws = order[:, first:last]
         promising = (np.take_along_axis(best, yaws, 1) > 0) & (found < 0)[:, None]
         cells, rank = np.nonzero(promising)
@@ -168,8 +167,8 @@ def _best_yaws(
         for row, cell, one in zip(rows.tolist(), cells.tolist(), screened, strict=True):
             if found[cell] >= 0 or one.q is None:
                 continue
-            ways = np.argsort(-scores[row], kind="stable")[: int((scores[row] > 0).sum())]
-            if feasible(flat[row], one, ways).motion is not None:
+            modes = np.argsort(-scores[row], kind="stable")[: int((scores[row] > 0).sum())]
+            if feasible(flat[row], one, modes).motion is not None:
                 found[cell] = row - cell * poses.shape[1]
     return found
 
@@ -177,8 +176,8 @@ def _best_yaws(
 def _scores(
     reach: ReachScorer, poses: Float[np.ndarray, "n 3"], prepared: PreparedTask
 ) -> Float[np.ndarray, "n h"]:
-    """Scores of all ways of holding; those that turn come after all grasps that do not."""
-    grasps, *turning = (score(reach, poses).scores for score in prepared.ways)
+    """Return the scores of all grasp modes; turning grasps rank after all rigid ones."""
+    grasps, *turning = (score(reach, poses).scores for score in prepared.mode_scorers)
     if not turning:
         return grasps
-    return np.concatenate([grasps, TURNING * turning[0][:, grasps.shape[1] :]], axis=1)
+    return np.concatenate([grasps, TURNING_GRASP_WEIGHT * turning[0][:, grasps.shape[1] :]], axis=1)

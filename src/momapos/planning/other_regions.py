@@ -1,8 +1,7 @@
-"""Other base poses for a task, where the robot cannot do the next one from where it stands then.
+"""Find base poses from which the robot can drive to other regions after a task.
 
-An open door parts a room: from one side of it the robot gets to other places than from the other.
-So where the next task is a "no", only base poses from which the robot gets to places that it was
-not at yet are worth being asked for.
+An open door can split a room: the robot reaches other regions from one side than from the other.
+If the next task is infeasible, only base poses that lead to regions not reached before can help.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 
 from momapos.core.geometry import inscribed_radius
 from momapos.model.scene import Scene
-from momapos.planning.grasps import room_boxes
+from momapos.planning.grasps import scene_boxes
 from momapos.planning.navigation import (
     CELL,
     CostMap,
@@ -26,78 +25,81 @@ from momapos.planning.navigation import (
     floor_plan,
     gaps,
 )
-from momapos.planning.placement import BaseStatus, PlacementGeometry, PoseFilter, base_pose_status
+from momapos.planning.placement import BaseStatus, PlacementGeometry, PoseMask, base_pose_status
 
 from .config import PipelineConfig
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-OTHERS = 2
-"""Other base poses that are asked for, one after the other [-]."""
+MAX_OTHER_REGIONS = 2
+"""Number of alternative base poses tried for one task, one after the other [-]."""
 _YAWS = np.radians(np.arange(-180.0, 180.0, 22.5))
-"""With these a base is stood on a cell to see whether it may stand there at all."""
+"""Yaws at which a cell is tested for a free base pose [rad]."""
 
 
 @dataclass(frozen=True)
-class _Left:
-    """The room as a task leaves it, and where the robot gets from base poses that were tried."""
+class _Unreached:
+    """The scene after a task, and the regions that the robot reaches from the tried base poses."""
 
-    room: NavigationMap
+    nav_map: NavigationMap
     tried: tuple[CostMap, ...]
-    """Of those where it can bring its arm home."""
+    """One per tried base pose at which the arm can return home."""
 
-    def no_other(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Base poses where the robot gets anyway, or where it cannot bring its arm home."""
-        out = np.zeros(len(poses), bool)
-        for one in self.tried:
-            out |= np.isfinite(one.lengths(poses[:, :2]))
-        rest = np.flatnonzero(~out)
-        out[rest] = _touches(self.room, poses[rest])
-        return out
+    def __call__(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return which base poses lie in other regions and let the arm return home."""
+        kept = np.ones(len(poses), bool)
+        for costs in self.tried:
+            kept &= ~np.isfinite(costs.lengths(poses[:, :2]))
+        rest = np.flatnonzero(kept)
+        kept[rest] = ~_collides_at_home(self.nav_map, poses[rest])
+        return kept
 
-    def beyond(self) -> Float[np.ndarray, "n 2"]:
-        """Centers of the cells where the base has room, and does not get from those poses [m]."""
-        cells = self.tried[0].free & ~np.isfinite([one.distance for one in self.tried]).any(axis=0)
-        i, j = np.nonzero(cells)
+    def cells(self) -> Float[np.ndarray, "n 2"]:
+        """Return the centers of free cells that no tried base pose leads to [m]."""
+        reached = np.isfinite([costs.distance for costs in self.tried]).any(axis=0)
+        i, j = np.nonzero(self.tried[0].free & ~reached)
         return self.tried[0].origin + (np.stack([j, i], -1) + 0.5) * CELL
 
 
-def _touches(room: NavigationMap, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Base poses where a robot with its arm at home touches something."""
-    return gaps(poses, room.prisms, room.obstacles) <= 0.0
+def _collides_at_home(
+    nav_map: NavigationMap, poses: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Return at which base poses the robot collides with its arm at home."""
+    return gaps(poses, nav_map.prisms, nav_map.obstacles) <= 0.0
 
 
-def base_poses_elsewhere(
+def poses_in_other_regions(
     geometry: PlacementGeometry, after: Scene, tried: Sequence[Float[np.ndarray, "3"]]
-) -> PoseFilter | None:
-    """Rule base poses of a task out that are no other than those that were tried.
+) -> PoseMask | None:
+    """Find base poses of a task that lead to other regions than those tried.
 
     Args:
-        geometry: Of the task.
-        after: The room as the task leaves it.
-        tried: Base poses x [m], y [m], yaw [rad] from which the next task could not be done.
+        geometry: Geometry of the task.
+        after: The scene after the task.
+        tried: Base poses x [m], y [m], yaw [rad] from which the next task is infeasible.
 
     Returns:
-        What rules out base poses from which the robot, the task done, would only get where it gets
-        from the others, or could not bring its arm home; None where that rules out all.
+        A mask of base poses that lead to other regions after the task and let the arm return
+        home; None if there are none.
     """
     robot = geometry.robot
     floor, height = after.floor_polygon, base_height(robot)
-    plan = floor_plan(room_boxes(after), height=height, floor_polygon=floor)
+    plan = floor_plan(scene_boxes(after), height=height, floor_polygon=floor)
     radius = inscribed_radius(robot.footprint)
-    room = build_navigation_map(after, robot)
-    # Where the arm cannot come home the next task does not begin: that says nothing of the place.
-    begun = np.array(tried)[~_touches(room, np.array(tried))]
-    left = _Left(room, tuple(build_cost_map(plan, pose[:2], radius=radius) for pose in begun))
-    if not left.tried:
-        return left.no_other
-    cells = left.beyond()
+    nav_map = build_navigation_map(after, robot)
+    # If the arm cannot return home, the next task fails for that reason, not for its region.
+    begun = np.array(tried)[~_collides_at_home(nav_map, np.array(tried))]
+    costs = tuple(build_cost_map(plan, pose[:2], radius=radius) for pose in begun)
+    unreached = _Unreached(nav_map, costs)
+    if not costs:
+        return unreached
+    cells = unreached.cells()
     poses = np.column_stack([np.repeat(cells, len(_YAWS), 0), np.tile(_YAWS, len(cells))])
     stands = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
-    return None if left.no_other(poses[stands]).all() else left.no_other
+    return unreached if unreached(poses[stands]).any() else None
 
 
-def without_way_on(config: PipelineConfig) -> PipelineConfig:
-    """How base poses elsewhere are asked for: what they lead to has been told already."""
+def without_departure_check(config: PipelineConfig) -> PipelineConfig:
+    """Return the configuration for base poses that are known to lead to other regions."""
     return replace(config, place=replace(config.place, way_on=False))

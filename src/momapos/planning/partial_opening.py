@@ -1,4 +1,4 @@
-"""How far a part can be moved where it cannot be moved as far as asked."""
+"""Find how far a part can be moved if it cannot be moved to the task's value."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from momapos.planning.grasps import slides
 
 from .config import PipelineConfig
 from .max_opening import values_per_waypoint
-from .max_opening_plan import farthest_plan, values_short_of
-from .plan import answer
+from .max_opening_plan import find_max_opening, values_short_of
+from .plan import plan_to_value
 from .query import PlacementQuery
 
 DEFAULT = PipelineConfig()
 TIMEOUT = 10.0
-"""Time to find it [s]."""
+"""Time limit [s]."""
 
 
-def smaller_opening(
+def add_max_opening(
     plan: PlacementPlan,
     scene: Scene,
     robot: Robot,
@@ -33,17 +33,17 @@ def smaller_opening(
     config: PipelineConfig = DEFAULT,
     clock: Clock = time.perf_counter,
 ) -> PlacementPlan:
-    """Add to a plan that finds no way to move a part how far it can be moved, and from where.
+    """Add to an infeasible plan how far the part can be moved, and from which base pose.
 
-    The value is one for which there is a plan, in whole degrees or centimeters. Where the time is
-    enough, the grid has ruled out what lies a waypoint beyond it.
+    The value is in whole degrees or centimeters, and a plan to it exists. If the time is
+    sufficient, the grid has excluded values a waypoint or more beyond it.
 
     Args:
-        plan: The plan; all but an infeasible one for a joint comes back as it is.
-        scene: The room.
+        plan: The plan; returned unchanged unless it is infeasible and its task moves a joint.
+        scene: The scene.
         robot: The robot.
         reach: Its reachability map.
-        config: How the plan was searched for.
+        config: The configuration with which the plan was searched.
         clock: Measures the time.
     """
     task = plan.task
@@ -52,11 +52,11 @@ def smaller_opening(
     start = None if plan.start is None else np.array(plan.start)
     watch = Stopwatch(clock)
     query = PlacementQuery(
-        scene, robot, task, reach, start, None, config, plan.seed, watch, region=plan.region
+        scene, robot, task, reach, start, config, plan.region, seed=plan.seed, watch=watch
     )
     waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
     values = values_short_of(query)
-    best, sure = farthest_plan(query, answer, values, within=waypoint, timeout=TIMEOUT)
+    best, sure = find_max_opening(query, plan_to_value, values, within=waypoint, timeout=TIMEOUT)
     if best is None:
         return plan
     return replace(

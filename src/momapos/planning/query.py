@@ -1,15 +1,27 @@
-"""A question: what is asked, and what stays the same while it is answered."""
+"""A question about one task: the one argument of every planner, checked where it is built."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias, TypedDict
 
 import numpy as np
 
-from momapos.core import Stopwatch
+from momapos.core import (
+    Clock,
+    InputError,
+    Stopwatch,
+    as_path,
+    expect,
+    expect_callable,
+    finite_array,
+    shown,
+    whole_number,
+)
 from momapos.model.records import ANYWHERE, BaseRegion, PoseOutcome, ReachScorer, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
@@ -20,43 +32,168 @@ from momapos.planning.navigation import (
     build_navigation_map,
     outlines_after,
 )
-from momapos.planning.placement import PoseFilter
+from momapos.planning.placement import PoseMask
+from momapos.planning.reachability import load_reach
 
 from .config import PipelineConfig
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
-AlsoAtPose: TypeAlias = "Callable[[Float[np.ndarray, '3']], PoseOutcome | None]"
-"""What a base pose does not allow beside the task; None where it allows all."""
+FinalCheck: TypeAlias = "Callable[[Float[np.ndarray, '3']], PoseOutcome | None]"
+"""Returns why a base pose with a motion is rejected; None if it is accepted."""
+DEFAULT = PipelineConfig()
 
 
-@dataclass(frozen=True)
+class QueryOptions(TypedDict, total=False):
+    """Keywords of `PlacementQuery.of`, and of every function that builds a query."""
+
+    start: Sequence[float] | Float[np.ndarray, "3"] | None
+    region: BaseRegion
+    keep_poses: PoseMask | None
+    keep_grasps: GraspFilter | None
+    config: PipelineConfig
+    cache_dir: str | Path | None
+    seed: int
+    clock: Clock
+
+
+@dataclass(frozen=True, eq=False)
 class PlacementQuery:
-    """What stays the same while the model of the room grows."""
+    """A scene, a robot and a task, and the conditions under which an answer counts.
+
+    `PlacementQuery.of` builds one and loads the reachability map.
+
+    Raises:
+        InputError: A field has the wrong type, shape or range.
+    """
 
     scene: Scene
     robot: Robot
     task: Task
     reach: ReachScorer
-    start: Float[np.ndarray, "3"] | None
-    pose_filter: PoseFilter | None
-    config: PipelineConfig
-    seed: int
-    watch: Stopwatch
-    grasp_filter: GraspFilter | None = None
-    """Which grasps may be used; None for all."""
+    """The robot's reachability map."""
+    start: Float[np.ndarray, "3"] | None = None
+    """Where the base is now: x [m], y [m], yaw [rad]; None for the scene's start."""
+    config: PipelineConfig = DEFAULT
     region: BaseRegion = ANYWHERE
-    """Where the base is allowed to stand."""
-    also: AlsoAtPose | None = None
-    """What else is asked of a base pose where a motion was found."""
+    """Where the base may stand."""
+    keep_poses: PoseMask | None = None
+    """Returns for base poses (n, 3) which of them may be tried, as n bools; None for all."""
+    keep_grasps: GraspFilter | None = None
+    """Returns which grasps of a motion may be used; None for all."""
+    final_check: FinalCheck | None = None
+    """A last condition on base poses for which a motion was found; None for no condition."""
+    seed: int = 0
+    watch: Stopwatch = field(default_factory=lambda: Stopwatch(time.perf_counter))
+
+    def __post_init__(self) -> None:
+        expect("scene", self.scene, Scene, "load_scene reads one")
+        expect("robot", self.robot, Robot, "load_robot reads one")
+        expect("task", self.task, Task, "make_task makes one")
+        if not hasattr(self.reach, "min_score"):
+            raise InputError("reach must be a reachability map; load_reach_map reads one")
+        expect("config", self.config, PipelineConfig, "set its stages, as place=PlaceConfig()")
+        expect("region", self.region, BaseRegion)
+        for name in ("keep_poses", "keep_grasps", "final_check"):
+            if getattr(self, name) is not None:
+                expect_callable(name, getattr(self, name))
+        if self.start is not None:
+            object.__setattr__(self, "start", finite_array("start", self.start, (3,)))
+        object.__setattr__(self, "seed", whole_number("seed", self.seed, 0, 2**63 - 1))
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        robot: Robot,
+        task: Task,
+        reach: ReachScorer | None = None,
+        *,
+        start: Sequence[float] | Float[np.ndarray, "3"] | None = None,
+        region: BaseRegion = ANYWHERE,
+        keep_poses: PoseMask | None = None,
+        keep_grasps: GraspFilter | None = None,
+        config: PipelineConfig = DEFAULT,
+        cache_dir: str | Path | None = None,
+        seed: int = 0,
+        clock: Clock = time.perf_counter,
+    ) -> PlacementQuery:
+        """Build a query.
+
+        Args:
+            scene: The scene.
+            robot: The mobile manipulator.
+            task: What must be done, see `make_task`.
+            reach: The robot's reachability map; None to load it, or to build it at first use.
+            start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
+            region: Where the base may stand.
+            keep_poses: Returns for base poses (n, 3) which of them may be tried, as n bools. This
+                keeps the robot west of x = 2 m: `lambda poses: poses[:, 0] < 2.0`.
+            keep_grasps: Returns which grasps of a motion may be used, as bools.
+            config: How to search.
+            cache_dir: Folder of the cached maps; the user's cache folder by default.
+            seed: The same seed gives the same answer.
+            clock: Measures the stages and the timeout [s].
+
+        Raises:
+            InputError: An argument has the wrong type, shape or range.
+        """
+        expect("robot", robot, Robot, "load_robot reads one")
+        folder = None if cache_dir is None else as_path("cache_dir", cache_dir)
+        expect_callable("clock", clock)
+        if reach is None:
+            reach = load_reach(robot, folder)
+        return cls(
+            scene, robot, task, reach, start, config, region, keep_poses, keep_grasps,  # type: ignore[arg-type]
+            seed=seed, watch=Stopwatch(clock),
+        )  # fmt: skip
 
     @cached_property
     def nav_map(self) -> NavigationMap:
-        """Where the robot fits with its arm at home, among all objects as they are."""
+        """Return where the robot fits with its arm at home, among all objects as they are."""
         return build_navigation_map(self.scene, self.robot)
 
     @cached_property
     def outlines_after(self) -> ConvexPolygons:
-        """What the task moves, as it leaves it."""
+        """Return the outlines of what the task moves, at its pose after the task."""
         return outlines_after(self.scene, self.robot, self.task)
+
+    def kept(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return which base poses `keep_poses` allows.
+
+        Raises:
+            InputError: It returns anything but one bool per pose.
+        """
+        assert self.keep_poses is not None
+        mask = np.asarray(self.keep_poses(poses))
+        if mask.shape != (len(poses),) or mask.dtype != bool:
+            raise InputError(
+                f"keep_poses must return {len(poses)} bools, one per base pose, not an array of "
+                f"{mask.dtype} of shape {mask.shape}"
+            )
+        return mask
+
+
+def as_query(
+    first: object, rest: tuple[object, ...], options: Mapping[str, object]
+) -> PlacementQuery:
+    """Return the query that a caller passes whole, or in its parts.
+
+    Raises:
+        InputError: Parts are missing, superfluous or wrong.
+    """
+    if isinstance(first, PlacementQuery):
+        if rest or options:
+            raise InputError("a PlacementQuery is passed alone; set its fields instead")
+        return first
+    parts = dict(zip(("robot", "task", "reach"), rest, strict=False)) | dict(options)
+    unknown = sorted(set(parts) - {"robot", "task", "reach", *QueryOptions.__annotations__})
+    if unknown or len(rest) > 3:
+        raise InputError(
+            f"unknown argument {shown(unknown[0] if unknown else rest[3])}; known are scene, "
+            f"robot, task, reach, {', '.join(QueryOptions.__annotations__)}"
+        )
+    if not {"robot", "task"} <= set(parts):
+        raise InputError("scene, robot and task are needed, or a PlacementQuery")
+    return PlacementQuery.of(first, **parts)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Which objects get a kinematic model: those that score, and those that a check finds to matter."""
+"""Choose the objects with a kinematic model: those that score, and those near a plan."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .query import PlacementQuery
 from .result import PlacementResult
 
 
-def first_selection(query: PlacementQuery, ranked: Importance, motion: TaskMotion) -> Selection:
-    """S at the configured alpha, with what the door or the robot stands in already."""
+def initial_selection(query: PlacementQuery, ranked: Importance, motion: TaskMotion) -> Selection:
+    """Return S at the configured alpha, plus the boxes that the part or the robot overlaps."""
     if query.config.place.method == "exhaustive":
         return everything(ranked)
     selection = start_of(ranked)
@@ -30,13 +30,13 @@ def first_selection(query: PlacementQuery, ranked: Importance, motion: TaskMotio
     return selection.join(names[i] for i in np.flatnonzero(hit))
 
 
-def expand_model(
+def refine_model(
     query: PlacementQuery, selection: Selection, result: PlacementResult
 ) -> tuple[Selection, bool]:
-    """Model what a plan comes near, and check it again, until nothing new is near.
+    """Model the objects near a plan and check it again, until no other box is near.
 
     Returns:
-        The selection, and whether the plan holds with it.
+        The selection, and whether the plan is valid with it.
     """
     found, pose = result.plan.motion, result.plan.base_pose
     assert found is not None

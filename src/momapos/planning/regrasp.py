@@ -1,4 +1,4 @@
-"""Two holds: pull a door ajar, let go, push it on from behind, from the same base pose."""
+"""Open a door with two grasps from one base pose: pull it ajar, let go, push it from behind."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
     RESOLUTION,
     Feasibility,
-    brief,
+    brief_config,
     interpolate,
     near_home,
-    plan_with_room,
+    plan_with_clearance,
 )
-from momapos.planning.grasps import FULL, GraspFilter, stays, task_motion
-from momapos.planning.placement import PlaceConfig, Problem, ScoreWays, scores_of_two_holds
+from momapos.planning.grasps import FULL_DOF, GraspFilter, stays_in_place, task_motion
+from momapos.planning.placement import GraspModeScorer, PlaceConfig, Problem, two_grasp_scorer
 
 from .config import PipelineConfig
 from .task_setup import PreparedTask, prepare
@@ -31,71 +31,70 @@ from .task_setup import PreparedTask, prepare
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-AJAR = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
-"""How far a door is pulled before it is pushed, the first that works [rad]."""
+AJAR_ANGLES = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
+"""Angles to which a door is pulled before it is pushed; the first that works is used [rad]."""
 
 
 @dataclass(frozen=True)
-class TwoHolds:
-    """A door's opening in two holds, made ready; the check of base poses."""
+class TwoGrasps:
+    """The check of base poses for opening a door with two grasps."""
 
     whole: PreparedTask
-    """The task as it was asked."""
+    """The whole task."""
     first: Feasibility
     """Pulls the door ajar and draws the hand back."""
     second: Feasibility
-    """Pushes it on."""
+    """Pushes it farther."""
     config: PipelineConfig
     seed: int
     _pulled: dict[bytes, ArmPathResult] = field(default_factory=dict)
-    """Arm paths of the first hold, by base pose."""
+    """Arm paths of the first grasp, by base pose."""
     _in_reach: list[int] = field(default_factory=list)
-    """From how many of the base poses that were asked for the first hold and the end of the second
-    are within reach."""
+    """For each query, the number of base poses that reach the first grasp and the end of the
+    second."""
 
     @property
     def _pulls(self) -> int:
-        """Ways of the first hold: columns of scores that come before those of the second."""
+        """Return the number of score columns of the first grasp, which precede the second's."""
         return len(self.first.motion.Ts_world_tool)
 
     @property
-    def ways(self) -> tuple[ScoreWays, ...]:
-        """How base poses reach the ways of both holds, those of the first before."""
+    def mode_scorers(self) -> tuple[GraspModeScorer, ...]:
+        """Return the scorer of both grasps, the first one's columns first."""
         first, second = self.first.motion, self.second.motion
         Ts = (m.Ts_world_tool[:, m.waypoint_steps] for m in (first, second))
         one, other = (np.ascontiguousarray(T) for T in Ts)
-        return (scores_of_two_holds(one, other, self._in_reach.append),)
+        return (two_grasp_scorer(one, other, self._in_reach.append),)
 
     @property
     def in_reach(self) -> bool:
-        """Whether the first hold and the end of the second are within reach of any base pose that
-        was asked for."""
+        """Return whether any base pose so far reaches the first grasp and the end of the second."""
         return any(self._in_reach)
 
     @property
     def ends(self) -> frozenset[bytes]:
-        """Where the hand can be when the second hold is over, to the micrometer."""
+        """Return the tool poses at the end of the second grasp, rounded to the micrometer."""
         Ts = np.round(self.second.motion.Ts_world_tool[:, -1], 6) + 0.0
         return frozenset(T.tobytes() for T in Ts)
 
     def problem(self, problem: Problem) -> Problem:
-        """The search's problem, for two holds."""
+        """Return the search's problem, for two grasps."""
         second = self.second.motion
         pushing = np.ascontiguousarray(second.Ts_world_tool[:, second.waypoint_steps])
         return replace(
             problem,
             geometry=replace(problem.geometry, Ts_world_tool=pushing),
-            ways=self.ways,
+            mode_scorers=self.mode_scorers,
             screen=self.screen,
             attempt=self,
-            takes_hold=second.grasp_step,
+            grasp_step=second.grasp_step,
             infeasible_reason="",
         )
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n h"], most: int | None
     ) -> list[ArmPathResult] | None:
-        """Look for arm paths of both holds, see `Feasibility.screen`."""
+        """Search arm paths for both grasps, see `Feasibility.screen`."""
         pulled = self.first.screen(bases, scores[:, : self._pulls], most)
         if pulled is None:
             return None
@@ -114,7 +113,7 @@ class TwoHolds:
     def __call__(
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
     ) -> Attempt:
-        """Complete both holds at a base pose: the way from home, between them, the exact check."""
+        """Complete both grasps at a base pose: approach, path between them, exact check."""
         pulls = ways[ways < self._pulls]
         pulled = self.first(base, self._pulled[base.tobytes()], pulls)
         if pulled.motion is None:
@@ -128,7 +127,7 @@ class TwoHolds:
             return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
         motion = self._joined(base, pulled.motion, between, replace(screened, q=q))
         if self.config.motion.home_again:
-            home = self.second.way_home(base, q[-1], screened.grasp)
+            home = self.second.path_home(base, q[-1], screened.grasp)
             if home is None:
                 return Attempt(None, PoseOutcome(PoseStatus.NO_WAY_HOME))
             motion = replace(motion, home=home)
@@ -140,15 +139,15 @@ class TwoHolds:
     def _between(
         self, base: Float[np.ndarray, "3"], start: Float[np.ndarray, " n"], goal: np.ndarray
     ) -> Float[np.ndarray, "k n"] | None:
-        """A free way of the arm while the door stands ajar."""
+        """Plan a free arm path while the door stands ajar."""
         chain = self.second.robot.chain
         checker = partial(
             motion_checker, self.second.world, chain, self.second.robot.spheres, base,
             value=int(self.second.motion.value[0]), holding=False, step=RESOLUTION,
         )  # fmt: skip
-        return plan_with_room(
+        return plan_with_clearance(
             start, goal, chain.lower, chain.upper, checker,
-            config=brief(self.config.arm_planner), seed=self.seed,
+            config=brief_config(self.config.arm_planner), seed=self.seed,
         )  # fmt: skip
 
     def _joined(
@@ -158,14 +157,14 @@ class TwoHolds:
         between: Float[np.ndarray, "k n"],
         pushed: ArmPathResult,
     ) -> Motion:
-        """One motion of both holds; the door rests between them."""
+        """Join both grasps into one motion; the door rests between them."""
         assert pushed.q is not None
-        way, second = interpolate(between)[1:], self.second.motion
+        free, second = interpolate(between)[1:], self.second.motion
         chain = self.second.robot.chain
-        q = np.concatenate([chain.freedom_values(pulled.q), way, pushed.q[1:]])
-        ajar = np.repeat(pulled.object_q[-1], len(way))
+        q = np.concatenate([chain.freedom_values(pulled.q), free, pushed.q[1:]])
+        ajar = np.repeat(pulled.object_q[-1], len(free))
         object_q = np.concatenate([pulled.object_q, ajar, second.object_q[1:]])
-        begin = len(pulled.q) + len(way) - 1 + second.grasp_step
+        begin = len(pulled.q) + len(free) - 1 + second.grasp_step
         (push,) = second.holds(pushed.grasp)
         hold = replace(push, first=begin, last=begin + push.last)
         Ts = pose_planar(base) @ chain.tool_poses(q)
@@ -174,37 +173,36 @@ class TwoHolds:
         )
 
 
-def every_two_holds(
+def iter_two_grasps(
     whole: PreparedTask,
     config: PipelineConfig,
     seed: int,
     *,
-    grasp_filter: GraspFilter | None = None,
+    keep_grasps: GraspFilter | None = None,
     out_of_time: Callable[[], bool] = lambda: False,
     watch: Stopwatch | None = None,
-) -> Iterator[TwoHolds]:
-    """Make a task ready to be done in two holds, for each value at which the hand may let go.
+) -> Iterator[TwoGrasps]:
+    """Yield the task with two grasps, for each value at which the hand may let go.
 
-    Each is made when it is asked for: mostly the first is enough. An arm that needs the turn of its
-    hand to reach at all holds nothing twice.
+    Arms of fewer than six degrees of freedom cannot do it.
     """
     watch = watch or Stopwatch(lambda: 0.0)
-    pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL
-    for ajar in AJAR if pushes and not whole.blocked else ():
-        two = _two_holds(whole, config, seed, ajar, grasp_filter, out_of_time, watch)
+    pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
+    for ajar in AJAR_ANGLES if pushes and not whole.blocked else ():
+        two = _two_grasps(whole, config, seed, ajar, keep_grasps, out_of_time, watch)
         if two is not None:
             yield two
 
 
-def two_hold_searches(
-    ready: Iterable[TwoHolds], place: PlaceConfig
-) -> Iterator[tuple[TwoHolds, PlaceConfig]]:
-    """Searches to be tried in turn: samples for every value first, the grids after them.
+def two_grasp_searches(
+    ready: Iterable[TwoGrasps], place: PlaceConfig
+) -> Iterator[tuple[TwoGrasps, PlaceConfig]]:
+    """Yield searches in the order of trying them: samples for every value, then grids.
 
-    Where no base pose reaches both the pull to a value and an end of the push, none does for the
-    values that follow, which are farther to pull to; only what they add to the ends is asked for.
+    If no base pose reaches both the pull to a value and an end of the push, none does for larger
+    values; these are searched only if they add ends.
     """
-    sampled: list[TwoHolds] = []
+    sampled: list[TwoGrasps] = []
     beyond: frozenset[bytes] = frozenset()
     for two in ready:
         if two.ends <= beyond:
@@ -220,29 +218,29 @@ def two_hold_searches(
         yield two, replace(place, rounds=0)
 
 
-def _two_holds(
+def _two_grasps(
     whole: PreparedTask,
     config: PipelineConfig,
     seed: int,
     ajar: float,
-    grasp_filter: GraspFilter | None,
+    keep_grasps: GraspFilter | None,
     out_of_time: Callable[[], bool],
     watch: Stopwatch,
-) -> TwoHolds | None:
-    """Make a task ready to be done in two holds.
+) -> TwoGrasps | None:
+    """Prepare a task with two grasps.
 
     Args:
         whole: The task.
         config: How to plan.
-        seed: Same seed, same motion.
-        ajar: How far the door is pulled, from where it is shut [rad].
-        grasp_filter: Rules grasps out by which it might be pulled.
-        out_of_time: Asked between steps of the work.
+        seed: The same seed gives the same motion.
+        ajar: Angle to which the door is pulled, from closed [rad].
+        keep_grasps: Returns which grasps may be used for pulling.
+        out_of_time: Returns whether the time is over.
         watch: Counts the stages.
 
     Returns:
-        None where that makes no sense: what slides, what closes, what is to be opened less far,
-        what does not stay where the hand lets go of it, and where the hand finds no room.
+        None if the part slides, closes, opens less far, does not stay where the hand lets go, or
+        if the hand has no free grasp.
     """
     scene, robot, task = whole.scene, whole.robot, whole.task
     if task.verb != "open" or task.joint is None or task.to is None:
@@ -254,7 +252,7 @@ def _two_holds(
     on_the_way = opening.sign * start < opening.sign * value < opening.sign * task.to
     turns = item.model.joint(task.joint).kind != "prismatic"
     resistance = config.motion.grasps.resistance
-    if not (on_the_way and turns and stays(item, task.joint, value, resistance)):
+    if not (on_the_way and turns and stays_in_place(item, task.joint, value, resistance)):
         return None
     pull, opened = (
         Task("open", task.object, task.joint, value),
@@ -266,7 +264,7 @@ def _two_holds(
     clearance = whole.geometry.clearance
     first = prepare(
         scene, robot, pull, config, clearance=clearance, motion=pulling,
-        grasp_filter=grasp_filter, watch=watch,
+        keep_grasps=keep_grasps, watch=watch,
     )  # fmt: skip
     second = prepare(opened, robot, task, config, clearance=clearance, motion=pushing, watch=watch)
     if first.no_grasp or second.no_grasp:
@@ -277,4 +275,4 @@ def _two_holds(
         )
         for part in (first, second)
     )
-    return TwoHolds(whole, one, other, config, seed)
+    return TwoGrasps(whole, one, other, config, seed)

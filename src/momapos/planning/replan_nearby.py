@@ -1,4 +1,4 @@
-"""Is a motion found anew beside a base pose? Mostly the one that is known there can be carried."""
+"""Replan at base poses near one with a known motion, which usually can be adapted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from momapos.core.geometry import pose_planar
 from momapos.model.collision import FREE, check
 from momapos.model.records import Motion
-from momapos.planning.arm_motion import arm_spheres, brief, carried, with_payload
+from momapos.planning.arm_motion import adapt_motion, arm_spheres, brief_config, with_payload
 from momapos.planning.placement import BaseStatus, base_pose_status
 
 from .base_pose_check import BasePoseChecks
@@ -20,82 +20,83 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 Depth: TypeAlias = Literal["base", "arm", "all"]
-"""How much is asked of a pose: whether the base stands clear, for an arm path as well that the
-planner's model lets pass, or for all that a plan has to pass."""
-MOST = 12
-"""Base poses at which a motion is planned from nothing, because none that is known can be carried
-there; beyond that a pose where none can counts as one where there is none [-]."""
+"""How deep a pose is checked: the base alone, also an arm path in the planner's model, or all that
+a plan must pass."""
+MAX_REPLANNED_POSES = 12
+"""Poses at which a motion is planned from scratch because no known one can be adapted; after that,
+a pose where none can be adapted counts as a failure [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Known:
-    """A base pose and a motion there."""
+    """A base pose with its motion."""
 
     base: Float[np.ndarray, "3"]
     motion: Motion
 
 
 @dataclass
-class FoundAnew:
-    """Looks for motions at poses beside a base pose where one is known."""
+class NearbyReplanner:
+    """Find motions at base poses near one with a known motion."""
 
     checks: BasePoseChecks
     known: list[_Known]
-    asked: int = 0
-    """At how many poses a motion was planned from nothing."""
+    replanned: int = 0
+    """Number of poses at which a motion was planned from scratch."""
 
     @classmethod
     def around(
         cls, query: PlacementQuery, base: Float[np.ndarray, "3"], motion: Motion
-    ) -> FoundAnew:
-        """Around a base pose with a motion."""
-        config = replace(query.config, planner=brief(query.config.planner))
-        asked = replace(query, config=config)
-        return cls(BasePoseChecks(asked), [_Known(base, motion)])
+    ) -> NearbyReplanner:
+        """Build a replanner around a base pose with a motion."""
+        config = replace(query.config, planner=brief_config(query.config.planner))
+        return cls(BasePoseChecks(replace(query, config=config)), [_Known(base, motion)])
 
-    def failure(self, poses: Float[np.ndarray, "n 3"], how: Depth) -> int | None:
-        """Index of a pose where no motion is found; None where one is found at all.
+    def failure(self, poses: Float[np.ndarray, "n 3"], depth: Depth) -> int | None:
+        """Return the index of a pose without a motion; None if all poses have one.
 
-        The query's clock is looked at before each pose; what it raises ends the work.
+        The query's clock is read before each pose; an exception that it raises ends the work.
 
         Args:
-            poses: x [m], y [m], yaw [rad], those that fail most first.
-            how: How much is asked.
+            poses: x [m], y [m], yaw [rad], those that fail most often first.
+            depth: How deep each pose is checked.
         """
         status, _ = base_pose_status(self.checks.prepared.geometry, poses)
         blocked = np.flatnonzero(status != BaseStatus.CLEAR)
         if len(blocked):
             return int(blocked[-1])
-        for index, pose in enumerate(poses if how != "base" else ()):
+        for index, pose in enumerate(poses if depth != "base" else ()):
             self.checks.query.watch.clock()
-            if not self._found(pose, exact=how == "all"):
+            if not self._has_motion(pose, exact=depth == "all"):
                 return index
         return None
 
-    def _found(self, pose: Float[np.ndarray, "3"], *, exact: bool) -> bool:
-        if any(self._carries(one, pose, exact=exact) for one in self.known):
+    def _has_motion(self, pose: Float[np.ndarray, "3"], *, exact: bool) -> bool:
+        if any(self._adapts(one, pose, exact=exact) for one in self.known):
             return True
-        if self.asked == MOST:
+        if self.replanned == MAX_REPLANNED_POSES:
             return False
-        self.asked += 1
-        held = len(self.known[0].motion.holds) > 1
-        found = (self.checks if held else self.checks.in_one_hold)(pose).motion
+        self.replanned += 1
+        regrasps = len(self.known[0].motion.holds) > 1
+        found = (self.checks if regrasps else self.checks.with_one_grasp)(pose).motion
         if found is None:
             return False
         self.known.insert(0, _Known(pose, found))
         return True
 
-    def _carries(self, known: _Known, pose: Float[np.ndarray, "3"], *, exact: bool) -> bool:
+    def _adapts(self, known: _Known, pose: Float[np.ndarray, "3"], *, exact: bool) -> bool:
         prepared = self.checks.prepared
         straight = prepared.motion.grasp_step
-        motion = carried(prepared.robot, known.motion, known.base, pose, straight)
+        motion = adapt_motion(prepared.robot, known.motion, known.base, pose, straight)
         if motion is None or not self._clear(motion, pose):
             return False
         return not exact or prepared.violation(pose, motion) is None
 
     def _clear(self, motion: Motion, pose: Float[np.ndarray, "3"]) -> bool:
-        """Whether the arm is free as the planner sees it; true of more than one hold, of which the
-        exact check alone decides."""
+        """Return whether the arm is free in the planner's model.
+
+        True for a motion with more than one grasp, which only the exact check judges.
+        """
         prepared = self.checks.prepared
         task, robot, chain = prepared.motion, prepared.robot, prepared.robot.chain
         steps, straight = len(task.object_q), task.grasp_step
@@ -103,21 +104,21 @@ class FoundAnew:
             return True
         carrying = task.task.verb == "place"
         q = chain.freedom_values(np.concatenate([motion.approach, motion.q]))
-        way = len(q) - steps
+        approach = len(q) - steps
         spheres = robot.spheres
         if carrying:
-            T = pose_planar(pose) @ chain.tool_poses(q[way : way + 1])[0]
+            T = pose_planar(pose) @ chain.tool_poses(q[approach : approach + 1])[0]
             spheres = with_payload(robot, task, T, 0)
-        where = np.tile(pose, (len(q), 1))
+        bases = np.tile(pose, (len(q), 1))
         codes = check(
-            prepared.world, chain, spheres, q[:way], where[:way],
-            np.full(way, task.value[0]), np.full(way, carrying),
+            prepared.world, chain, spheres, q[:approach], bases[:approach],
+            np.full(approach, task.value[0]), np.full(approach, carrying),
         )  # fmt: skip
         if (codes != FREE).any():
             return False
-        # The hand is held against what it holds by its boxes, and here by the exact check.
+        # Grasps and the exact check test the hand against the object that it holds.
         codes = check(
-            prepared.world, chain, arm_spheres(robot), q[way:], where[way:], task.value,
-            task.holding,
+            prepared.world, chain, arm_spheres(robot), q[approach:], bases[approach:],
+            task.value, task.holding,
         )  # fmt: skip
         return bool((codes == FREE).all())

@@ -1,4 +1,4 @@
-"""An answer: the plan, and what the search saw on the way."""
+"""An answer: the plan, and the search data behind it."""
 
 from __future__ import annotations
 
@@ -24,41 +24,43 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEPENDS_ON = ("momapos", "numpy", "ompl")
-"""Packages that an answer depends on, beside its inputs."""
+"""Packages that an answer depends on, in addition to its inputs."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlacementResult:
-    """A plan, and what the search saw on the way; the latter is for pictures and benchmarks."""
+    """A plan, and the search data behind it for figures and benchmarks."""
 
     plan: PlacementPlan
     prepared: PreparedTask
     search: Search
     start: Float[np.ndarray, "3"]
-    """Where the base was: x [m], y [m], yaw [rad]."""
+    """Start of the base: x [m], y [m], yaw [rad]."""
     query: PlacementQuery | None = field(default=None, repr=False)
-    """What was asked; None of a plan that was read."""
+    """The question; None if the plan was read from a file."""
 
     @cached_property
     def tolerance(self) -> Tolerance | None:
-        """How far beside the base pose the robot may stand, measured when it is first asked for;
-        None where there is no motion, and of a plan that was read and has none."""
+        """Return how far the base may be from its pose, measured on first access.
+
+        None without a motion, and for a plan from a file that states none.
+        """
         return self.with_tolerance().plan.tolerance
 
     def with_tolerance(self) -> PlacementResult:
-        """The same answer, its plan with the tolerance, as `momapos place` writes it."""
-        # By name: it plans anew, so that it is downstream of answers.
+        """Return the answer with the tolerance in its plan, as `momapos place` writes it."""
+        # By name: it replans, and so depends on this module.
         answer: PlacementResult = import_module("momapos.planning.tolerance").with_tolerance(self)
         return answer
 
     @property
     def slides(self) -> bool:
-        """Whether the part slides [m]; it turns otherwise [rad]."""
+        """Return whether the part slides [m]; otherwise it turns [rad]."""
         return slides(self.prepared.scene, self.plan.task)
 
     @property
     def holds(self) -> tuple[str, ...]:
-        """How the plan holds what it moves, one hold after the other, and where that was found."""
+        """Return a description of each grasp of the plan, in order."""
         motion, found = self.prepared.motion, self.plan.motion
         if found is None:
             return ()
@@ -69,7 +71,7 @@ class PlacementResult:
 
     @property
     def touched_after(self) -> str:
-        """What the robot touches where it brings its arm home after the task; "" for nothing."""
+        """Return what the robot touches as its arm returns home after the task; "" for nothing."""
         base, robot, task = self.plan.base_pose, self.prepared.robot, self.plan.task
         if base is None or self.plan.motion is None:
             return ""
@@ -83,13 +85,13 @@ class PlacementResult:
         return f"<PlacementResult of {name}: {task.verb} {what}: {status}>"
 
     def _repr_png_(self) -> bytes:
-        """The picture that a notebook shows."""
-        # By name: what draws records is downstream of them, and is imported by nobody else.
+        """Return the figure that a notebook shows."""
+        # By name: figures depend on records.
         png: bytes = import_module("momapos.apps.plots.notebook_images").answer_png(self)
         return png
 
     def show(self) -> None:
-        """Play the plan in a notebook, or in a browser outside of one; needs `momapos[view]`.
+        """Play the plan in a notebook, or in a browser outside of one; needs viser.
 
         Raises:
             InputError: The plan is not solved.
@@ -101,11 +103,11 @@ class PlacementResult:
 
 
 def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> PlacementResult:
-    """The answer of several arms: the shortest drive that solves the task, else the farthest part.
+    """Return the best answer of several arms: the shortest drive, else the largest opening.
 
     Args:
-        results: One for each arm, at least one; the first wins where they are equal.
-        farthest: Whether the task asks for as far as possible, which then comes before the drive.
+        results: One answer per arm, at least one; the first wins a tie.
+        farthest: Whether the task asks for as much as possible, which then precedes the drive.
     """
 
     def rank(result: PlacementResult) -> tuple[int, float, float]:
@@ -119,7 +121,7 @@ def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> P
 
 
 def _moved(result: PlacementResult, to: float | None) -> float:
-    """How far the part goes from where the scene has it, to a value [rad] or [m]."""
+    """Return how far the part moves from its value in the scene [rad] or [m]."""
     task = result.plan.task
     if task.joint is None or to is None:
         return 0.0
@@ -133,14 +135,14 @@ def plan_of(
     start: Float[np.ndarray, "3"],
     path: BasePath | None,
 ) -> PlacementPlan:
-    """The plan that a search leads to.
+    """Return the plan that a search found.
 
     Args:
-        query: What was asked.
-        prepared: The room and the task as they were modeled.
+        query: The question.
+        prepared: The scene and the task as they were modeled.
         found: What the search found.
-        start: Where the base is: x [m], y [m], yaw [rad].
-        path: The way from there to the base pose, if there is one.
+        start: Start of the base: x [m], y [m], yaw [rad].
+        path: The path from there to the base pose, if there is one.
     """
     robot, base = query.robot, found.base
     solved = found.motion is not None and base is not None
@@ -175,19 +177,19 @@ def plan_of(
 
 
 def _cost(query: PlacementQuery, prepared: PreparedTask, found: Search) -> Mapping[str, CostTerm]:
-    """The terms of what the base pose costs; none of one that another method chose."""
+    """Return the cost terms of the base pose; empty for other methods."""
     place, motion, base = query.config.place, found.motion, found.base
     if motion is None or base is None or place.method not in OURS:
         return {}
     q = query.robot.chain.freedom_values(motion.q)
     travel = float(found.cost)
-    return cost_terms(prepared.geometry, place, base, q, travel=travel, margin=found.margin)
+    return cost_terms(prepared.geometry, place, base, q, travel=travel, robustness=found.robustness)
 
 
 def _named_srdf(robot: Robot) -> str | None:
-    """The SRDF, where it is not the one that everybody finds beside the URDF."""
+    """Return the SRDF, unless it is the one that stands next to the URDF."""
     urdf = robot.model.urdf.path
-    beside = None if urdf is None else urdf.with_suffix(".srdf")
-    # A URDF that the robot file adds to is written beside the plan, where nobody finds the SRDF.
-    found = robot.amended is None and robot.srdf == beside
+    default = None if urdf is None else urdf.with_suffix(".srdf")
+    # An amended URDF is written next to the plan, away from the SRDF.
+    found = robot.amended is None and robot.srdf == default
     return None if robot.srdf is None or found else str(robot.srdf)

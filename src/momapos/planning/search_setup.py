@@ -1,4 +1,4 @@
-"""A question made ready to be searched: what every way to choose base poses shares."""
+"""Prepare the search of a query: what all methods of choosing base poses share."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 from momapos.model.records import ReachScorer
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import Feasibility, fitted_bases
-from momapos.planning.grasps import FULL, TaskMotion
+from momapos.planning.grasps import FULL_DOF, TaskMotion
 from momapos.planning.navigation import clear_at_home
 from momapos.planning.placement import AttemptPose, PlaceConfig, Problem, Search, search_in_order
 from momapos.planning.reachability import ReachMap
 
-from .base_paths import Drives, WaysOn
+from .base_paths import BasePaths, OnwardPaths
 from .query import PlacementQuery
-from .regrasp import TwoHolds, every_two_holds, two_hold_searches
+from .regrasp import TwoGrasps, iter_two_grasps, two_grasp_searches
 from .result import PlacementResult, plan_of
 from .robust import RobustChecks
 from .sliding_grasp import SlidingHook, sliding_hooks
@@ -29,49 +29,49 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 DOUBT = 1.0
-"""So many cells outside its boundary a map may be wrong: there the grid asks the arm [-]."""
-_SEARCHING = ("search", "way", "exact check")
-"""Stages that count for the time limit."""
-_FINE = 64
-"""Base poses without an arm path that are looked at more finely, the nearest [-]."""
+"""Cells outside the map's boundary in which the grid uses exact inverse kinematics [-]."""
+_SEARCHING = ("search", "path", "exact check")
+"""Stages that count toward the timeout."""
+_MAX_REFINED_POSES = 64
+"""Base poses without an arm path that finer inverse kinematics checks again, the nearest [-]."""
 
 
 @dataclass(frozen=True)
-class ReadySearch:
-    """A question with its room modeled, and the checks of its base poses."""
+class SearchSetup:
+    """A query with its scene modeled, and the checks of its base poses."""
 
     query: PlacementQuery
     prepared: PreparedTask
     problem: Problem
-    """One hold, or one hand that turns about a bar."""
+    """The search with one grasp, rigid or turning about a bar."""
     feasible: Feasibility
-    """The check of base poses behind that of the problem."""
-    drives: Drives
+    """The check of base poses that the problem's check is built on."""
+    drives: BasePaths
     robust: RobustChecks | None
-    """What asks for room around base poses, where that is asked for."""
+    """The check of base-pose robustness, if the query asks for it."""
 
     def slides(self) -> Iterator[SlidingHook]:
-        """The task by a hook that slides along the handle, if some hook can."""
+        """Yield the task with a hook that slides along the handle, if some hook can."""
         return sliding_hooks(self.prepared, self.feasible, self.query.config)
 
-    def two_holds(self) -> Iterator[TwoHolds]:
-        """The task in two holds, for each value at which the hand may let go."""
+    def two_grasps(self) -> Iterator[TwoGrasps]:
+        """Yield the task with two grasps, for each value at which the hand may let go."""
         query = self.query
-        return every_two_holds(
+        return iter_two_grasps(
             self.prepared, query.config, query.seed,
             out_of_time=self.problem.out_of_time, watch=query.watch,
         )  # fmt: skip
 
-    def more_holds(self) -> Iterator[SlidingHook | TwoHolds]:
-        """The task in more than one hold, the ways in which it may be in turn."""
+    def multi_grasp_variants(self) -> Iterator[SlidingHook | TwoGrasps]:
+        """Yield all variants of the task with more than one grasp."""
         yield from self.slides()
-        yield from self.two_holds()
+        yield from self.two_grasps()
 
-    def finely(self, found: Search, place: PlaceConfig) -> Search:
-        """Look again from where inverse kinematics may have overlooked an arm path.
+    def refine(self, found: Search, place: PlaceConfig) -> Search:
+        """Check base poses again, from which coarse inverse kinematics may have missed an arm path.
 
-        A redundant arm that is locked at more values passes where it hit, or broke off. Few poses
-        of a "no" come so far that it matters.
+        A redundant arm that is locked at more values avoids more collisions. Few poses of an
+        infeasible task come this far.
 
         Args:
             found: A search of the whole grid that found nothing.
@@ -88,23 +88,23 @@ class ReadySearch:
             attempt=_accepted(fine, self.drives, self.robust),
         )  # fmt: skip
         # As on the grid every grasp counts.
-        every = replace(place, grasps=self.prepared.motion.turning.ways)
-        return search_in_order(problem, iter([poses[order[:_FINE]]]), every)
+        every = replace(place, grasps=self.prepared.motion.turning.modes)
+        return search_in_order(problem, iter([poses[order[:_MAX_REFINED_POSES]]]), every)
 
-    def otherwise(self, place: PlaceConfig) -> Iterator[tuple[Problem, PlaceConfig]]:
-        """The same problem in more than one hold, and how to search it; each is made when it is
-        asked for, since mostly the first is enough."""
+    def multi_grasp_problems(self, place: PlaceConfig) -> Iterator[tuple[Problem, PlaceConfig]]:
+        """Yield the problem with more than one grasp, and how to search it."""
         for slide in self.slides():
-            yield self.held_so(slide), place
-        for two, again in two_hold_searches(self.two_holds(), place):
-            yield self.held_so(two), again
+            yield self.with_grasps(slide), place
+        for two, again in two_grasp_searches(self.two_grasps(), place):
+            yield self.with_grasps(two), again
 
-    def held_so(self, way: SlidingHook | TwoHolds) -> Problem:
-        """The same problem, to be done in more than one hold."""
-        return replace(way.problem(self.problem), attempt=_accepted(way, self.drives, self.robust))
+    def with_grasps(self, variant: SlidingHook | TwoGrasps) -> Problem:
+        """Return the problem, solved with more than one grasp."""
+        attempt = _accepted(variant, self.drives, self.robust)
+        return replace(variant.problem(self.problem), attempt=attempt)
 
     def result(self, found: Search) -> PlacementResult:
-        """The answer that a search leads to."""
+        """Return the answer that a search found."""
         start = self.problem.start
         plan = plan_of(self.query, self.prepared, found, start, self.drives.path(found.base))
         if self.robust is not None and plan.motion is not None:
@@ -112,16 +112,16 @@ class ReadySearch:
         return PlacementResult(plan, self.prepared, found, start, self.query)
 
 
-def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> ReadySearch:
-    """Make a question ready.
+def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> SearchSetup:
+    """Prepare the search of a query.
 
     Args:
-        query: What is asked.
-        modeled: The room as it is to be modeled.
-        motion: The task's motion in any version of the room.
+        query: The question.
+        modeled: The scene as it must be modeled.
+        motion: The task's motion in any version of the scene.
 
     Raises:
-        SceneError: The start is no free pose.
+        SceneError: The robot collides at its start pose.
     """
     robot, config, watch = query.robot, query.config, query.watch
     clearance = config.place.clearance
@@ -134,7 +134,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         travel_cost = driving_lengths(prepared, start)
 
-    # What is compiled and read before, once after installation, is not the search's time.
+    # Time for compiling and reading, once after installation, does not count.
     spent = sum(watch.seconds.get(stage, 0.0) for stage in _SEARCHING)
     left, begun = config.timeout - spent, watch.clock()
 
@@ -142,49 +142,49 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         return watch.clock() - begun > left
 
     feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
-    drives, moves = Drives(query, start), query.task.joint is not None
-    asked = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
-    robust = RobustChecks(query) if asked else None
+    drives, moves = BasePaths(query, start), query.task.joint is not None
+    required = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
+    robust = RobustChecks(query) if required else None
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
-        grid_reach=_in_doubt(query.reach),
-        ways=prepared.ways,
+        grid_reach=_optimistic(query.reach),
+        mode_scorers=prepared.mode_scorers,
         travel_cost=travel_cost,
         attempt=_accepted(feasible, drives, robust),
         screen=feasible.screen,
-        takes_hold=prepared.motion.grasp_step,
+        grasp_step=prepared.motion.grasp_step,
         infeasible_reason=infeasible_reason,
         start=start,
         out_of_time=out_of_time,
-        pose_filter=query.pose_filter,
-        goes_home=partial(_goes_home, query) if moves else None,
-        leads_on=WaysOn(drives) if moves and _asks_way_on(config.place) else None,
+        keep_poses=None if query.keep_poses is None else query.kept,
+        home_is_free=partial(_home_is_free, query) if moves else None,
+        departure=OnwardPaths(drives) if moves and _checks_departure(config.place) else None,
         region=query.region,
         rules=() if robust is None else (robust.rule(prepared.geometry),),
-        fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
+        fit=None if robot.chain.size >= FULL_DOF else partial(fitted_bases, robot, prepared.motion),
     )
-    return ReadySearch(query, prepared, problem, feasible, drives, robust)
+    return SearchSetup(query, prepared, problem, feasible, drives, robust)
 
 
-def _asks_way_on(place: PlaceConfig) -> bool:
-    """Whether base poses are asked for a way on: other methods choose theirs without."""
+def _checks_departure(place: PlaceConfig) -> bool:
+    """Return whether base poses must let the robot drive on; other methods ignore that."""
     return place.way_on and place.method == "ours"
 
 
-def _goes_home(query: PlacementQuery, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """From which base poses the robot can start anew when the task is done."""
+def _home_is_free(query: PlacementQuery, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Return at which base poses the arm can return home after the task."""
     return clear_at_home(poses, query.robot, query.outlines_after)
 
 
-def _accepted(check: AttemptPose, drives: Drives, robust: RobustChecks | None) -> AttemptPose:
-    """A check that asks for a way to the base pose as well, and for room around it."""
+def _accepted(check: AttemptPose, drives: BasePaths, robust: RobustChecks | None) -> AttemptPose:
+    """Extend a check by the path to the base pose and by base-pose robustness."""
     drivable = drives.drivable(check)
     return drivable if robust is None else robust.around(drivable)
 
 
-def _in_doubt(reach: ReachScorer) -> ReachScorer:
-    """A map that calls reachable what may be: lines up to some cells outside the boundary."""
+def _optimistic(reach: ReachScorer) -> ReachScorer:
+    """Return a map that also accepts lines up to `DOUBT` cells outside its boundary."""
     if isinstance(reach, ReachMap):
         return replace(reach, threshold=reach.threshold - DOUBT)
     return reach

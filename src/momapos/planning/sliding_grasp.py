@@ -1,4 +1,4 @@
-"""A hook that slides along the handle while the part rests on its way, from one base pose."""
+"""Open a part with a hook that slides along the handle while the part rests."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from momapos.model.records import ArmPathResult, Attempt
 from momapos.planning.arm_motion import Feasibility
-from momapos.planning.grasps import FULL, SlidingMotion, sliding_motion
-from momapos.planning.placement import Problem, ScoreWays, scores_of_turning
+from momapos.planning.grasps import FULL_DOF, SlidingMotion, sliding_motion
+from momapos.planning.placement import GraspModeScorer, Problem, turning_grasp_scorer
 
 from .config import PipelineConfig
 from .task_setup import PreparedTask
@@ -23,28 +23,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SlidingHook:
-    """A task done by a hook that slides, made ready; the check of base poses."""
+    """The check of base poses for a task with a sliding hook."""
 
     motion: SlidingMotion
     feasible: Feasibility
 
     @cached_property
     def Ts_world_tool(self) -> Float[np.ndarray, "g w 4 4"]:
-        """Tool poses of the hooks at the waypoints, each once."""
+        """Return the tool poses of the hooks at the waypoints, each once."""
         steps = self.motion.waypoint_steps[~self.motion.after]
         return np.ascontiguousarray(self.motion.Ts_world_tool[:, steps])
 
     @property
-    def ways(self) -> tuple[ScoreWays, ...]:
-        """How base poses reach the hooks between which the hand may slide."""
-        return (scores_of_turning(self.Ts_world_tool, self.motion.turning.groups),)
+    def mode_scorers(self) -> tuple[GraspModeScorer, ...]:
+        """Return the scorer of the hooks between which the hand may slide."""
+        return (turning_grasp_scorer(self.Ts_world_tool, self.motion.turning.groups),)
 
     def problem(self, problem: Problem) -> Problem:
-        """The search's problem, for a hook that slides."""
+        """Return the search's problem, for a sliding hook."""
         return replace(
             problem,
             geometry=replace(problem.geometry, Ts_world_tool=self.Ts_world_tool),
-            ways=self.ways,
+            mode_scorers=self.mode_scorers,
             screen=self.screen,
             attempt=self,
         )
@@ -52,7 +52,7 @@ class SlidingHook:
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n h"], most: int | None
     ) -> list[ArmPathResult] | None:
-        """Look for arm paths, see `Feasibility.screen`."""
+        """Search arm paths, see `Feasibility.screen`."""
         return self.feasible.screen(bases, scores, most)
 
     def __call__(
@@ -65,15 +65,15 @@ class SlidingHook:
 def sliding_hooks(
     prepared: PreparedTask, feasible: Feasibility, config: PipelineConfig
 ) -> Iterator[SlidingHook]:
-    """Make a task ready for a hook that slides, if some hook can.
+    """Yield the task with a sliding hook, if some hook can do it.
 
     Args:
         prepared: The task.
-        feasible: Its check of base poses in one hold.
+        feasible: Its check of base poses with one grasp.
         config: How to plan.
     """
     robot, task = prepared.robot, prepared.task
-    if prepared.infeasible_reason or robot.chain.size < FULL:
+    if prepared.infeasible_reason or robot.chain.size < FULL_DOF:
         return
     target = prepared.scene.object(task.object)
     motion = sliding_motion(prepared.motion, robot, target, config.motion.grasps)

@@ -1,4 +1,4 @@
-"""Scene, robot and task made ready: what every check of a base pose needs, built once."""
+"""Prepare a scene, a robot and a task: build what every check of a base pose needs, once."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import Feasibility, collision_free_grasps
 from momapos.planning.grasps import (
-    FULL,
-    LIFT,
+    FULL_DOF,
+    LIFT_HEIGHT,
     GraspFilter,
     Handle,
     TaskMotion,
-    by_another_handle,
     in_front_of_parts,
-    in_room,
-    room_boxes,
+    in_scene,
+    scene_boxes,
     task_motion,
+    with_other_handle,
 )
 from momapos.planning.navigation import (
     NavigationMap,
@@ -37,7 +37,7 @@ from momapos.planning.navigation import (
     find_start,
     floor_plan,
 )
-from momapos.planning.placement import PlacementGeometry, ScoreWays, ways_of_holding
+from momapos.planning.placement import GraspModeScorer, PlacementGeometry, grasp_mode_scorers
 from momapos.verification import PlanVerifier
 
 from .config import PipelineConfig
@@ -50,38 +50,38 @@ NO_OTHER_GRASP = "there is no other grasp"
 
 @dataclass(frozen=True)
 class PreparedTask:
-    """A scene, a robot and a task, made ready."""
+    """A scene, a robot and a task, prepared for checks of base poses."""
 
     scene: Scene
-    """The room as it is modeled."""
+    """The scene with the selected objects modeled and boxes for the others."""
     robot: Robot
     task: Task
     motion: TaskMotion
-    """Tool poses of the grasps for which the hand has room; of all where it has none for any."""
+    """Tool poses of the grasps in which the hand is free; of all grasps if it is in none."""
     world: CollisionWorld
-    """The room as the arm's collision kernel wants it."""
+    """The scene as the arm's collision kernel takes it."""
     geometry: PlacementGeometry
-    """The room and the task as placement wants them."""
+    """The scene and the task as placement takes them."""
     no_grasp: str
-    """Why no single grasp moves it all the way, wherever the base stands; "" where some may."""
+    """Why no single grasp moves the part all the way from any base pose; "" if one may."""
 
     @cached_property
     def verifier(self) -> PlanVerifier:
-        """The exact check."""
+        """Return the exact check."""
         return PlanVerifier(self.scene, self.robot, self.task)
 
     @cached_property
     def blocked(self) -> str:
-        """What the part runs into on its way, whoever moves it; "" where it is free."""
-        return self.verifier.blocked(LIFT) or ""
+        """Return what blocks the part itself along its motion; "" if it is free."""
+        return self.verifier.blocked(LIFT_HEIGHT) or ""
 
     @property
     def infeasible_reason(self) -> str:
-        """Why one grasp helps at no base pose, where that is known beforehand, else ""."""
+        """Return why no base pose works with one grasp, if that is known beforehand, else ""."""
         return self.blocked or self.no_grasp
 
     def violation(self, base_pose: Float[np.ndarray, "3"], motion: Motion) -> str | None:
-        """What the exact check finds wrong with a motion; None where it holds.
+        """Return the first violation that the exact check finds in a motion; None if it is valid.
 
         Args:
             base_pose: x [m], y [m], yaw [rad].
@@ -91,11 +91,11 @@ class PreparedTask:
         return self.verifier.first_violation((x, y, yaw), motion)
 
     @property
-    def ways(self) -> tuple[ScoreWays, ...]:
-        """How base poses reach the ways of holding."""
-        ways = ways_of_holding(self.geometry.Ts_world_tool, self.motion.turning.groups)
-        # What holds still is beyond an arm of few joints, see `free_turn`.
-        return ways if self.robot.chain.size >= FULL else ways[1:] or ways
+    def mode_scorers(self) -> tuple[GraspModeScorer, ...]:
+        """Return the scorers of the grasp modes that this arm can use."""
+        modes = grasp_mode_scorers(self.geometry.Ts_world_tool, self.motion.turning.groups)
+        # Arms of few joints cannot follow with a rigid grasp, see `free_turn`.
+        return modes if self.robot.chain.size >= FULL_DOF else modes[1:] or modes
 
     def feasibility(
         self,
@@ -105,7 +105,7 @@ class PreparedTask:
         out_of_time: Callable[[], bool] = lambda: False,
         watch: Stopwatch | None = None,
     ) -> Feasibility:
-        """The check of base poses, its exact part counted as a stage of its own."""
+        """Return the check of base poses; the watch counts its exact part as a stage."""
 
         def violation(base_pose: Float[np.ndarray, "3"], motion: Motion) -> str | None:
             if watch is None:
@@ -127,19 +127,19 @@ def prepare(
     *,
     clearance: float,
     motion: TaskMotion | None = None,
-    grasp_filter: GraspFilter | None = None,
+    keep_grasps: GraspFilter | None = None,
     watch: Stopwatch | None = None,
 ) -> PreparedTask:
-    """Make a scene, a robot and a task ready.
+    """Prepare a scene, a robot and a task.
 
     Args:
-        scene: The room as it is to be modeled.
+        scene: The scene as it must be modeled.
         robot: The mobile manipulator.
-        task: What is to be done.
+        task: What must be done.
         config: How to plan.
         clearance: Distance that the base keeps from everything [m].
-        motion: The task's motion in another version of the room, where that is known.
-        grasp_filter: Rules grasps out, such as those that failed; all are tried by default.
+        motion: The task's motion in another version of the scene, if it is known.
+        keep_grasps: Returns which grasps may be used; all by default.
         watch: Counts the stages.
 
     Raises:
@@ -151,52 +151,51 @@ def prepare(
         if motion is None:
             motion = task_motion(scene, robot, task, config.motion)
         else:
-            motion = in_room(motion, scene)
-        motion, world, no_grasp = _with_room(scene, robot, motion, config, grasp_filter)
+            motion = in_scene(motion, scene)
+        motion, world, no_grasp = _with_free_grasp(scene, robot, motion, config, keep_grasps)
     geometry = placement_geometry(scene, robot, motion, clearance)
     return PreparedTask(scene, robot, task, motion, world, geometry, no_grasp)
 
 
-def _with_room(
+def _with_free_grasp(
     scene: Scene,
     robot: Robot,
     motion: TaskMotion,
     config: PipelineConfig,
-    grasp_filter: GraspFilter | None,
+    keep_grasps: GraspFilter | None,
 ) -> tuple[TaskMotion, CollisionWorld, str]:
-    """A motion by the first handle that holds and at which the hand has room, and its world.
+    """Return the motion for the first handle with a free grasp, its world, and "".
 
-    Where it has no room at any, or none is allowed, the motion as it is given, and why no grasp
-    helps.
+    If no handle has one, return the given motion, its world, and the reason.
     """
     found: list[tuple[TaskMotion, CollisionWorld, str]] = []
     passed: list[Handle] = []
     other: TaskMotion | None = motion
     while other is not None:
         world = collision_world(robot, other, config)
-        has_room, obstacle = collision_free_grasps(robot, world, other)
-        allowed = has_room if grasp_filter is None else has_room & grasp_filter(other)
+        is_free, obstacle = collision_free_grasps(robot, world, other)
+        allowed = is_free if keep_grasps is None else is_free & keep_grasps(other)
         if allowed.any():
             return other.only(other.grasps.deepest(allowed)), world, other.refusal
-        why = NO_OTHER_GRASP if has_room.any() else _no_room(other, obstacle)
+        why = NO_OTHER_GRASP if is_free.any() else _all_collide(other, obstacle)
         found.append((other, world, other.refusal or why))
         passed += other.grasps.handles
-        other = by_another_handle(motion, scene, robot, config.motion, passed)
+        other = with_other_handle(motion, scene, robot, config.motion, passed)
     return found[0]
 
 
-def _no_room(motion: TaskMotion, obstacle: str) -> str:
-    """That the hand has room for no grasp."""
+def _all_collide(motion: TaskMotion, obstacle: str) -> str:
+    """Return the reason that every grasp of a motion collides."""
     hits = f"the hand hits {obstacle} in every grasp"
-    if not motion.passed_over or motion.handle is None:
+    if not motion.better_handle_reason or motion.handle is None:
         return hits
-    return f"{motion.passed_over}, and {hits} of {motion.handle}"
+    return f"{motion.better_handle_reason}, and {hits} of {motion.handle}"
 
 
 def placement_geometry(
     scene: Scene, robot: Robot, motion: TaskMotion, clearance: float
 ) -> PlacementGeometry:
-    """The room and the task as placement wants them; the base keeps a clearance [m]."""
+    """Return the scene and the task as placement takes them; the base keeps a clearance [m]."""
     return PlacementGeometry(
         robot=robot,
         Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps]),
@@ -208,7 +207,7 @@ def placement_geometry(
 
 
 def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) -> CollisionWorld:
-    """The room and the moving part as the arm's collision kernel wants them."""
+    """Return the scene and the moving part as the arm's collision kernel takes them."""
     return build_world(
         motion.static,
         motion.moving,
@@ -220,10 +219,10 @@ def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) ->
 
 
 def driving_lengths(prepared: PreparedTask, start: Float[np.ndarray, "3"]) -> TravelCost:
-    """How far it is to drive from a start, past everything as it is before the task begins.
+    """Return the driving lengths from a start, with every object where it is before the task.
 
     Args:
-        prepared: The room, the robot and the task.
+        prepared: The scene, the robot and the task.
         start: x [m], y [m], yaw [rad].
     """
     robot, obstacles = prepared.robot, prepared.motion.static_obstacles()
@@ -240,17 +239,17 @@ def start_pose(
     given: Float[np.ndarray, "3"] | None,
     nav_map: NavigationMap,
 ) -> Float[np.ndarray, "3"]:
-    """The start that was given, the scene's, or a roomy place in front of the furniture.
+    """Return the given start, else the scene's, else a free place in front of the furniture.
 
     Args:
-        scene: The whole room; where nobody gives a start, all of it is modeled to find one.
+        scene: The whole scene; if no start is given, all objects are modeled to find one.
         robot: The robot.
-        motion: The task, among the boxes that the start is checked against.
+        motion: The task's motion, with the boxes that the start is checked against.
         given: x [m], y [m], yaw [rad], or None.
         nav_map: Where the robot fits with its arm at home.
 
     Raises:
-        SceneError: The base cannot stand there, or not with its arm at home.
+        SceneError: The base collides there, or the arm at home does.
     """
     given = scene.start if given is None else given
     if given is None:
@@ -263,23 +262,23 @@ def start_pose(
 
 @lru_cache(maxsize=32)
 def _roomy_start(scene: Scene, nav_map: NavigationMap) -> Float[np.ndarray, "3"]:
-    """A roomy place in front of the furniture."""
+    """Return a free place in front of the furniture."""
     return roomy_place(scene, nav_map, in_front_of_parts(scene))
 
 
 def roomy_place(
     scene: Scene, nav_map: NavigationMap, wish: Float[np.ndarray, "2"]
 ) -> Float[np.ndarray, "3"]:
-    """A pose with room around it near a place, among all objects as they are modeled.
+    """Return a free base pose with clearance near a position.
 
     Args:
-        scene: The whole room.
-        nav_map: Where the robot fits in it.
-        wish: Where the pose would best be [m].
+        scene: The whole scene.
+        nav_map: Where the robot fits with its arm at home.
+        wish: The preferred position [m].
 
     Raises:
-        SceneError: Nowhere is there room.
+        SceneError: There is none.
     """
     height = base_height(nav_map.robot)
-    plan = floor_plan(room_boxes(scene), height=height, floor_polygon=scene.floor_polygon)
+    plan = floor_plan(scene_boxes(scene), height=height, floor_polygon=scene.floor_polygon)
     return find_start(plan, wish, nav_map)

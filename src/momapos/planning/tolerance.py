@@ -1,4 +1,4 @@
-"""How far beside a base pose the robot may stand, and still do it."""
+"""Measure the tolerance of a base pose: how far off the robot may stand and still do the task."""
 
 from __future__ import annotations
 
@@ -10,81 +10,60 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Clock, InputError, Stopwatch
-from momapos.model.records import Motion, Task, Tolerance
-from momapos.model.robots import Robot
-from momapos.model.scene import Scene
-from momapos.planning.reachability import load_reach
+from momapos.core import Clock, Stopwatch, finite_array, whole_number
+from momapos.model.records import Motion, Tolerance
 
 from .base_pose_check import BasePoseChecks
 from .config import PipelineConfig
 from .query import PlacementQuery
-from .replan_nearby import Depth, FoundAnew
+from .replan_nearby import Depth, NearbyReplanner
 from .result import PlacementResult
 from .robust import unit_offsets
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from jaxtyping import Float
 
-    from momapos.model.records import ReachScorer
 
 DEFAULT = PipelineConfig()
 Failure: TypeAlias = "Callable[[Float[np.ndarray, 'n 3'], Depth], int | None]"
-"""Index of one of some offsets that fails; None where none does."""
+"""Returns the index of an offset at which replanning fails; None if it fails at none."""
 RADII = (0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.125, 0.15)
-"""Radii of discs that are asked about, smallest first [m]."""
+"""Radii of the discs that are tried, smallest first [m]."""
 SAMPLES = 100
-"""Where so many poses work and none fails, at least 97 % do at a confidence of 95 % [-]."""
-FIRST = 24
-"""Of the poses in a disc, the farthest, at which the arm is asked first [-]."""
-TURN = float(np.radians(0.6) / 0.01)
-"""How far it is turned at most, for each meter of the radius [rad/m]."""
+"""Poses per disc: if none fails, at least 97 % of the disc works with 95 % confidence [-]."""
+MAX_SAMPLES = 100_000
+"""Limit on the poses per disc, which bounds the work of one call [-]."""
+NUM_FARTHEST = 24
+"""Farthest poses of a disc, at which the arm is checked before the others [-]."""
+TURN_PER_RADIUS = float(np.radians(0.6) / 0.01)
+"""Maximum turn of the base, per meter of the disc's radius [rad/m]."""
 
 
-def placement_tolerance(
-    scene: Scene,
-    robot: Robot,
-    task: Task,
+def tolerance_at(
+    query: PlacementQuery,
     base_pose: Float[np.ndarray, "3"] | Sequence[float],
-    reach: ReachScorer | None = None,
     *,
     samples: int = SAMPLES,
-    config: PipelineConfig = DEFAULT,
-    cache_dir: Path | None = None,
-    seed: int = 0,
 ) -> Tolerance:
-    """Find the largest disc and turn around a base pose from which the motion is found anew.
+    """Find the largest disc and turn around a base pose in which replanning succeeds.
 
-    At poses drawn evenly in a disc, turned by at most 0.6 deg for each cm of its radius, a motion
-    is looked for that the exact check accepts, see `FoundAnew`. A disc of 5 mm to 15 cm counts
-    where one is found at all of them.
+    Replanning is tried from poses drawn evenly in a disc, turned by at most 0.6 deg per cm of its
+    radius. A disc of 5 mm to 15 cm counts if replanning succeeds from all of them, and each motion
+    passes the exact check.
 
     Args:
-        scene: The room.
-        robot: The robot.
-        task: What is to be done, see `make_task`.
+        query: The question; its start and region are ignored.
         base_pose: x [m], y [m], yaw [rad].
-        reach: The robot's reachability map; None to load it, or to build it at the first use.
-        samples: Poses in a disc [-].
-        config: How to plan.
-        cache_dir: Where maps are kept; the user's cache folder by default.
-        seed: Same seed, same poses.
+        samples: Number of poses in a disc [-].
 
     Raises:
         TaskError: The gripper cannot hold the object.
         RobotError: The robot and the task do not fit together.
-        InputError: There are no samples.
+        InputError: An argument has the wrong type, shape or range.
     """
-    if samples < 1:
-        raise InputError(f"samples must be at least 1, not {samples}")
-    if reach is None:
-        reach = load_reach(robot, cache_dir)
-    query = PlacementQuery(
-        scene, robot, task, reach, None, None, config, seed, Stopwatch(lambda: 0.0)
-    )
-    base = np.asarray(base_pose, float)
+    samples = whole_number("samples", samples, 1, MAX_SAMPLES)
+    base = finite_array("base_pose", base_pose, (3,))
+    query = replace(query, watch=Stopwatch(lambda: 0.0))
     motion = BasePoseChecks(query)(base).motion
     if motion is None:
         return Tolerance(0.0, 0.0, samples)
@@ -98,48 +77,48 @@ def measured_tolerance(
     *,
     samples: int = SAMPLES,
 ) -> Tolerance:
-    """The same around a base pose whose motion is known.
+    """Measure the tolerance of a base pose whose motion is known.
 
     Args:
-        query: What was asked, with the task that the motion does.
+        query: The question, with the task that the motion does.
         base: x [m], y [m], yaw [rad].
         motion: A motion there that the exact check accepts.
-        samples: Poses in a disc [-].
+        samples: Number of poses in a disc [-].
     """
-    if samples < 1:
-        raise InputError(f"samples must be at least 1, not {samples}")
-    anew = FoundAnew.around(query, base, motion)
+    samples = whole_number("samples", samples, 1, MAX_SAMPLES)
+    replanner = NearbyReplanner.around(query, base, motion)
     unit = unit_offsets(samples, np.random.default_rng(query.seed))
-    radius = largest_radius(unit, lambda offsets, how: anew.failure(base + offsets, how))
-    return Tolerance(radius, radius * TURN, samples)
+    radius = largest_radius(unit, lambda offsets, depth: replanner.failure(base + offsets, depth))
+    return Tolerance(radius, radius * TURN_PER_RADIUS, samples)
 
 
 def with_tolerance(
     answer: PlacementResult, *, samples: int = SAMPLES, clock: Clock = time.perf_counter
 ) -> PlacementResult:
-    """The same answer, its plan with the tolerance, and with the time that this took.
+    """Return an answer with the tolerance in its plan, and the time that this took.
 
     Args:
-        answer: An answer of the pipeline; unchanged where it has no motion, or its tolerance.
-        samples: Poses in a disc [-].
-        clock: Measures the time, which is not in the plan's total; what it raises ends the work.
+        answer: An answer; returned unchanged if it has no motion, or has its tolerance already.
+        samples: Number of poses in a disc [-].
+        clock: Measures the time, which is not part of the plan's total. An exception that it
+            raises ends the work.
     """
     plan, query = answer.plan, answer.query
     if plan.tolerance is not None or plan.motion is None or query is None:
         return answer
     watch, base = Stopwatch(clock), np.array(plan.base_pose, float)
-    asked = replace(query, task=plan.task, watch=watch)
+    query = replace(query, task=plan.task, watch=watch)
     with watch.stage("tolerance"):
-        found = measured_tolerance(asked, base, plan.motion, samples=samples)
+        found = measured_tolerance(query, base, plan.motion, samples=samples)
     timing = {**plan.timing, "tolerance": watch.timing["tolerance"]}
     return replace(answer, plan=replace(plan, tolerance=found, timing=timing))
 
 
 def largest_radius(unit: Float[np.ndarray, "n 3"], failure: Failure) -> float:
-    """The largest of `RADII` in whose disc nothing fails [m]; 0 where something does in all.
+    """Return the largest of `RADII` in whose disc no pose fails [m]; 0 if one fails in each disc.
 
-    What costs little is asked of all poses first, then the arm at the farthest of them, which fail
-    most; the disc that is left is looked at in full. No disc counts in which any pose has failed.
+    Cheap checks of all poses come first, then the arm at the farthest poses, which fail most
+    often. The remaining disc is checked in full. A disc with a failed pose never counts.
 
     Args:
         unit: Offsets in the unit disc, with turns from -1 to 1.
@@ -149,11 +128,11 @@ def largest_radius(unit: Float[np.ndarray, "n 3"], failure: Failure) -> float:
     order = np.argsort(-level, kind="stable")
     unit, level = unit[order], level[order]
 
-    def within(count: int, how: Depth) -> int:
-        """How many discs, smallest first, hold no offset of one disc that fails."""
+    def within(count: int, depth: Depth) -> int:
+        """Return how many discs, smallest first, exclude the offset that fails in disc `count`."""
         radius = RADII[count - 1]
-        some = unit if how != "arm" else unit[:FIRST]
-        index = failure(some * radius * [1.0, 1.0, TURN], how)
+        some = unit if depth != "arm" else unit[:NUM_FARTHEST]
+        index = failure(some * radius * [1.0, 1.0, TURN_PER_RADIUS], depth)
         return count if index is None else bisect_left(RADII, level[index] * radius)
 
     most = len(RADII)

@@ -1,11 +1,9 @@
-"""Several tasks one after the other: one base pose for all where there is one, else few stops."""
+"""Plan several tasks one after the other, from one base pose if possible, else from few stops."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,24 +11,20 @@ import numpy as np
 from momapos.core import Clock, SceneError, Stopwatch, TaskError
 from momapos.model.records import (
     ANYWHERE,
-    BaseRegion,
     PoseOutcome,
     PoseStatus,
-    ReachScorer,
     Status,
     Task,
     Verb,
 )
-from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.grasps import make_task
-from momapos.planning.placement import BaseStatus, PoseFilter, base_pose_status
-from momapos.planning.reachability import load_reach
+from momapos.planning.placement import BaseStatus, PoseMask, base_pose_status
 
-from .base_pose_check import BasePoseChecks, plan_at_base_pose
+from .base_pose_check import BasePoseChecks, plan_at_pose
 from .config import PipelineConfig
-from .other_regions import OTHERS, base_poses_elsewhere, without_way_on
-from .plan import plan_base_placement
+from .other_regions import MAX_OTHER_REGIONS, poses_in_other_regions, without_departure_check
+from .plan import plan_placement
 from .query import PlacementQuery
 from .result import PlacementResult
 from .task_setup import start_pose
@@ -39,17 +33,17 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 DEFAULT = PipelineConfig()
-MOST = 20
-"""Tasks of a tour [-]."""
-OTHER = {"pick": "place", "place": "pick"}
-"""What has to come before a loose object can be picked, or placed, once more."""
-JOINT_SHARE = 0.5
-"""Share of the time that is left for each task within which one base pose for several is looked
-for, so that enough remains for each by itself [-]."""
+MAX_TASKS = 20
+"""Maximum number of tasks in a tour [-]."""
+_INVERSE = {"pick": "place", "place": "pick"}
+"""Verb that must precede the repetition of a verb for the same movable object."""
+SHARED_POSE_SHARE = 0.5
+"""Share of the remaining time per task for the search of a base pose that serves several tasks;
+the rest is for each task alone [-]."""
 
 
 class Request(NamedTuple):
-    """A task as it is asked for; what it means depends on the tasks before it."""
+    """A requested task; its meaning depends on the tasks before it."""
 
     verb: Verb
     object: str
@@ -63,87 +57,68 @@ class Tour:
     """Answers of several tasks, in order."""
 
     steps: tuple[PlacementResult, ...]
-    """One for each task; where one has no answer, that is the last."""
+    """One per task; the first task without an answer is the last."""
     stops: tuple[int, ...]
-    """At which stop each is done, counted from 1."""
+    """Number of the stop of each task, from 1."""
     assumed: tuple[str, ...] = ()
-    """What is taken for granted between the tasks."""
+    """Assumptions between the tasks."""
     seconds: float = 0.0
-    """Time that the answer took [s]."""
+    """Planning time [s]."""
 
     @property
     def status(self) -> Status:
-        """As of the last task: all others are solved."""
+        """Return the status of the last task; all others are solved."""
         return self.steps[-1].plan.status
 
     @property
     def driving(self) -> float:
-        """Driving length in all [m]."""
+        """Return the total driving length [m]."""
         return sum(step.plan.navigation_cost or 0.0 for step in self.steps)
 
 
-def plan_tour(
-    scene: Scene,
-    robot: Robot,
-    requests: Sequence[Request],
-    reach: ReachScorer | None = None,
-    *,
-    start: Float[np.ndarray, "3"] | None = None,
-    region: BaseRegion = ANYWHERE,
-    config: PipelineConfig = DEFAULT,
-    cache_dir: Path | None = None,
-    seed: int = 0,
-    clock: Clock = time.perf_counter,
-) -> Tour:
-    """Answer where the robot must stand to do several tasks one after the other.
+def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
+    """Return where the robot must stand to do several tasks one after the other.
 
-    Each task begins in the room as the one before has left it, with the arm at home: after each but
-    the last it lets go, draws back and comes home. As many tasks as there is a base pose for are
-    done from one, then as many of those that are left: the fewest stops, as far as the search finds
-    what there is. From a shared base pose each task but the first is done in one hold.
+    Each task begins in the scene as the one before has left it, with the arm at home: after each
+    task but the last the hand lets go, draws back, and the arm goes home. As many tasks as one base
+    pose serves are done from it, then as many of the rest: the fewest stops that the search finds.
+    From a shared base pose each task but the first is done with one grasp.
 
-    What is picked stays in the model where it was, so that what follows keeps clear of it, and the
-    hand is free for what follows: see `Tour.assumed`.
+    A picked object stays in the model where it was, so that later tasks keep clear of it, and the
+    hand counts as free: see `Tour.assumed`.
 
     Args:
-        scene: The room.
-        robot: The mobile manipulator.
-        requests: The tasks; to values, not as far as possible.
-        reach: The robot's reachability map; None to load it, or to build it at the first use.
-        start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
-        region: Where the base is allowed to stand.
-        config: How to search; the timeout is for the whole tour.
-        cache_dir: Where maps are kept; the user's cache folder by default.
-        seed: Same seed, same answers, as long as the time is enough.
-        clock: Measures the time.
+        query: The question of the first task. Its scene, robot, region, configuration, seed and
+            clock hold for all; the timeout is for the whole tour.
+        requests: All tasks, the first included; each to a value, not as far as possible.
 
     Raises:
-        TaskError: A request makes no sense in the room as it is then, or there are too many.
-        SceneError: The start is no free pose.
+        TaskError: A request makes no sense in the scene at its turn, or there are too many.
+        SceneError: The robot collides at its start pose.
         UnknownNameError: There is no such object or joint.
     """
+    clock = query.watch.clock
     began = clock()
     planner = _Planner(
-        robot, load_reach(robot, cache_dir) if reach is None else reach, region, config, seed,
-        clock, began + config.timeout, list(_rooms(scene, requests)), tuple(requests),
-    )  # fmt: skip
-    visits = planner.stops(0, start)
+        query, clock, began + query.config.timeout, _scenes(query.scene, requests), tuple(requests)
+    )
+    visits = planner.stops(0, query.start)
     steps = [step for visit in visits for step in visit]
     stops = [k for k, visit in enumerate(visits, 1) for _ in visit]
     return Tour(tuple(steps), tuple(stops), _assumed(requests), clock() - began)
 
 
-def _rooms(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]]:
-    """Each task with the room in which it begins."""
-    if not 1 <= len(requests) <= MOST:
-        raise TaskError(f"a tour has 1 to {MOST} tasks, not {len(requests)}")
-    rooms: list[tuple[Scene, Task]] = []
+def _scenes(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]]:
+    """Return each task with the scene in which it begins."""
+    if not 1 <= len(requests) <= MAX_TASKS:
+        raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not {len(requests)}")
+    scenes: list[tuple[Scene, Task]] = []
     last: dict[str, str] = {}
     for verb, name, joint, to in requests:
-        if joint is None and verb in OTHER:
+        if joint is None and verb in _INVERSE:
             if last.get(name) == verb:
                 raise TaskError(
-                    f"{verb} {name}: the tour has done that before; {OTHER[verb]} it in between"
+                    f"{verb} {name}: the tour has done that before; {_INVERSE[verb]} it in between"
                 )
             last[name] = verb
         task = make_task(scene, verb, name, joint, to)
@@ -151,34 +126,33 @@ def _rooms(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]
             raise TaskError(
                 f"{verb} {name}: the task after it needs to know how far; give a value, as 90deg"
             )
-        rooms.append((scene, task))
+        scenes.append((scene, task))
         if task.joint is not None and task.to is not None:
             scene = scene.with_joint(name, task.joint, task.to)
-    return rooms
+    return scenes
 
 
 def _assumed(requests: Sequence[Request]) -> tuple[str, ...]:
-    """What holds between the tasks beside what is checked."""
-    free = [
+    """Return the assumptions between the tasks, which nothing checks."""
+    hand_free = [
         f"after {request.verb} {request.object} it is put down on the robot, and the hand is free"
         for request in requests[:-1]
         if request.verb == "pick"
     ]
-    brings = [
+    in_hand = [
         f"{request.object} is in the hand when {request.verb} {request.object} begins"
         for request in requests[1:]
         if request.verb == "place"
     ]
-    return (*free, *brings)
+    return (*hand_free, *in_hand)
 
 
 def _solved(visit: list[PlacementResult]) -> bool:
-    """Whether all tasks of a stop have an answer."""
     return visit[-1].plan.status == "solved"
 
 
 def _base(visit: list[PlacementResult]) -> Float[np.ndarray, "3"]:
-    """Where the robot stands at a stop that has an answer: x [m], y [m], yaw [rad]."""
+    """Return the base pose of a solved stop: x [m], y [m], yaw [rad]."""
     pose = visit[-1].plan.base_pose
     assert pose is not None
     return np.array(pose)
@@ -190,162 +164,157 @@ def _tasks_done(visits: list[list[PlacementResult]]) -> int:
 
 @dataclass
 class _Planner:
-    """All tasks, and what is known of them so far."""
+    """The tasks of a tour, with the checks prepared so far."""
 
-    robot: Robot
-    reach: ReachScorer
-    region: BaseRegion
-    config: PipelineConfig
-    seed: int
+    query: PlacementQuery
+    """The question of the first task."""
     clock: Clock
     deadline: float
-    """[s] on that clock."""
-    rooms: list[tuple[Scene, Task]]
+    """Time on that clock [s]."""
+    scenes: list[tuple[Scene, Task]]
     requests: tuple[Request, ...]
     _checks: dict[int, BasePoseChecks] = field(default_factory=dict)
-    """Of base poses, by task."""
+    """Checks of base poses, by task."""
 
     def stops(
         self, first: int, start: Float[np.ndarray, "3"] | None
     ) -> list[list[PlacementResult]]:
-        """The answers of each stop, from a task on; of the last there is none where it fails.
+        """Return the answers of each stop, starting at a task; only the last stop may fail.
 
-        Where the stop after one fails at once, that one is made elsewhere, as long as there is
-        time; the tour that comes farthest is the answer.
+        If the next stop fails at its first task, this stop is planned again in another region,
+        while there is time. The tour with the most solved tasks is returned.
         """
         visit = self.stop(first, start)
         best: list[list[PlacementResult]] = []
         tried: list[Float[np.ndarray, "3"]] = []
         while _solved(visit):
             found, after = [visit], first + len(visit)
-            if after < len(self.rooms):
+            if after < len(self.scenes):
                 tried.append(_base(visit))
                 found += self.stops(after, tried[-1])
             best = max(best, found, key=_tasks_done)
             fails_at_once = len(found) == 2 and not _solved(found[1])
-            if not fails_at_once or len(tried) > OTHERS or self.clock() > self.deadline:
+            if not fails_at_once or len(tried) > MAX_OTHER_REGIONS or self.clock() > self.deadline:
                 break
-            elsewhere = self._elsewhere(first, visit, tried)
-            if elsewhere is None:
+            in_others = self._in_other_regions(first, visit, tried)
+            if in_others is None:
                 break
-            visit = self.stop(first, start, elsewhere)
+            visit = self.stop(first, start, in_others)
         return best or [visit]
 
-    def _elsewhere(
+    def _in_other_regions(
         self, first: int, visit: list[PlacementResult], tried: list[Float[np.ndarray, "3"]]
-    ) -> PoseFilter | None:
-        """What rules out base poses of a stop from which the robot gets nowhere else."""
-        after, _ = self.rooms[first + len(visit)]
-        return base_poses_elsewhere(visit[0].prepared.geometry, after, tried)
+    ) -> PoseMask | None:
+        """Return which base poses of a stop lead to other regions; None if there are none."""
+        after, _ = self.scenes[first + len(visit)]
+        return poses_in_other_regions(visit[0].prepared.geometry, after, tried)
 
     def stop(
-        self, first: int, start: Float[np.ndarray, "3"] | None, elsewhere: PoseFilter | None = None
+        self, first: int, start: Float[np.ndarray, "3"] | None, in_others: PoseMask | None = None
     ) -> list[PlacementResult]:
-        """The longest run of tasks from the first on that one base pose serves.
+        """Plan the longest sequence of tasks that one base pose serves.
 
         Args:
-            first: The task with which it begins.
-            start: Where the base is: x [m], y [m], yaw [rad]; the scene's start by default.
-            elsewhere: Rules base poses out that are no other than those that were tried.
+            first: The first task.
+            start: Pose of the base: x [m], y [m], yaw [rad]; the scene's start by default.
+            in_others: Returns which base poses lead to other regions than those tried; None to
+                allow all.
 
         Returns:
-            One answer for each; where there is none even for the first, that alone.
+            One answer per task; if the first has no solution, its answer alone.
         """
-        tasks = len(self.rooms) - first
-        for last in range(len(self.rooms) - 1, first - 1, -1):
+        tasks = len(self.scenes) - first
+        for last in range(len(self.scenes) - 1, first - 1, -1):
             left = max(self.deadline - self.clock(), 1e-3)
-            share = 1.0 if last == first else JOINT_SHARE / tasks
-            found = self._from_one_pose(first, last, start, elsewhere, share * left)
+            share = 1.0 if last == first else SHARED_POSE_SHARE / tasks
+            found = self._from_one_pose(first, last, start, in_others, share * left)
             if found.plan.status == "solved" or last == first:
                 break
         if found.plan.status != "solved" or found.plan.base_pose is None:
             return [found]
         base = np.array(found.plan.base_pose)
         others = [
-            plan_at_base_pose(
-                *self._asked(k), base, self.reach, start=base, config=self._config(k),
-                seed=self.seed, clock=self.clock,
-            )
+            plan_at_pose(replace(self._query(k), start=base), base)
             for k in range(first + 1, last + 1)
-        ]  # fmt: skip
+        ]
         return [found, *others]
 
     def _from_one_pose(
         self, first: int, last: int, start: Float[np.ndarray, "3"] | None,
-        elsewhere: PoseFilter | None, timeout: float,
+        in_others: PoseMask | None, timeout: float,
     ) -> PlacementResult:  # fmt: skip
-        """The answer of the first task from a base pose that serves all up to the last."""
-        scene, robot, task = self._asked(first)
+        """Answer the first task from a base pose that also serves all tasks up to the last."""
         known: dict[bytes, PoseOutcome | None] = {}
 
-        def also(base: Float[np.ndarray, "3"]) -> PoseOutcome | None:
+        def serves_rest(base: Float[np.ndarray, "3"]) -> PoseOutcome | None:
             key = base.tobytes()
             if key not in known:
                 known[key] = self._refused(base, first + 1, last)
             return known[key]
 
-        def ruled_out(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-            out = np.zeros(len(poses), bool) if elsewhere is None else elsewhere(poses)
+        def serve_all(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+            kept = np.ones(len(poses), bool) if in_others is None else in_others(poses)
             for k in range(first + 1, last + 1):
-                left = np.flatnonzero(~out)
-                out[left] = ~self._may_serve(k, poses[left])
-            return out
+                left = np.flatnonzero(kept)
+                kept[left] = self._may_serve(k, poses[left])
+            return kept
 
         config = replace(self._config(first), timeout=timeout)
-        if elsewhere is not None:
-            config = without_way_on(config)
-        return plan_base_placement(
-            scene, robot, task, self.reach, start=start, pose_filter=ruled_out, also=also,
-            region=self.region, config=config, seed=self.seed, clock=self.clock,
+        if in_others is not None:
+            config = without_departure_check(config)
+        query = replace(
+            self._query(first), start=start, config=config, region=self.query.region,
+            keep_poses=serve_all, final_check=serves_rest,
         )  # fmt: skip
+        return plan_placement(query)
 
     def _refused(self, base: Float[np.ndarray, "3"], first: int, last: int) -> PoseOutcome | None:
-        """Why a base pose does not serve the tasks from one to another, or what comes after."""
-        for k in range(first, min(last + 2, len(self.rooms))):
-            checks = self._check_of(k)
-            words = f"{self.requests[k].verb} {self.requests[k].object}: "
+        """Return why a base pose does not serve tasks or the start of the next; None if it does."""
+        for k in range(first, min(last + 2, len(self.scenes))):
+            checks = self._checks_of(k)
+            name = f"{self.requests[k].verb} {self.requests[k].object}: "
             try:
                 start_pose(
-                    self.rooms[k][0], self.robot, checks.prepared.motion, base,
+                    self.scenes[k][0], self.query.robot, checks.prepared.motion, base,
                     checks.query.nav_map,
                 )  # fmt: skip
             except SceneError as error:
-                return PoseOutcome(PoseStatus.NOT_FOR_ALL, f"before {words}{error}")
+                return PoseOutcome(PoseStatus.NOT_FOR_ALL, f"before {name}{error}")
             if k > last:
                 break
-            attempt = checks.in_one_hold(base)
+            attempt = checks.with_one_grasp(base)
             if attempt.motion is None:
-                return PoseOutcome(PoseStatus.NOT_FOR_ALL, words + attempt.outcome.summary)
+                return PoseOutcome(PoseStatus.NOT_FOR_ALL, name + attempt.outcome.summary)
         return None
 
     def _may_serve(self, k: int, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Whether the base stands clear for a task, and the map gives it a way of holding."""
-        prepared = self._check_of(k).prepared
-        geometry = replace(prepared.geometry, clearance=self.config.place.clearance)
+        """Return at which poses the base is free for a task and the map reaches a grasp mode."""
+        prepared = self._checks_of(k).prepared
+        geometry = replace(prepared.geometry, clearance=self.query.config.place.clearance)
         may = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
         rows = np.flatnonzero(may)
         reached = np.zeros(len(rows), bool)
-        for score in prepared.ways:
-            reached |= score(self.reach, poses[rows]).scores.max(1, initial=0.0) > 0
+        for score in prepared.mode_scorers:
+            reached |= score(self.query.reach, poses[rows]).scores.max(1, initial=0.0) > 0
         may[rows] = reached
         return may
 
-    def _check_of(self, k: int) -> BasePoseChecks:
+    def _checks_of(self, k: int) -> BasePoseChecks:
         if k not in self._checks:
-            scene, robot, task = self._asked(k)
-            watch = Stopwatch(lambda: 0.0)
-            query = PlacementQuery(
-                scene, robot, task, self.reach, None, None, self._config(k), self.seed, watch
-            )
+            query = replace(self._query(k), start=None, watch=Stopwatch(lambda: 0.0))
             self._checks[k] = BasePoseChecks(query)
         return self._checks[k]
 
-    def _asked(self, k: int) -> tuple[Scene, Robot, Task]:
-        scene, task = self.rooms[k]
-        return scene, self.robot, task
+    def _query(self, k: int) -> PlacementQuery:
+        """Return the question of one task, without a region."""
+        scene, task = self.scenes[k]
+        return replace(
+            self.query, scene=scene, task=task, config=self._config(k), region=ANYWHERE,
+            watch=Stopwatch(self.clock),
+        )  # fmt: skip
 
     def _config(self, k: int) -> PipelineConfig:
-        """As configured; before another task the arm comes home."""
-        motion = self.config.motion
-        home = motion.home_again or k + 1 < len(self.rooms)
-        return replace(self.config, motion=replace(motion, home_again=home))
+        """Return the configuration of a task; before another task the arm returns home."""
+        motion = self.query.config.motion
+        home = motion.home_again or k + 1 < len(self.scenes)
+        return replace(self.query.config, motion=replace(motion, home_again=home))

@@ -1,4 +1,4 @@
-"""Do it: the arm's motion in a physics engine, and what came of it."""
+"""Execution of an arm motion in a physics engine, and the verdict on it."""
 
 import lazy_loader
 

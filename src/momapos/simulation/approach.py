@@ -1,4 +1,4 @@
-"""How the arm comes to the grasp: slowly near things, slower where it feels them, and back."""
+"""Pace of the arm on its approach: slow near obstacles, slower under contact forces, reversible."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _SURROUNDINGS = (Kind.ROOM, Kind.PART, Kind.FLOOR)
 
 @dataclass(frozen=True, eq=False)
 class PacedTrajectory:
-    """A trajectory that may be followed more slowly than it is timed, and backward."""
+    """A timed trajectory that may be followed more slowly than timed, and backward."""
 
     plan: Trajectory
     pace: Float[np.ndarray, " t"]
-    """Share of the timed speed at which each sample is passed at most [-]."""
+    """Maximum speed at each sample, as a share of the timed speed [-]."""
     left: Float[np.ndarray, " t"]
-    """Distance of the tool from where it ends, at each sample [m]."""
+    """Distance of the tool from its final position at each sample [m]."""
     gap: Float[np.ndarray, " t"]
-    """Distance of the arm from its surroundings as far as the robot knows them, at each sample [m];
-    large ones are not told apart."""
+    """Distance from the arm to the known surroundings at each sample [m], capped at
+    `ExecutionConfig.near`."""
 
     @property
     def last(self) -> int:
@@ -42,11 +42,11 @@ class PacedTrajectory:
     def at(
         self, k: float, pace: float
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """State, speed and acceleration at a place between two samples.
+        """Interpolate position, velocity and acceleration between two samples.
 
         Args:
-            k: Index of a sample, with a fraction.
-            pace: Samples that pass in a step; below 0 on the way back.
+            k: Fractional sample index.
+            pace: Samples per step; negative on the way back.
         """
         i = min(int(k), self.last)
         j, share = min(i + 1, self.last), k - i
@@ -57,7 +57,7 @@ class PacedTrajectory:
         return q, pace * v, pace**2 * a
 
 
-def paced(
+def pace_trajectory(
     plan: Trajectory,
     path: Float[np.ndarray, "m n"],
     tool: Float[np.ndarray, "m 3"],
@@ -67,16 +67,16 @@ def paced(
     value: float | None = None,
     careful: bool = False,
 ) -> PacedTrajectory:
-    """Slow a trajectory down where the arm is near things, and where it comes to the grasp.
+    """Slow a trajectory down near obstacles and before the grasp.
 
     Args:
-        plan: As fast as the joints may go.
+        plan: Trajectory at the joints' speed limits.
         path: Its states [rad] or [m].
-        tool: Positions of the tool at these [m].
+        tool: Tool positions at these states [m].
         room: The room as the robot knows it.
-        config: How slow.
-        value: Of the part's joint meanwhile [rad] or [m]; as the room has it by default.
-        careful: Whether what the robot knows of the room may be wrong, so that it is nowhere fast.
+        config: Speeds and distances.
+        value: Value of the part's joint meanwhile [rad] or [m]; by default as in the room.
+        careful: Limit the speed everywhere, because the known room may be wrong.
     """
     step, compliance = config.timestep * config.substeps, config.compliance
     times = np.arange(len(plan)) * step
@@ -89,7 +89,7 @@ def paced(
     share = np.clip(gap / config.near, 0.0, 1.0)
     most = compliance.near_speed + share * (compliance.beside_speed - compliance.near_speed)
     most = np.where(share < 1.0, most, compliance.beside_speed if careful else np.inf)
-    # Where the tool passes near its end and away again, only the last time counts.
+    # If the tool passes near its end and leaves again, only the last arrival counts.
     coming = np.maximum.accumulate(left[::-1])[::-1] <= compliance.near
     most = np.where(coming, np.minimum(most, compliance.near_speed), most)
     return PacedTrajectory(
@@ -100,9 +100,9 @@ def paced(
 def _smooth(
     pace: Float[np.ndarray, " t"], config: ComplianceConfig, step: float
 ) -> Float[np.ndarray, " t"]:
-    """The largest pace below a given one and 1 that changes no faster than the arm can.
+    """Return the largest pace below `pace` and 1 whose rate of change is bounded.
 
-    At a pace p a sample takes step / p, so that p^2 changes by at most 2 rate step in it.
+    At pace p a sample takes step / p, so p^2 changes by at most 2 rate step per sample.
     """
     rise = 2.0 * config.pace_rate * step * np.arange(len(pace))
     squared = np.clip(pace, 1e-3, 1.0) ** 2
@@ -114,21 +114,21 @@ def _smooth(
 def clearances(
     room: Simulation, path: Float[np.ndarray, "m n"], most: float, value: float | None = None
 ) -> Float[np.ndarray, " m"]:
-    """Distance of the arm from its surroundings at some of its states [m]; at most `most`.
+    """Return the distance from the arm to its surroundings at each state [m], capped at `most`.
 
-    The part's joint has a value [rad] or [m], by default that of the room.
+    `value` is the value of the part's joint [rad] or [m]; by default as in the room.
     """
     data = mujoco.MjData(room.model)
     data.qpos[:] = room.data.qpos
     if value is not None:
         data.qpos[room.part_q] = value
-    arm, things = np.isin(room.kinds, _MOVING), np.isin(room.kinds, _SURROUNDINGS)
+    arm, obstacles = np.isin(room.kinds, _MOVING), np.isin(room.kinds, _SURROUNDINGS)
     gaps = np.full(len(path), most)
     for i, q in enumerate(path):
         data.qpos[room.arm_q] = q
         mujoco.mj_kinematics(room.model, data)
         mujoco.mj_collision(room.model, data)
         geoms = data.contact.geom
-        both = arm[geoms].any(1) & things[geoms].any(1)
+        both = arm[geoms].any(1) & obstacles[geoms].any(1)
         gaps[i] = min(most, data.contact.dist[both].min(initial=most))
     return gaps

@@ -1,6 +1,6 @@
-"""The arm's controller: an admittance at the tool.
+"""Admittance control of the arm at the tool.
 
-It knows the plan, the robot's own joints and the force at its hand; never where the part is.
+The controller knows the plan, the robot's joints and the force at the hand, not where the part is.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ import numpy as np
 
 from .avoidance import Bounds, no_bounds
 from .config import ComplianceConfig
-from .feel import Touch
+from .feel import SensedForces
 from .simulation import Simulation
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_DAMPING = _SINGULAR = 0.05
-"""Damping of the inverse at singular states of the arm, and the singular value where it begins:
-there the joints rather stay near the plan [m]."""
-_TURN = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
-"""A turn of the hand by 1 rad counts as this way: where the arm cannot do both, it rather turns
-than leave the part's way [m]."""
-_ROUNDS = 4
-"""How often bounds that are met are kept, and what they leave is asked again [-]."""
-_SAME = 1e-5
-"""Damping of the inverse of bounds [-]."""
+_DAMPING = _MIN_SINGULAR_VALUE = 0.05
+"""Damping of the pseudoinverse near singularities, and the singular value below which it starts
+[m]; there the joints stay closer to the plan."""
+_TWIST_WEIGHTS = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+"""Length that 1 rad of hand rotation counts as [m]: if the arm cannot meet both, it deviates in
+rotation rather than in position."""
+_MAX_ITERATIONS = 4
+"""Iterations of the active-set solver for joint speed bounds [-]."""
+_BOUND_DAMPING = 1e-5
+"""Damping of the inverse of the active bounds [-]."""
 _NULL_RATE = 2.0
-"""Joints that the tool's pose leaves free return to the plan at this rate [1/s]."""
+"""Rate at which joints return to the plan in the null space of the tool pose [1/s]."""
 
 
 class ArmKinematics:
-    """The robot's own arm, by its joints alone, on a base that stands where it should."""
+    """Kinematics of the arm from its joints alone, for a base at its nominal pose."""
 
     def __init__(self, world: Simulation) -> None:
         self._world = world
@@ -46,7 +46,7 @@ class ArmKinematics:
     def at(
         self, q: Float[np.ndarray, " n"]
     ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "6 n"]]:
-        """Pose of the tool in the world, and its Jacobian: linear rows, then angular ones."""
+        """Return the tool pose in the world and its Jacobian: linear rows, then angular rows."""
         model, data, tool = self._world.model, self._data, self._world.tool_body
         data.qpos[self._world.arm_q] = q
         mujoco.mj_kinematics(model, data)
@@ -60,7 +60,7 @@ class ArmKinematics:
 def twist_between(
     T: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "6"]:
-    """The move from one pose to another: way [m], then turn as a vector [rad], in the world."""
+    """Return the twist from one pose to another in the world: translation [m], rotation [rad]."""
     quat, turn = np.empty(4), np.empty(3)
     mujoco.mju_mat2Quat(quat, (other[:3, :3] @ T[:3, :3].T).ravel())
     mujoco.mju_quat2Vel(turn, quat, 1.0)
@@ -68,32 +68,32 @@ def twist_between(
 
 
 EVERYWHERE = np.eye(3)
-"""Projects on all directions."""
+"""Projector on all directions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Where the arm should be at one step."""
+    """Target of the arm for one control step."""
 
     q: Float[np.ndarray, " n"]
     """[rad] or [m]"""
     v: Float[np.ndarray, " n"]
     T: Float[np.ndarray, "4 4"]
-    """Pose of the tool."""
+    """Tool pose."""
     twist: Float[np.ndarray, "6"]
-    """Its speed, linear and angular [m/s], [rad/s]."""
+    """Tool velocity, linear and angular [m/s], [rad/s]."""
     yields: Float[np.ndarray, "3 3"]
-    """Projects a force on the directions in which the hand gives way."""
+    """Projector of forces on the directions in which the hand is compliant."""
     loose: Float[np.ndarray, "3 3"]
-    """Projects an offset on the directions in which the hand makes it up slowly."""
+    """Projector of offsets on the directions in which the hand recovers slowly."""
     here: Float[np.ndarray, "3"] | None = None
-    """Where the tool really is, by the joints; None where that makes no difference [m]."""
+    """Measured tool position by the joints [m]; None to ignore the motors' lag."""
     bounds: Bounds | None = None
-    """Of the joints' speeds; None for none but the joints' limits."""
+    """Bounds on the joint speeds; None for the joint limits alone."""
 
 
 class CompliantArm:
-    """Set-points of the motors that follow a reference and give way to the force at the hand."""
+    """Motor set-points that follow a reference and yield to the force at the hand."""
 
     def __init__(self, world: Simulation, config: ComplianceConfig, step: float) -> None:
         self.kinematics, self._world = ArmKinematics(world), world
@@ -109,8 +109,8 @@ class CompliantArm:
         self._bears = np.where(slides, config.arm_force, config.arm_torque)
         self._wrench, self._load = np.zeros(6), np.zeros(len(self.q))
 
-    def feel(self, touch: Touch) -> None:
-        """Take in the force at the hand, through a low-pass filter."""
+    def update_forces(self, touch: SensedForces) -> None:
+        """Update the low-pass filtered force at the hand."""
         share = self.step / (self.config.filter_time + self.step)
         self._wrench += share * (np.concatenate([touch.force, touch.torque]) - self._wrench)
         self._load += share * (touch.arm - self._load)
@@ -122,7 +122,7 @@ class CompliantArm:
 
     @property
     def load(self) -> float:
-        """Load of the joints that the hand does not explain, as a share of what they may bear."""
+        """Joint load that the hand does not explain, as a share of the allowed load."""
         return float((np.abs(self._load) / self._bears).max())
 
     def go(
@@ -131,28 +131,30 @@ class CompliantArm:
         v: Float[np.ndarray, " n"],
         a: Float[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Be at a state, at a speed, whatever the hand feels."""
+        """Set position and velocity, regardless of the force at the hand."""
         self.q, self.v, self.a = q, v, np.zeros_like(q) if a is None else a
 
     def stop(self) -> None:
-        """Stay where the arm really is, so that nothing presses on."""
+        """Hold the measured position, so that nothing is pressed further."""
         self.go(self._world.data.qpos[self._world.arm_q].copy(), np.zeros_like(self.q))
 
     def follow(self, reference: Reference) -> None:
-        """Move on by a step."""
+        """Move by one step toward a reference."""
         config = self.config
         T, J = self.kinematics.at(self.q)
         off = twist_between(T, reference.T)
-        if reference.here is not None:  # along the way the arm makes up what its motors lag behind
+        if reference.here is not None:  # compensate the motors' lag along the path
             sure = np.eye(3) - reference.yields
             off[:3] += sure @ (T[:3, 3] - reference.here)
         stiff = off[:3] - reference.loose @ off[:3]
         line = config.follow_rate * stiff + config.return_rate * (off[:3] - stiff)
         line += reference.yields @ self._wrench[:3] / config.damping
         turn = config.turn_return_rate * off[3:] + self._wrench[3:] / config.turn_damping
-        twist = np.concatenate([_at_most(line, config.speed), _at_most(turn, config.turn_speed)])
+        twist = np.concatenate(
+            [_clip_length(line, config.speed), _clip_length(turn, config.turn_speed)]
+        )
         free = reference.v + _NULL_RATE * (reference.q - self.q)
-        # The motors are led by the plan's speed alone: led by what the hand gives way they quiver.
+        # Feed forward only the plan's speed: feeding forward the compliant motion oscillates.
         self.go(self._moved(J, reference.twist + twist, free, reference.bounds), reference.v)
 
     def _moved(
@@ -162,9 +164,9 @@ class CompliantArm:
         free: Float[np.ndarray, " n"],
         bounds: Bounds | None,
     ) -> Float[np.ndarray, " n"]:
-        """The state after a step at a twist, as near as the bounds of the joints' speeds allow.
+        """Return the state after one step at a twist, as close as the joint speed bounds allow.
 
-        A bound that is met is kept exactly, and what it leaves does the rest.
+        Active bounds hold exactly; the remaining degrees of freedom follow the twist.
         """
         count = len(free)
         bounds = bounds or no_bounds(count)
@@ -172,9 +174,9 @@ class CompliantArm:
         to_limits = (self._low - self.q, self.q - self._high)
         least = np.concatenate([*np.minimum(to_limits, 0.0) / self.step, bounds.least])
         v, met = free, np.zeros(len(rows), bool)
-        J, twist = J * _TURN[:, None], twist * _TURN
-        for _ in range(_ROUNDS):
-            kept = _kept(rows[met])
+        J, twist = J * _TWIST_WEIGHTS[:, None], twist * _TWIST_WEIGHTS
+        for _ in range(_MAX_ITERATIONS):
+            kept = _bound_inverse(rows[met])
             rest = np.eye(count) - kept @ rows[met]
             v = kept @ least[met] + rest @ free
             v = v + _damped_inverse(J @ rest) @ (twist - J @ v)
@@ -186,17 +188,17 @@ class CompliantArm:
         return np.clip(self.q + self.step * v, self._low, self._high)
 
 
-def _kept(rows: Float[np.ndarray, "c n"]) -> Float[np.ndarray, "n c"]:
-    """Inverse of the rows of bounds that are met, damped where they say almost the same."""
-    gram = rows @ rows.T + _SAME * np.eye(len(rows))
+def _bound_inverse(rows: Float[np.ndarray, "c n"]) -> Float[np.ndarray, "n c"]:
+    """Return the damped inverse of the active bounds, which may be nearly parallel."""
+    gram = rows @ rows.T + _BOUND_DAMPING * np.eye(len(rows))
     return np.asarray(np.linalg.solve(gram, rows).T)
 
 
 def _damped_inverse(J: Float[np.ndarray, "6 n"]) -> Float[np.ndarray, "n 6"]:
     U, sigma, Vt = np.linalg.svd(J, full_matrices=False)
-    damping = _DAMPING * np.sqrt(np.clip(1.0 - (sigma[-1] / _SINGULAR) ** 2, 0.0, 1.0))
+    damping = _DAMPING * np.sqrt(np.clip(1.0 - (sigma[-1] / _MIN_SINGULAR_VALUE) ** 2, 0.0, 1.0))
     return np.asarray((Vt.T * (sigma / (sigma**2 + damping**2 + 1e-12))) @ U.T)
 
 
-def _at_most(vector: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"]:
+def _clip_length(vector: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"]:
     return vector * min(1.0, length / max(float(np.linalg.norm(vector)), 1e-12))

@@ -1,4 +1,4 @@
-"""What the physical world is made of where no file says so, and how a motion is executed."""
+"""Configuration of the physics, the robot's control and the execution of a motion."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from momapos.model import SpeedConfig
 
-Hold = Literal["weld", "contact"]
+HoldMethod = Literal["weld", "contact"]
 
 
 class Ending(StrEnum):
-    """How a run ends; the words stand in records."""
+    """How a run ends. Run records contain these strings."""
 
     DONE = "the motion was carried out"
     STOPPED_AT_END = "the part stopped the arm near the end of its way"
@@ -36,18 +36,18 @@ class Ending(StrEnum):
 
 AT_END = (Ending.STOPPED_AT_END, Ending.SLIPPED_AT_END)
 GOOD = (Ending.DONE, *AT_END)
-"""Endings of motions that were carried out."""
+"""Endings of completed motions."""
 
 RECOVERABLE = (
     Ending.ASTRAY, Ending.OUT_OF_REACH, Ending.NOTHING_HELD, Ending.ONE_SIDED, Ending.TOO_HARD,
     Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.NOTHING_MET, Ending.SLIPPED,
     Ending.BROKE, Ending.OTHERWISE,
 )  # fmt: skip
-"""Endings after which the robot may try anew."""
+"""Endings after which the robot may try again."""
 
 
 class Stage(StrEnum):
-    """What the robot is doing; the words stand in records."""
+    """Stage of a run. Run records contain these strings."""
 
     SETTLE = "settle"
     APPROACH = "approach"
@@ -59,189 +59,189 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class FurnitureConfig:
-    """What doors and drawers weigh, and how they resist.
+    """Mass and resistance of doors and drawers.
 
-    Of the order that people and robots measured at doors and drawers at home (Jain and Kemp,
-    Autonomous Robots 35, 2013): most of the force is needed in the beginning, more at
-    refrigerators than at cabinets.
+    The order of magnitude follows forces that people and robots measured at household doors and
+    drawers (Jain and Kemp, Autonomous Robots 35, 2013): the largest force occurs at the start, and
+    refrigerators need more than cabinets.
     """
 
     density: float = 300.0
-    """Of moving parts with what is in them, over the volume of their hulls [kg/m^3]."""
+    """Density of moving parts with their contents, over the volume of their hulls [kg/m^3]."""
     least_mass: float = 0.5
-    """A part weighs at least this [kg]."""
+    """Minimum mass of a part [kg]."""
     most_mass: float = 25.0
-    """A part weighs at most this [kg]; a solid hull of a hollow drawer would weigh more."""
+    """Maximum mass of a part [kg]; limits the mass of a hollow drawer with a solid hull."""
     hinge_friction: float = 0.4
     """Dry friction of hinges [Nm]."""
     hinge_damping: float = 0.5
-    """Of hinges [Nms/rad]."""
+    """Damping of hinges [Nms/rad]."""
     slide_friction: float = 4.0
     """Dry friction of slides [N]."""
     slide_damping: float = 8.0
-    """Of slides [Ns/m]."""
+    """Damping of slides [Ns/m]."""
     seal_force: float = 30.0
-    """Pull at the free edge that frees a door with a seal [N]."""
+    """Force at the free edge that opens a door with a seal [N]."""
     latch_force: float = 6.0
-    """Pull there that frees any other door or drawer, with a catch or a spring [N]."""
+    """Force at the free edge that opens any other door or drawer, with a catch or spring [N]."""
     seal_range: float = 0.01
-    """Way of the free edge over which that pull fades [m]."""
+    """Travel of the free edge over which that force decays [m]."""
     sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
     """Words in the category or name of objects whose doors have a seal."""
     spread: float = 0.0
-    """Masses, friction and pulls are drawn within this share of the values above [-]."""
+    """Relative spread of masses, friction and opening forces around the values above [-]."""
 
 
 @dataclass(frozen=True)
 class ControlConfig:
-    """How the robot's motors follow a motion."""
+    """Control of the robot's motors."""
 
     bandwidth: float = 60.0
     """Natural frequency of the critically damped position loops [rad/s]."""
     stop_force: float = 20.0
-    """The arm stops where the part, near the end of its way, resists it by this more [N]."""
+    """Extra resistance of the part near the end of its path that stops the arm [N]."""
     armature: float = 0.1
-    """Inertia of a motor seen through its gear [kg m^2]; ten times as many kg for slides."""
+    """Motor inertia reflected through the gear [kg m^2]; ten times as many kg for slides."""
     base_bandwidth: float = 60.0
-    """Natural frequency of the base on its tyres with the brakes on [rad/s]."""
+    """Natural frequency of the base on its tires with the brakes on [rad/s]."""
     base_friction: float = 0.6
-    """Between wheels and floor; a harder push makes the base slide [-]."""
+    """Friction between wheels and floor; a larger force makes the base slide [-]."""
 
 
 @dataclass(frozen=True)
 class GripConfig:
-    """How the gripper holds."""
+    """How the gripper grasps."""
 
     stiffness: float = 30_000.0
-    """Of a finger's position loop at its pad, below the force of the robot's file [N/m]."""
+    """Stiffness of a finger's position loop at its pad, up to the robot's grip force [N/m]."""
     friction: float = 0.6
-    """Between a finger's rubber and a handle [-]."""
+    """Friction between a finger pad and a handle [-]."""
     speed: float = 0.03
-    """Of each pad while the hand closes [m/s]."""
+    """Speed of each pad while the hand closes [m/s]."""
     loaded: float = 0.4
-    """The hand holds when the pads of both sides bear this share of its force [-]."""
+    """Share of the grip force that the pads of both sides must bear for a grasp to hold [-]."""
     patience: float = 0.6
-    """How long the hand waits for that after its fingers should be shut [s]."""
+    """Time to wait for that load after the fingers should be closed [s]."""
     pad_time: float = 0.005
-    """Time constant of the contact of a pad with what it holds [s]. The engine's contacts are the
-    softer the lighter what they touch: by its own value pads sink 6 mm into an apple or into the
-    bar of a light door, and these creep out of the hand."""
+    """Time constant of the contact between a pad and a grasped object [s]. The engine softens
+    contacts with light bodies: with its default, pads sink 6 mm into an apple or the bar of a light
+    door, which then creeps out of the hand."""
     lost: float = 0.15
-    """The hold is lost when neither side bears anything for this long [s]."""
+    """The grasp is lost when neither side bears a load for this long [s]."""
     reach: float = 0.02
-    """The weld takes hold of what is this near to the gripper or to the tool's origin [m]."""
+    """Maximum distance from the gripper or the tool's origin at which the weld attaches [m]."""
     time_constant: float = 0.01
-    """Of the compliant weld [s]; smaller is stiffer."""
+    """Time constant of the compliant weld; smaller is stiffer [s]."""
     weld_force: float = 150.0
-    """The weld breaks above this [N]."""
+    """Force above which the weld breaks [N]."""
     weld_torque: float = 25.0
-    """The weld breaks above this [Nm]."""
+    """Torque above which the weld breaks [Nm]."""
 
 
 @dataclass(frozen=True)
 class ComplianceConfig:
-    """How the arm gives way to the force at its hand: as a damper that creeps back.
+    """How the arm complies with the force at its hand: as a damper with a slow return to the plan.
 
-    It is stiff along the way that the part must go, and soft across it and in turning.
+    It is stiff along the part's path, and compliant across it and in rotation.
     """
 
     near: float = 0.1
-    """The hand comes to the grasp slowly over this way [m]."""
+    """Distance to the grasp within which the hand moves slowly [m]."""
     straight: float = 0.085
-    """Nearer to the grasp the hand may pass things as closely as planned: it comes in straight, and
-    goes around what it will hold [m]."""
+    """Distance to the grasp within which the hand may pass obstacles as closely as planned, because
+    it moves straight in around its target [m]."""
     near_speed: float = 0.05
-    """Its speed there [m/s], and where the arm would touch what is as modeled."""
+    """Speed of the hand within `near` of the grasp, and where the arm would touch the model
+    [m/s]."""
     beside_speed: float = 0.25
-    """Its speed where the arm is as far from its surroundings as clearance is observed [m/s]."""
+    """Speed of the hand where the arm is `ExecutionConfig.near` from its surroundings [m/s]."""
     pace_rate: float = 4.0
-    """By how much its speed changes in a second, as a share of the planned one [1/s]."""
+    """Maximum change of the speed per second, as a share of the planned speed [1/s]."""
     slowest: float = 0.2
-    """Share of its speed that is left when it feels much [-]."""
+    """Minimum share of the speed that remains under large contact forces [-]."""
     bump: float = 25.0
-    """A push against its approach at which the hand draws back and comes in beside [N] ..."""
+    """Force against the approach at which the hand backs off and comes in with an offset [N] ..."""
     early: float = 0.012
-    """... while this much of its way is left at least [m]."""
+    """... if at least this much of its path is left [m]."""
     aside: tuple[float, ...] = (0.012, 0.024, 0.0)
-    """How far beside, one time after the other; after the last it pushes on [m]."""
+    """Offsets of successive retries; after the last one the hand pushes on [m]."""
     search: float = 0.03
-    """Where nothing is between the fingers, the hand looks for it so much farther ahead [m] ..."""
+    """If nothing is between the fingers, the hand searches this much farther ahead [m] ..."""
     search_back: float = 0.003
-    """... and takes hold so much before what it met there [m]."""
+    """... and grasps this much before the contact it found there [m]."""
     damping: float = 400.0
-    """Force that moves the hand at 1 m/s [Ns/m]."""
+    """Force per speed of the hand [Ns/m]."""
     turn_damping: float = 15.0
-    """Torque that turns it at 1 rad/s [Nms/rad]."""
+    """Torque per angular speed of the hand [Nms/rad]."""
     return_rate: float = 1.0
-    """Share of an offset across the way that the hand makes up in a second [1/s]."""
+    """Rate at which the hand corrects an offset across the path [1/s]."""
     turn_return_rate: float = 5.0
-    """Likewise of a turn [1/s]."""
+    """Rate at which the hand corrects a rotation [1/s]."""
     follow_rate: float = 6.0
-    """Likewise along the way [1/s]."""
+    """Rate at which the hand corrects an offset along the path [1/s]."""
     speed: float = 0.08
-    """The hand gives way and makes up at this speed at most [m/s]."""
+    """Maximum speed of compliance and correction [m/s]."""
     turn_speed: float = 0.4
-    """[rad/s]"""
+    """Maximum angular speed of compliance and correction [rad/s]."""
     joint_speed: float = 2.0
-    """No joint goes faster than this while the hand gives way, whatever is asked [rad/s] or [m/s]:
-    near singular states, and between bounds that contradict each other, much is."""
+    """Maximum joint speed under compliance [rad/s] or [m/s]; near singularities and between
+    conflicting bounds the control would ask for more."""
     push_speed: float = 0.1
-    """The tool pushes at this speed at most: what is pushed is not held back, and runs on [m/s]."""
+    """Maximum tool speed while pushing; a faster push would throw the part ahead [m/s]."""
     home: float = 1.5
     """Time in which a hand that let go returns to the plan [s]."""
     filter_time: float = 0.02
-    """Of the low-pass filter of the force at the hand [s]."""
+    """Time constant of the low-pass filter of the force at the hand [s]."""
     weight_time: float = 0.15
-    """Likewise of the weight that the hand carries [s]."""
+    """Time constant of the low-pass filter of the carried weight [s]."""
     force: float = 120.0
-    """The run stops where the hand feels more than this [N]."""
+    """Force at the hand above which the run stops [N]."""
     torque: float = 20.0
-    """Likewise [Nm]."""
+    """Torque at the hand above which the run stops [Nm]."""
     avoid: float = 0.02
-    """Things nearer to the arm than this slow its way toward them [m]."""
+    """Distance below which obstacles slow the arm's approach toward them [m]."""
     apart: float = 0.003
-    """It comes no nearer to them than this [m]."""
+    """Minimum distance from the arm to obstacles [m]."""
     base_room: float = 0.015
-    """The arm stops where the part comes nearer to the robot's base than this, unless it is planned
-    to [m]."""
+    """Minimum clearance between the part and the robot's base, unless the plan has less [m]."""
     avoid_rate: float = 20.0
-    """Speed toward them for the distance that is left [1/s]."""
+    """Approach speed per distance left to `apart` [1/s]."""
     way_force: float = 60.0
-    """Something is in the way where the hand feels more than this before it comes near [N]."""
+    """Force at the hand that means an obstacle, before the hand is near its target [N]."""
     arm_torque: float = 12.0
-    """Something is in the arm's way where a joint bears more than the hand explains [Nm] ..."""
+    """Joint load that the hand does not explain and that means an obstacle [Nm] ..."""
     arm_force: float = 60.0
-    """... or, where it slides [N]."""
+    """... or, for a sliding joint [N]."""
     noticed: float = 1.0
-    """A hand that nowhere felt more than this while it pushed has met nothing [N]."""
+    """A pushing hand that never felt more than this has met nothing [N]."""
     axis_error: float = 0.03
-    """How far a hinge may be from where it is modeled; the estimate's prior [m]."""
+    """Standard deviation of a hinge's position in the joint estimate's prior [m]."""
     tilt_error: float = float(np.radians(5.0))
-    """Likewise how far its axis, or the direction of a slide, may turn [rad]."""
+    """Standard deviation of the direction of a hinge axis or slide in that prior [rad]."""
     hand_error: float = 0.003
-    """How far the hand may stray on its part; the estimate's noise [m]."""
+    """Standard deviation of the hand's position on the part in the joint estimate [m]."""
 
 
 @dataclass(frozen=True)
 class ModelErrorConfig:
-    """How far the world differs from the scene that the plan was made with.
+    """Errors of the scene model that the plan is based on.
 
-    Each is of the size given and in a random direction. With any of them the part meets the robot
-    alone: a door that hangs otherwise than modeled does so in a frame where it moves freely.
+    Each error has the given size and a random direction. With any error the part collides with the
+    robot alone, because its true frame leaves it free to move.
     """
 
     handle: float = 0.0
-    """Of the whole object, and with it of its handle [m]."""
+    """Position of the whole object, and with it of its handle [m]."""
     axis: float = 0.0
-    """Of a hinge, across its axis [m]."""
+    """Position of a hinge, across its axis [m]."""
     tilt: float = 0.0
-    """Of the axis of a hinge or slide [rad]."""
+    """Direction of the axis of a hinge or slide [rad]."""
     resistance: float = 0.0
-    """Of mass, friction, damping and pull, each up or down, as a share [-]."""
+    """Relative error of mass, friction, damping and pull, each up or down [-]."""
 
     @property
     def any(self) -> bool:
-        """Whether the world differs at all."""
+        """Whether the configuration has any error."""
         return bool(self.handle or self.axis or self.tilt or self.resistance)
 
 
@@ -249,28 +249,28 @@ class ModelErrorConfig:
 class ExecutionConfig:
     """How a motion is executed and judged."""
 
-    hold: Hold = "contact"
-    """contact: fingers and friction alone; weld: compliant and breakable, at the grasp."""
+    hold: HoldMethod = "contact"
+    """contact: fingers and friction alone; weld: a compliant, breakable weld at the grasp."""
     timestep: float = 0.002
-    """Of the physics [s]."""
+    """Time step of the physics [s]."""
     substeps: int = 2
-    """Physics steps for one of the controller and the observer [-]."""
+    """Physics steps per step of the controller and the observer [-]."""
     settle: float = 0.3
     """Time before the arm moves [s]."""
     grip: float = 0.3
-    """Time in which the hand opens, or a weld takes hold [s]."""
+    """Time for the hand to open, or for a weld to attach [s]."""
     dwell: float = 0.4
-    """Time to come to rest at the end of the motion, and from there to the verdict [s]."""
+    """Time to come to rest at the end of the motion, and again until the verdict [s]."""
     tolerance: float = 0.05
-    """How far a joint may stay from what is asked, as a share of the asked travel [-]."""
+    """Maximum remaining travel of a joint, as a share of the requested travel [-]."""
     slip: float = 0.03
-    """A lifted object has left the hand when it moved this far in it [m]."""
+    """Motion of a lifted object in the hand above which it counts as lost [m]."""
     touch: float = 1e-3
-    """Parts of furniture this near each other at the beginning touch by design [m]."""
+    """Distance at the start below which furniture parts touch by design [m]."""
     touch_force: float = 150.0
-    """A touch that is not the hold is a failure above this [N]."""
+    """Contact force outside the grasp above which the run fails [N]."""
     near: float = 0.03
-    """Up to here the distance from the robot to its surroundings is observed [m]."""
+    """Maximum observed distance from the robot to its surroundings [m]."""
     furniture: FurnitureConfig = field(default_factory=FurnitureConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
     control: ControlConfig = field(default_factory=ControlConfig)

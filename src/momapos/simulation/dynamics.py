@@ -1,4 +1,4 @@
-"""Masses, inertias and efforts of a robot, from its URDF."""
+"""Masses, inertias and effort limits of a robot, from its URDF."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.core import UrdfError, read_xml
 from momapos.core.geometry import pose_rpy
-from momapos.model.urdf import MAX_URDF_BYTES, Geometry, Hull, hull_of
+from momapos.model.urdf import MAX_URDF_BYTES, Geometry, Hull, Mimic, hull_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -20,50 +20,35 @@ if TYPE_CHECKING:
 _MATRIX = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Inertia:
-    """How a link resists being moved."""
+    """Mass and inertia of a link."""
 
     mass: float
     """[kg]"""
     T_link_inertia: Float[np.ndarray, "4 4"]
-    """Of the frame of `matrix`; its origin is the center of mass."""
+    """Frame of `matrix`; its origin is the center of mass."""
     matrix: tuple[float, float, float, float, float, float]
     """xx, yy, zz, xy, xz, yz [kg m^2]."""
 
 
 @dataclass(frozen=True)
-class Mimic:
-    """A joint that follows another one."""
-
-    joint: str
-    """The one it follows."""
-    multiplier: float
-    offset: float
-    """[rad] or [m]"""
-
-    def at(self, value: float) -> float:
-        """Where it is when the other one is at a value."""
-        return self.multiplier * value + self.offset
-
-
-@dataclass(frozen=True)
 class Dynamics:
-    """What a URDF says of masses and motors."""
+    """Masses, effort limits and mimic joints of a URDF."""
 
     inertias: Mapping[str, Inertia]
-    """By link; links that the file gives no mass for are left out."""
+    """By link; links without a mass are left out."""
     efforts: Mapping[str, float]
-    """Largest torque or force by joint [Nm] or [N]; joints without one are left out."""
+    """Maximum torque or force by joint [Nm] or [N]; joints without a limit are left out."""
     mimics: Mapping[str, Mimic]
-    """By joint that follows."""
+    """By the name of the following joint."""
 
 
 def read_dynamics(path: Path) -> Dynamics:
-    """Read what `read_urdf`, which has accepted the file before, leaves out.
+    """Read the inertial data of a URDF that `read_urdf` has accepted.
 
     Raises:
-        UrdfError: A mass or an effort is no usable number.
+        UrdfError: A mass, inertia, mimic or effort value is invalid.
     """
     root: Any = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
     inertias = {}
@@ -107,7 +92,7 @@ def _inertia(element: Any, where: str) -> Inertia:
 def _triple(text: str | None, where: str) -> tuple[float, ...]:
     values = [_number(word, where) for word in (text or "0 0 0").replace(",", " ").split()]
     if len(values) != 3:
-        raise UrdfError(f"{where} {text!r:.80} must be 3 numbers")
+        raise UrdfError(f"{where} {text!r:.80} must have 3 numbers")
     return tuple(values)
 
 
@@ -117,12 +102,12 @@ def _number(text: str | None, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or abs(value) > 1e6:
-        raise UrdfError(f"{where} {text!r:.80} must be a number of reasonable size")
+        raise UrdfError(f"{where} {text!r:.80} must be a finite number of magnitude at most 1e6")
     return value
 
 
 def volume(shape: Geometry) -> float:
-    """Volume of a shape, of a mesh that of its convex hull [m^3]."""
+    """Return the volume of a shape [m^3]; for a mesh, of its convex hull."""
     if shape.kind == "box":
         return float(np.prod(shape.size))
     if shape.kind == "cylinder":
@@ -133,6 +118,6 @@ def volume(shape: Geometry) -> float:
 
 
 def hull_volume(hull: Hull) -> float:
-    """Volume of a convex hull [m^3]."""
+    """Return the volume of a convex hull [m^3]."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     return float(np.einsum("fi,fi->", np.cross(a, b), c)) / 6

@@ -15,103 +15,67 @@ from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import opening_of
 
-from .approach import PacedTrajectory, paced
+from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import ArmKinematics
 from .config import AT_END, GOOD, RECOVERABLE, Ending, ExecutionConfig
 from .dynamics import Dynamics, read_dynamics
-from .joint_estimate import Axis, Doubt, JointEstimate, Learned
-from .retreat import WayHome, retreat
+from .execution_run import ExecutionRun, JointBelief, Stretch, Watch
+from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
+from .retreat import PlanHomePath, retreat
 from .run_record import Collision, Execution, JointFound, Pose
 from .simulated_hand import find_hand
-from .simulated_room import Resistance
+from .simulated_room import PartResistance
 from .simulation import Simulation
-from .stages import Belief, ExecutionRun, Stretch, Watch
+from .stages import carry_out
 from .true_worlds import TrueWorld
 from .verdict import TaskOutcome, judge
-from .worlds import Setting, draw_worlds
+from .worlds import WorldSetup, draw_worlds
 
 DEFAULT = ExecutionConfig()
-_IN_THE_WAY = (Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.TOO_HARD)
-_WELD_INSTEAD = "the fingers of {} do not close on anything: a weld stands for its hold"
+_OBSTRUCTED = (Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.TOO_HARD)
+_WELD_INSTEAD = "the fingers of {} do not close on anything; a weld replaces the grasp"
 
 
 @dataclass(frozen=True, eq=False)
-class Again:
-    """What another try begins with."""
+class RetryState:
+    """State that a further attempt starts from."""
 
     scene: Scene
-    """The room as the robot believes it to be, for which the motion is planned."""
+    """Room as the robot believes it to be; the motion is planned for it."""
     value: float
-    """Where the part's joint truly is [rad] or [m]."""
+    """True value of the part's joint [rad] or [m]."""
     collisions: Mapping[tuple[str, str], Collision]
-    """All touches of the tries before."""
+    """Collisions of the earlier attempts."""
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What came of a motion, and what may follow."""
+class AttemptOutcome:
+    """Result of an attempt, and what may follow."""
 
     execution: Execution
     ending: Ending
-    learned: Learned | None
-    """Where the hand had the part last; None where it did not move it."""
+    learned: LearnedPart | None
+    """State of the part by the hand's last contact; None if the hand did not move it."""
     value: float
-    """Where the part's joint truly is, which it does not know [rad] or [m]."""
+    """True value of the part's joint, unknown to the robot [rad] or [m]."""
     collisions: Mapping[tuple[str, str], Collision]
     at_home: bool
-    """Whether the motion failed and the arm is home again, so that another may be tried."""
+    """Whether the motion failed and the arm is back home, ready for another attempt."""
 
     @property
     def in_the_way(self) -> bool:
-        """Whether the arm could not follow the part from where the base stands."""
-        return self.learned is not None and self.ending in _IN_THE_WAY
+        """Whether the arm could not follow the part from this base pose."""
+        return self.learned is not None and self.ending in _OBSTRUCTED
 
     @property
     def nothing_there(self) -> bool:
-        """Whether the hand found nothing where it closed."""
+        """Whether the hand closed on nothing."""
         return self.learned is None and self.ending is Ending.NOTHING_HELD
 
     @property
     def ran_away(self) -> bool:
-        """Whether the part was not there any more when the hand came to push it on."""
+        """Whether the part had moved away when the hand came to push it."""
         return self.ending is Ending.NOTHING_MET
-
-
-def execute(
-    scene: Scene,
-    robot: Robot,
-    base_pose: Pose,
-    motion: Motion,
-    task: Task,
-    config: ExecutionConfig = DEFAULT,
-    rng: np.random.Generator | None = None,
-    *,
-    watch: Watch | None = None,
-    clock: Clock = time.perf_counter,
-) -> Execution:
-    """Execute a motion at a base pose and say whether the task was done.
-
-    Nothing of the planner's is used: neither its spheres and boxes nor its kinematics.
-
-    Args:
-        scene: The room.
-        robot: The robot.
-        base_pose: x [m], y [m], yaw [rad] of its base.
-        motion: Of the arm. What it and the scene say of the object is where the arm begins to look
-            for its joint; from there on it follows what it feels.
-        task: What is to be done.
-        config: How to model and judge.
-        rng: Draws how the furniture resists, where `config.furniture.spread` is not 0.
-        watch: Sees the world after every step of the controller.
-        clock: Measures the wall time.
-
-    Raises:
-        SceneError: The robot stands in something at the beginning.
-        InputError: The motion cannot be timed, or the engine refuses the model.
-    """
-    return attempt(
-        scene, robot, base_pose, motion, task, config, rng, watch=watch, clock=clock
-    ).execution
 
 
 def attempt(
@@ -124,25 +88,35 @@ def attempt(
     rng: np.random.Generator | None = None,
     *,
     true_world: TrueWorld | None = None,
-    again: Again | None = None,
-    way_home: WayHome | None = None,
-    doubt: Doubt | None = None,
+    again: RetryState | None = None,
+    way_home: PlanHomePath | None = None,
+    doubt: JointDoubt | None = None,
     watch: Watch | None = None,
     clock: Clock = time.perf_counter,
-) -> Outcome:
-    """Execute a motion; where it fails, let go and bring the arm home.
+) -> AttemptOutcome:
+    """Execute a motion at a base pose and judge it; if it fails, bring the arm home.
+
+    Independent of the planner: neither its collision shapes nor its kinematics are used.
 
     Args:
-        scene, robot, base_pose, motion, task, config, rng, watch, clock: See `execute`. The scene
-            is the one that the run began with.
-        true_world: What is really there; as the scene says by default.
-        again: What earlier tries left; None for the first one.
-        way_home: Plans the arm's way home from where a motion failed; None to stay there.
-        doubt: Ends the motion where the hand's way speaks against the joint as believed.
+        scene: The room at the start of the run.
+        robot: The robot.
+        base_pose: x [m], y [m], yaw [rad] of its base.
+        motion: Arm motion. Together with the scene it gives the initial estimate of the part's
+            joint; from there on the arm follows what it feels.
+        task: The task.
+        config: How to model and judge.
+        rng: Draws the resistance of the furniture if `config.furniture.spread` is not 0.
+        true_world: The true room; by default the scene.
+        again: State after earlier attempts; None for the first one.
+        way_home: Plans the arm's path home after a failed motion; None to stay there.
+        doubt: Ends the motion if the hand's path contradicts the believed joint.
+        watch: Called after every control step.
+        clock: Measures the wall time.
 
     Raises:
-        SceneError: The robot stands in something at the beginning.
-        InputError: The motion cannot be timed, or the engine refuses the model.
+        SceneError: The robot starts in collision.
+        InputError: The motion cannot be timed, or the engine rejects the model.
     """
     assert robot.model.urdf.path is not None
     dynamics = read_dynamics(robot.model.urdf.path)
@@ -151,7 +125,7 @@ def attempt(
         config = replace(config, hold="weld")
         notes.append(_WELD_INSTEAD.format(robot.name))
     worlds = draw_worlds(
-        Setting(scene, robot, base_pose, motion, task, hand, dynamics, config),
+        WorldSetup(scene, robot, base_pose, motion, task, hand, dynamics, config),
         rng or np.random.default_rng(0),
         true_world=true_world,
         believed=None if again is None else again.scene,
@@ -171,32 +145,34 @@ def attempt(
     run.check_start()
     began = clock()
     approach = _approach(robot, motion, task, config, known, careful=again is not None)
-    ending = run.go(approach, _stretches(robot, motion, task, config, known))
+    ending = carry_out(run, approach, _stretches(robot, motion, task, config, known))
     detail, at_home = run.detail, False
     if way_home is not None and belief is not None and ending in RECOVERABLE:
         at_home = retreat(run, robot, approach, way_home)
     wall = clock() - began
     how = f"{ending}: {detail}" if detail else str(ending)
     stopped = "" if ending in GOOD else how
-    verdict = judge(world, run.observer, there.task, item, run.first, motion, config, stopped)
+    verdict = judge(
+        world, run.observer, there.task, item, run.T_part_first, motion, config, stopped
+    )
     notes += _effort_notes(robot, dynamics, world)
     if ending in AT_END:
         notes.append(how)
     execution = _outcome(run, base_pose, ending, verdict, worlds.resistance, wall, notes)
     value = float(world.data.qpos[world.part_q])
-    return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
+    return AttemptOutcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
 
 
 def _effort_notes(robot: Robot, dynamics: Dynamics, world: Simulation) -> list[str]:
-    """What is assumed of the motors."""
+    """Return the assumptions about the motors, one line each."""
     notes = []
     unknown = [name for name in robot.moved_joints if name not in dynamics.efforts]
     if unknown:
-        notes.append(f"no effort limit is known of {', '.join(unknown)}")
+        notes.append(f"no effort limit is known for {', '.join(unknown)}")
     if world.balanced:
         notes.append(
-            "the URDF's efforts are less than the arm's own weight takes, which springs are taken "
-            f"to bear: {', '.join(world.balanced)}"
+            "the effort limits in the URDF are below what the arm's own weight needs; springs are "
+            f"assumed to bear it: {', '.join(world.balanced)}"
         )
     return notes
 
@@ -204,7 +180,7 @@ def _effort_notes(robot: Robot, dynamics: Dynamics, world: Simulation) -> list[s
 def _stretches(
     robot: Robot, motion: Motion, task: Task, config: ExecutionConfig, room: Simulation
 ) -> list[Stretch]:
-    """The motion cut where the hand takes hold and lets go."""
+    """Cut the motion where the hand grasps and lets go."""
     step = config.timestep * config.substeps
     holds = motion.holds or (Hold(0, len(motion.q) - 1),)
     cuts: list[tuple[int, int, Hold | None]] = []
@@ -224,13 +200,13 @@ def _stretches(
         if held is not None and held.family == "push":
             most = min(speed.tool_speed, config.compliance.push_speed)
             speed = replace(speed, tool_speed=most)
-        # What is placed is let go before: there is nothing to carry.
+        # A placed object is let go first: there is nothing to carry.
         verb = None if task.verb == "place" else task.verb
         free, slow = time_motion(robot, part, speed, step, verb=verb)
         if held is not None:
             stretches.append(Stretch(slow, part, held))
             continue
-        way = paced(
+        way = pace_trajectory(
             free, part.q, part.Ts_world_tool[:, :3, 3], room, config,
             value=float(part.object_q[0]),
         )  # fmt: skip
@@ -247,23 +223,22 @@ def _approach(
     *,
     careful: bool,
 ) -> PacedTrajectory:
-    """The approach, slow where the arm is near what the robot knows of the room."""
+    """Return the approach, slow where the arm is near the known room."""
     step = config.timestep * config.substeps
     plan, _ = time_motion(robot, motion, config.speed, step, verb=task.verb)
     path = motion.approach if len(motion.approach) else motion.q[:1]
     kinematics = ArmKinematics(room)
     tool = np.array([kinematics.at(q)[0][:3, 3] for q in path])
-    return paced(plan, path, tool, room, config, careful=careful)
+    return pace_trajectory(plan, path, tool, room, config, careful=careful)
 
 
-def _belief(item: SceneObject, name: str | None) -> Belief | None:
-    """What the scene says of the part's joint."""
+def _belief(item: SceneObject, name: str | None) -> JointBelief | None:
     if name is None:
         return None
     joint = item.model.joint(name)
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
     axis = Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3])
-    return Belief(axis, opening_of(item.model, name).closed)
+    return JointBelief(axis, opening_of(item.model, name).closed)
 
 
 def _outcome(
@@ -271,15 +246,14 @@ def _outcome(
     base_pose: Pose,
     ending: Ending,
     verdict: TaskOutcome,
-    resistance: Resistance,
+    resistance: PartResistance,
     wall: float,
     notes: list[str],
 ) -> Execution:
-    """Gather what was seen."""
     observer, config = run.observer, run.config
     if run.world.loose:
         names = ", ".join(run.world.loose)
-        notes.append(f"touch the moved part in the scene, and are left out against it: {names}")
+        notes.append(f"ignored contacts with the moved part that the scene starts with: {names}")
     shift = observer.base_shift.tolist()
     return Execution(
         success=verdict.success,

@@ -1,4 +1,4 @@
-"""What the robot feels: the wrench at its wrist and the load of its pads."""
+"""Force sensing of the robot: the wrench at its wrist and the load of its finger pads."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Touch:
-    """What the hand feels, its own weight left out."""
+class SensedForces:
+    """Forces that the robot senses, without the hand's own weight."""
 
     force: Float[np.ndarray, "3"]
-    """Of things on the hand, in the world [N]."""
+    """Force on the hand, in the world [N]."""
     torque: Float[np.ndarray, "3"]
-    """Likewise about the tool's origin [Nm]."""
+    """Torque on the hand about the tool's origin, in the world [Nm]."""
     pads: tuple[float, float]
-    """How hard things press on the pads of the two sides, against their closing [N]."""
+    """Load of the pads of the two sides, against their closing [N]."""
     arm: Float[np.ndarray, " n"]
-    """Load of the arm's joints that neither its motion nor the hand explains: what its links meet
-    [Nm] or [N]."""
+    """Load of the arm's joints that neither its motion nor the hand explains, from contacts of its
+    links [Nm] or [N]."""
 
     @property
     def size(self) -> tuple[float, float]:
-        """Force [N] and torque [Nm], without their directions."""
+        """Magnitudes of force [N] and torque [Nm]."""
         return float(np.linalg.norm(self.force)), float(np.linalg.norm(self.torque))
 
 
-def feel(world: Simulation) -> Touch:
-    """Feel what touches the hand, in contacts and in the weld."""
+def sense_forces(world: Simulation) -> SensedForces:
+    """Return the forces on the robot from contacts and from the weld."""
     model, data = world.model, world.data
     mujoco.mj_rnePostConstraint(model, data)
     wrench = data.cfrc_ext[world.hand_bodies].sum(0)
@@ -45,11 +45,12 @@ def feel(world: Simulation) -> Touch:
     jacobian = np.zeros((6, model.nv))
     mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], world.tool_body)
     of_hand = np.concatenate([force, torque]) @ jacobian
-    return Touch(force, torque, pad_loads(world), (_outside(world) - of_hand)[world.arm_v])
+    loads = (_outside(world) - of_hand)[world.arm_v]
+    return SensedForces(force, torque, pad_loads(world), loads)
 
 
 def _outside(world: Simulation) -> Float[np.ndarray, " v"]:
-    """Load of all joints by contacts and couplings, not by their own limits [Nm] or [N]."""
+    """Return the load of all joints from contacts and couplings, without limits [Nm] or [N]."""
     data, load = world.data, np.zeros(world.model.nv)
     if data.nefc:
         own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
@@ -58,9 +59,9 @@ def _outside(world: Simulation) -> Float[np.ndarray, " v"]:
 
 
 def pad_loads(world: Simulation) -> tuple[float, float]:
-    """How hard things press on the pads of the two sides [N]: -1, then 1."""
+    """Return the load of the pads on sides -1 and 1 [N]."""
     sides = world.pad_side[world.data.contact.geom]
-    one = (sides != 0).sum(1) == 1  # two pads that meet hold nothing
+    one = (sides != 0).sum(1) == 1  # two pads in contact hold nothing
     rows = np.flatnonzero(one & (world.data.contact.efc_address >= 0))
     if not len(rows):
         return 0.0, 0.0
@@ -69,7 +70,7 @@ def pad_loads(world: Simulation) -> tuple[float, float]:
     for i in rows.tolist():
         mujoco.mj_contactForce(world.model, world.data, i, wrench)
         push = float(world.data.contact.frame[i].reshape(3, 3).T @ wrench[:3] @ axis)
-        for side, sign in zip(sides[i].tolist(), (-1, 1), strict=True):  # of one on the other
+        for side, sign in zip(sides[i].tolist(), (-1, 1), strict=True):  # force of one on other
             if side:
                 loads[side] += side * sign * push
     return loads[-1], loads[1]

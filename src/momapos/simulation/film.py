@@ -1,4 +1,4 @@
-"""A run in pictures: a strip of a few, or a film of many."""
+"""Images of a run: a filmstrip, or a film."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import numpy as np
 from momapos.core import InputError, require, write_atomic
 
 from .config import Stage
-from .film_canvas import Overlay, Shot, canvas, captioned, frame_shot
-from .film_files import GIF, MP4, STRIP, check_film, encoded
+from .film_canvas import Overlay, Shot, add_caption, canvas, frame_shot
+from .film_files import GIF, MP4, STRIP, check_film, encode_film
 from .run_motion import DRIVE
 from .run_trace import Act, RunTrace, State
 from .simulated_robot import TOOL_POINT
@@ -24,41 +24,40 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Shaped, UInt8
 
 WIDTH, HEIGHT, COLUMNS = 640, 480, 4
-"""A picture of a filmstrip [px], and how many stand in a row."""
+"""Size of a filmstrip image [px], and images per row [-]."""
 FILM_WIDTH, FILM_HEIGHT = 1280, 670
-"""A picture of a film without its caption, with which it is 720 high [px]."""
-FASTER = 3.0
-"""How many times faster than in truth a film plays [-]."""
-RATES, MOST_PICTURES = {GIF: 10.0, MP4: 20.0}, {GIF: 160, MP4: 900}
-"""Pictures a second, and how many at most: a GIF of more is too large for a page."""
-LAST = 1.5
-"""The last picture of a film stays for so long [s]."""
-SWEEP = 18.0
-"""In a film the camera goes round from this far on one side to the other [deg]."""
-_BEFORE = (Stage.SETTLE, Stage.APPROACH)
-"""Stages before the robot takes hold."""
+"""Size of a film image without its caption; 720 px high with it [px]."""
+PLAYBACK_SPEED = 3.0
+"""Playback speed of a film, relative to real time [-]."""
+FRAME_RATES, MAX_IMAGES = {GIF: 10.0, MP4: 20.0}, {GIF: 160, MP4: 900}
+"""Frame rate [1/s] and maximum number of images [-]; a longer GIF is too large for a page."""
+LAST_IMAGE_TIME = 1.5
+"""Time for which a film shows its last image [s]."""
+CAMERA_SWEEP = 18.0
+"""Rotation of a film's camera to each side [deg]."""
+_BEFORE_GRASP = (Stage.SETTLE, Stage.APPROACH)
+"""Stages before the grasp."""
 
 
 def write_film(trace: RunTrace, path: Path, *, frames: int = 8, ending: str = "") -> None:
-    """Draw a filmstrip (PNG) or a film (GIF or MP4, 720p), as the name ends.
+    """Draw a filmstrip (PNG) or a film (GIF or MP4, 720p), depending on the suffix of `path`.
 
-    A filmstrip shows the last motion and the way there, a film all of them.
+    A filmstrip shows the last motion and the drives before it, a film all motions and drives.
 
     Args:
-        trace: What was seen of the run.
-        path: The file.
-        frames: Number of pictures of a filmstrip; a quarter of them of the drives, if there
-            are any.
-        ending: How the run ended, for the last picture.
+        trace: Trace of the run.
+        path: Output file.
+        frames: Number of images of a filmstrip; a quarter of them show the drives, if any.
+        ending: How the run ended, for the caption of the last image.
 
     Raises:
-        InputError: Nothing was executed, this machine cannot draw off-screen, the name ends
-            otherwise, or the file cannot be written.
-        MissingExtraError: Pillow is not installed, or for an MP4 PyAV.
+        InputError: Nothing was executed, off-screen rendering is unavailable, the suffix is
+            unknown, or the file cannot be written.
+        MissingExtraError: Pillow is not installed, or PyAV for an MP4.
     """
     check_film(path)
     if not trace.played:
-        raise InputError(f"{path}: nothing was executed; there is nothing to draw")
+        raise InputError(f"{path}: nothing to draw, because no motion was executed")
     with require("physics"):
         from PIL import Image
     kind = path.suffix.lower()
@@ -67,33 +66,33 @@ def write_film(trace: RunTrace, path: Path, *, frames: int = 8, ending: str = ""
         Image.fromarray(_strip(trace, frames, ending)).save(content, "PNG")
         film = content.getvalue()
     else:
-        rate = RATES[kind]
-        film = encoded(_film(trace, rate, MOST_PICTURES[kind], ending), kind, rate)
+        rate = FRAME_RATES[kind]
+        film = encode_film(_film(trace, rate, MAX_IMAGES[kind], ending), kind, rate)
     try:
         write_atomic(path, film)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-@dataclass(frozen=True)
-class _Picture:
-    """A moment of a run that is drawn."""
+@dataclass(frozen=True, eq=False)
+class _FilmImage:
+    """A moment of a run to draw."""
 
     state: State
-    """Its time counts from the beginning of the run."""
+    """Its time counts from the start of the run."""
     way: Float[np.ndarray, "k 3"]
-    """Poses of the base on its drives, as far as they are driven."""
+    """Poses of the base on its drives so far."""
 
     @property
     def words(self) -> str:
-        """What is said under it."""
+        """Text of the caption."""
         time, stage, _, force = self.state
         held = float(np.linalg.norm(force))
         return f"{time:.1f} s   {stage}" + (f"   {held:.0f} N at the hand" if held else "")
 
 
 def _strip(trace: RunTrace, frames: int, ending: str) -> Shaped[np.ndarray, "H W 3"]:
-    """Some pictures of the drives and of what was done then, in rows."""
+    """Draw the drives and the motion of the last act as rows of images."""
     act = trace.played[-1]
     began = sum(one.duration for one in trace.acts[: trace.acts.index(act)])
     driven = _driven(act, began, _along(act, frames // 4))
@@ -106,17 +105,17 @@ def _strip(trace: RunTrace, frames: int, ending: str) -> Shaped[np.ndarray, "H W
             shot = frame_shot(act.world, data, [one.state.q for one in seen])
             for one in strip:
                 words = one.words if one is not done[-1] else _ended(one.words, ending)
-                drawn = draw(data, shot.camera, shot.through, _set(act, data, one))
-                pictures.append(captioned(drawn, words))
+                drawn = draw(data, shot.camera, shot.through, _set_state(act, data, one))
+                pictures.append(add_caption(drawn, words))
     return _sheet(pictures)
 
 
 def _film(
     trace: RunTrace, rate: float, most: int, ending: str
 ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """The pictures of a film, whose camera goes slowly round."""
+    """Draw the images of a film, with a slowly rotating camera."""
     whole = sum(act.duration for act in trace.acts)
-    step, began, picture, words = max(FASTER / rate, whole / most), 0.0, None, ""
+    step, began, picture, words = max(PLAYBACK_SPEED / rate, whole / most), 0.0, None, ""
     for act in trace.acts:
         if act.world is not None:
             driven = _driven(act, began, np.arange(0.0, act.drove, step))
@@ -127,37 +126,37 @@ def _film(
                 data = mujoco.MjData(act.world.model)
                 for part in filter(None, (driven, done)):
                     states = [one.state.q for one in part]
-                    shot: Shot = frame_shot(act.world, data, states, sweep=SWEEP)
+                    shot: Shot = frame_shot(act.world, data, states, sweep=CAMERA_SWEEP)
                     for k, one in enumerate(part):
-                        camera = shot.turned(SWEEP * (2 * k / max(1, len(part) - 1) - 1))
-                        picture = draw(data, camera, shot.through, _set(act, data, one))
+                        camera = shot.rotated(CAMERA_SWEEP * (2 * k / max(1, len(part) - 1) - 1))
+                        picture = draw(data, camera, shot.through, _set_state(act, data, one))
                         words = one.words
-                        yield captioned(picture, f"{words}   ({FASTER:g} x)")
+                        yield add_caption(picture, f"{words}   ({PLAYBACK_SPEED:g} x)")
         began += act.duration
     assert picture is not None
-    last = captioned(picture, _ended(words, ending))
-    for _ in range(round(LAST * rate)):
+    last = add_caption(picture, _ended(words, ending))
+    for _ in range(round(LAST_IMAGE_TIME * rate)):
         yield last
 
 
 def _ended(words: str, ending: str) -> str:
-    """The words of the last picture: how it ended where that is known."""
+    """Return the last caption, with the ending if it is known."""
     return f"{words.partition('   ')[0]}   {ending}" if ending else words
 
 
-def _set(act: Act, data: Any, one: _Picture) -> Overlay:
-    """Put a world into the state of a picture; what is drawn over it."""
+def _set_state(act: Act, data: Any, one: _FilmImage) -> Overlay:
+    """Set a world to the state of an image and return its overlay."""
     assert act.world is not None
     data.qpos[:] = one.state.q
     mujoco.mj_forward(act.world.model, data)
     return Overlay(one.way[:, :2], data.geom(TOOL_POINT).xpos.copy(), -one.state.force)
 
 
-def _driven(act: Act, began: float, when: Float[np.ndarray, " n"]) -> list[_Picture]:
-    """Pictures of the drives of an act at some times [s]."""
+def _driven(act: Act, began: float, when: Float[np.ndarray, " n"]) -> list[_FilmImage]:
+    """Return images of an act's drives at some times [s]."""
     times, poses = act.way
     return [
-        _Picture(
+        _FilmImage(
             State(began + float(times[i]), DRIVE, act.standing_at(poses[i]), np.zeros(3)),
             poses[: i + 1],
         )
@@ -165,14 +164,13 @@ def _driven(act: Act, began: float, when: Float[np.ndarray, " n"]) -> list[_Pict
     ]
 
 
-def _done(act: Act, began: float, states: Sequence[State]) -> list[_Picture]:
-    """Pictures of what physics did in an act."""
+def _done(act: Act, began: float, states: Sequence[State]) -> list[_FilmImage]:
     before = began + act.drove
-    return [_Picture(one._replace(time=before + one.time), act.way[1]) for one in states]
+    return [_FilmImage(one._replace(time=before + one.time), act.way[1]) for one in states]
 
 
 def _along(act: Act, frames: int) -> Float[np.ndarray, " n"]:
-    """Times evenly spread over the way of all drives; its end is in what follows [s]."""
+    """Return times evenly spaced along the path of all drives, without its end [s]."""
     times, poses = act.way
     if not len(poses) or not frames:
         return np.zeros(0)
@@ -181,9 +179,9 @@ def _along(act: Act, frames: int) -> Float[np.ndarray, " n"]:
 
 
 def _chosen(states: Sequence[State], frames: int) -> list[State]:
-    """A quarter of the pictures from the way to the object, the others from then on."""
-    before = [s for s in states if s.stage in _BEFORE]
-    after = [s for s in states if s.stage not in _BEFORE]
+    """Choose a quarter of the images from before the grasp, and the others after it."""
+    before = [s for s in states if s.stage in _BEFORE_GRASP]
+    after = [s for s in states if s.stage not in _BEFORE_GRASP]
     early = min(len(before), max(1, frames // 4) if after else frames)
     picked = [before[i] for i in np.linspace(0, len(before) - 1, early + 1).astype(int)[:early]]
     late = min(len(after), frames - len(picked))
@@ -191,7 +189,6 @@ def _chosen(states: Sequence[State], frames: int) -> list[State]:
 
 
 def _sheet(pictures: list[UInt8[np.ndarray, "h w 3"]]) -> Shaped[np.ndarray, "H W 3"]:
-    """Pictures in rows, with a thin white border."""
     border = [np.pad(p, ((2, 2), (2, 2), (0, 0)), constant_values=255) for p in pictures]
     blank = np.full_like(border[0], 255)
     columns = min(COLUMNS, len(border))

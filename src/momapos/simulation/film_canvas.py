@@ -1,4 +1,4 @@
-"""Pictures of a physics world: light that shows shapes, nothing in the way, words to be read."""
+"""Off-screen rendering of a physics world, with lighting, overlays and captions."""
 
 from __future__ import annotations
 
@@ -21,48 +21,48 @@ from .simulation import Simulation
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-ELEVATION, MARGIN = -25.0, 0.95
-"""The camera looks down by this [deg], from this many times the least distance [-]."""
-BACKGROUND, SUN, SKY = (244, 246, 248), 0.55, 0.56
-"""Color where nothing is; light from the side, and from everywhere [-]."""
-ASIDE, STEEP = 60.0, 57.0
-"""The light comes from so far beside the camera, and from above [deg]: so the faces of a box that
-are seen differ, whichever they are."""
-SEEN_THROUGH = 0.12
-"""Opacity of what stands in the way [-]."""
-CAPTION = 0.075
-"""Height of the words under a picture, as a share of it [-]."""
-WAY_COLOR, FORCE_COLOR = (0.13, 0.28, 0.55, 1.0), (204, 20, 107)
-WAY_WIDTH = 0.012
-"""Radius of the line on the floor [m]."""
-FORCE_WIDTH = 0.009
-"""Width of the arrow of a force, as a share of the height of a picture [-]."""
-WAY_STEP = 0.05
-"""Length of the pieces of the line [m]."""
-PER_NEWTON, LONGEST = 0.03, 0.6
-"""Length of the arrow of a force [m/N], and how long it is at most [m]."""
-LEAST_FORCE = 1.0
-"""Forces below this have no arrow [N]."""
-_VIEWS = 24
-"""Directions from which the camera may look [-]."""
-_MOST_LINES = 400
-"""Pieces of the line on the floor at most [-]."""
-_LAYERS = 6
-"""So many things one behind the other are looked through [-]."""
+ELEVATION, DISTANCE_FACTOR = -25.0, 0.95
+"""Camera elevation [deg], and its distance relative to the one that just fits the scene [-]."""
+BACKGROUND, DIRECTIONAL_LIGHT, AMBIENT_LIGHT = (244, 246, 248), 0.55, 0.56
+"""Background color; intensity of the directional and of the ambient light [-]."""
+LIGHT_AZIMUTH, LIGHT_ELEVATION = 60.0, 57.0
+"""Azimuth of the light relative to the camera, and its elevation [deg]; chosen so that the visible
+faces of a box differ."""
+HIDING_OPACITY = 0.12
+"""Opacity of geoms that hide the robot or the part [-]."""
+CAPTION_HEIGHT = 0.075
+"""Height of the caption, as a share of the image height [-]."""
+PATH_COLOR, FORCE_COLOR = (0.13, 0.28, 0.55, 1.0), (204, 20, 107)
+PATH_RADIUS = 0.012
+"""Radius of the base path on the floor [m]."""
+ARROW_WIDTH = 0.009
+"""Width of the force arrow, as a share of the image height [-]."""
+PATH_STEP = 0.05
+"""Length of the segments of the base path [m]."""
+ARROW_LENGTH_PER_NEWTON, MAX_ARROW_LENGTH = 0.03, 0.6
+"""Length of the force arrow per force [m/N], and its maximum [m]."""
+MIN_ARROW_FORCE = 1.0
+"""Force below which no arrow is drawn [N]."""
+_VIEW_COUNT = 24
+"""Number of camera azimuths that are compared [-]."""
+_MAX_PATH_SEGMENTS = 400
+"""Maximum number of segments of the base path [-]."""
+_MAX_HIDING_GEOMS = 6
+"""Maximum number of geoms along a ray that are made transparent [-]."""
 _SUBJECT = (*ROBOT, Kind.PART)
-"""What the pictures are of."""
+"""Kinds of geoms that must be visible."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A camera, and what it looks through."""
+    """A camera, and the geoms it looks through."""
 
     camera: Any
     through: frozenset[int]
-    """Geoms of the room between the camera and what the picture is of."""
+    """Geoms of the room that hide the subject."""
 
-    def turned(self, angle: float) -> Any:
-        """The same camera, farther round [deg]."""
+    def rotated(self, angle: float) -> Any:
+        """Return the camera, rotated about its target by an angle [deg]."""
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         camera.lookat[:] = self.camera.lookat
@@ -71,32 +71,32 @@ class Shot:
         return camera
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Overlay:
-    """What is drawn over a world."""
+    """Annotations drawn over a world."""
 
     way: Float[np.ndarray, "k 2"]
-    """Where the base drove [m]."""
+    """Path of the base [m]."""
     hand: Float[np.ndarray, "3"]
-    """Where the hand is [m]."""
+    """Position of the hand [m]."""
     force: Float[np.ndarray, "3"]
-    """Of the hand on what it holds [N]."""
+    """Force of the hand on the object it holds [N]."""
 
 
 Draw: TypeAlias = "Callable[[Any, Any, frozenset[int], Overlay], UInt8[np.ndarray, 'h w 3']]"
-"""Draws a state as a camera sees it, some geoms see-through."""
+"""Renders a state for a camera, with some geoms transparent."""
 
 
 def frame_shot(
     world: Simulation, data: Any, states: Sequence[np.ndarray], *, sweep: float = 0.0
 ) -> Shot:
-    """A camera that sees robot and part from the side that least stands in the way.
+    """Return a camera that sees robot and part from the least hidden side.
 
     Args:
         world: The world.
-        data: Room for states of it.
-        states: What is to be seen.
-        sweep: How far the camera goes round to each side [deg].
+        data: Scratch state of the world.
+        states: States that must be visible.
+        sweep: Rotation of the camera to each side [deg].
     """
     model, points = world.model, []
     some = [states[0], states[len(states) // 2], states[-1]]
@@ -111,22 +111,22 @@ def frame_shot(
     camera.lookat[:] = (low + high) / 2
     camera.elevation = ELEVATION
     half = float(np.linalg.norm(high - low)) / 2 + 0.25
-    camera.distance = MARGIN * half / np.sin(np.radians(model.vis.global_.fovy / 2))
-    views = np.linspace(-180.0, 180.0, _VIEWS, endpoint=False)
+    camera.distance = DISTANCE_FACTOR * half / np.sin(np.radians(model.vis.global_.fovy / 2))
+    views = np.linspace(-180.0, 180.0, _VIEW_COUNT, endpoint=False)
     targets = np.stack([cloud[i] for i in np.linspace(0, len(cloud) - 1, 24).astype(int)])
     seen = [1 - len(_between(world, data, _eye(camera, v), targets, 1)) / 24 for v in views]
-    # Neighbors count too: a view through a narrow gap is not worth much.
+    # Average with the neighbors: a view through a narrow gap is not robust.
     smooth = np.convolve(np.r_[seen[-1], seen, seen[0]], [0.5, 1.0, 0.5], "valid")
     best = float(views[int(np.argmax(smooth))])
     through: set[int] = set()
     for angle in np.unique([-sweep, 0.0, sweep]):
-        through |= set(_between(world, data, _eye(camera, best + angle), cloud, _LAYERS))
+        through |= set(_between(world, data, _eye(camera, best + angle), cloud, _MAX_HIDING_GEOMS))
     camera.azimuth = best
     return Shot(camera, frozenset(through))
 
 
 def _eye(camera: Any, azimuth: float) -> Float[np.ndarray, "3"]:
-    """Where a free camera is when it looks along an azimuth [deg]."""
+    """Return the position of a free camera that looks along an azimuth [deg]."""
     a, e = np.radians(azimuth), np.radians(camera.elevation)
     forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     return np.asarray(camera.lookat - camera.distance * forward)
@@ -139,7 +139,7 @@ def _between(
     targets: Float[np.ndarray, "n 3"],
     layers: int,
 ) -> list[int]:
-    """Geoms of the room between an eye and some points; for each, the first few that hide it."""
+    """Return the geoms of the room that hide some points from an eye, up to `layers` per point."""
     found, hit = [], np.zeros(1, np.int32)
     for target in targets:
         away = (target - eye) / np.linalg.norm(target - eye)
@@ -156,14 +156,14 @@ def _between(
 
 @contextmanager
 def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
-    """An off-screen canvas; a machine without a display draws through EGL.
+    """Open an off-screen canvas; without a display it renders through EGL.
 
     Args:
         model: The world.
-        width, height: Of the pictures [px].
+        width, height: Size of the images [px].
 
     Raises:
-        InputError: There is none.
+        InputError: Off-screen rendering is unavailable.
     """
     try:
         if sys.platform == "linux" and "DISPLAY" not in os.environ:
@@ -174,14 +174,14 @@ def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
         screen.make_current()
         context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-    except Exception as error:  # every backend raises its own kind
+    except Exception as error:  # each backend raises its own type
         raise InputError(
-            f"--record: this machine cannot draw off-screen ({type(error).__name__}); it needs "
-            "EGL, as libegl1 and libgl1-mesa-dri of Debian have it, or a display"
+            f"this machine cannot render off-screen ({type(error).__name__}): install EGL "
+            "(Debian: libegl1 and libgl1-mesa-dri) or use a display"
         ) from error
-    most = 2 * model.ngeom + _MOST_LINES + 100
+    most = 2 * model.ngeom + _MAX_PATH_SEGMENTS + 100
     scene, option = mujoco.MjvScene(model, maxgeom=most), mujoco.MjvOption()
-    # Shadows of a whole room are as coarse as the pictures are; light from the side shows shapes.
+    # Shadows of a whole room are too coarse; a directional light shows shapes.
     for effect in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
         scene.flags[effect] = 0
     frame = mujoco.MjrRect(0, 0, width, height)
@@ -190,11 +190,11 @@ def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
         data: Any, camera: Any, through: frozenset[int], overlay: Overlay
     ) -> UInt8[np.ndarray, "h w 3"]:
         mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
-        _shine(scene, camera.azimuth)
+        _set_lights(scene, camera.azimuth)
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in through:
-                geom.rgba[3] = SEEN_THROUGH
-        _lay_over(scene, overlay)
+                geom.rgba[3] = HIDING_OPACITY
+        _draw_path(scene, overlay)
         mujoco.mjr_render(frame, scene, context)
         pixels, depth = (
             np.empty((height, width, 3), np.uint8),
@@ -203,7 +203,7 @@ def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
         mujoco.mjr_readPixels(pixels, depth, frame, context)
         pixels[depth >= 1.0] = BACKGROUND
         upright = np.ascontiguousarray(np.flipud(pixels))
-        return _arrow_over(upright, scene.camera, overlay)
+        return _draw_force(upright, scene.camera, overlay)
 
     try:
         yield draw
@@ -212,40 +212,41 @@ def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
         screen.free()
 
 
-def _shine(scene: Any, azimuth: float) -> None:
-    """Replace the light at the camera, which looks along an azimuth [deg], by one from everywhere
-    and one from the side."""
+def _set_lights(scene: Any, azimuth: float) -> None:
+    """Replace the headlight by an ambient and a directional light; `azimuth` [deg] is the
+    camera's."""
     sky, sun = scene.lights[0], scene.lights[scene.nlight]
-    sky.ambient[:], sky.diffuse[:], sky.specular[:] = SKY, 0.12, 0.0
+    sky.ambient[:], sky.diffuse[:], sky.specular[:] = AMBIENT_LIGHT, 0.12, 0.0
     sun.type = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     sun.castshadow, sun.headlight = 0, 0
-    a, e = np.radians(azimuth - ASIDE), np.radians(STEEP)
+    a, e = np.radians(azimuth - LIGHT_AZIMUTH), np.radians(LIGHT_ELEVATION)
     sun.pos[:] = (0.0, 0.0, 6.0)
     sun.dir[:] = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)])
     sun.attenuation[:], sun.cutoff, sun.exponent = (1.0, 0.0, 0.0), 45.0, 10.0
-    sun.ambient[:], sun.diffuse[:], sun.specular[:] = 0.0, SUN, 0.05
+    sun.ambient[:], sun.diffuse[:], sun.specular[:] = 0.0, DIRECTIONAL_LIGHT, 0.05
     scene.nlight += 1
 
 
-def _lay_over(scene: Any, overlay: Overlay) -> None:
-    """Add the way of the base to what is drawn."""
+def _draw_path(scene: Any, overlay: Overlay) -> None:
     way = _thinned(overlay.way)
-    points = np.column_stack([way, np.full(len(way), WAY_WIDTH)])
+    points = np.column_stack([way, np.full(len(way), PATH_RADIUS)])
     for begin, end in pairwise(points):
-        _connect(scene, begin, end)
+        _draw_segment(scene, begin, end)
 
 
-def _arrow_over(
+def _draw_force(
     pixels: UInt8[np.ndarray, "h w 3"], cameras: Sequence[Any], overlay: Overlay
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture with the force as an arrow over all that would hide it."""
+    """Draw the force as an arrow that nothing hides."""
     size = float(np.linalg.norm(overlay.force))
-    if size < LEAST_FORCE:
+    if size < MIN_ARROW_FORCE:
         return pixels
     from PIL import Image, ImageDraw
 
     height, width = pixels.shape[:2]
-    ends = overlay.hand + np.outer([0.0, 1.0], overlay.force * min(PER_NEWTON, LONGEST / size))
+    ends = overlay.hand + np.outer(
+        [0.0, 1.0], overlay.force * min(ARROW_LENGTH_PER_NEWTON, MAX_ARROW_LENGTH / size)
+    )
     eye, ahead, up = (
         np.mean([getattr(camera, key) for camera in cameras], axis=0)
         for key in ("pos", "forward", "up")
@@ -253,7 +254,7 @@ def _arrow_over(
     away, right = ends - eye, np.cross(ahead, up)
     scale = height / 2 * cameras[0].frustum_near / cameras[0].frustum_top / (away @ ahead)
     begin, tip = np.stack([width / 2 + scale * (away @ right), height / 2 - scale * (away @ up)], 1)
-    picture, line = Image.fromarray(pixels), FORCE_WIDTH * height
+    picture, line = Image.fromarray(pixels), ARROW_WIDTH * height
     length = float(np.linalg.norm(tip - begin))
     if length > 1.0:
         along = (tip - begin) / length
@@ -266,25 +267,25 @@ def _arrow_over(
 
 
 def _thinned(way: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "n 2"]:
-    """Points of a way at least a step apart, with its end."""
+    """Return points of a path at least a segment apart, including its end."""
     if len(way) < 2:
         return way[:0]
     along = np.cumsum(np.hypot(*np.diff(way, axis=0, prepend=way[:1]).T))
-    step = max(WAY_STEP, along[-1] / _MOST_LINES)
+    step = max(PATH_STEP, along[-1] / _MAX_PATH_SEGMENTS)
     picked = np.searchsorted(along, np.arange(0.0, along[-1], step))
     return way[np.unique([*picked, len(way) - 1])]
 
 
-def _connect(scene: Any, begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> None:
+def _draw_segment(scene: Any, begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> None:
     geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
-    color = np.array(WAY_COLOR, np.float32)
+    color = np.array(PATH_COLOR, np.float32)
     mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), color)
-    mujoco.mjv_connector(geom, kind, WAY_WIDTH, begin, end)
+    mujoco.mjv_connector(geom, kind, PATH_RADIUS, begin, end)
     scene.ngeom += 1
 
 
-def captioned(picture: UInt8[np.ndarray, "h w 3"], words: str) -> UInt8[np.ndarray, "H w 3"]:
-    """A picture with dark words on a white strip under it.
+def add_caption(picture: UInt8[np.ndarray, "h w 3"], words: str) -> UInt8[np.ndarray, "H w 3"]:
+    """Append a white strip with a caption to an image.
 
     Raises:
         MissingExtraError: Pillow is not installed.
@@ -292,7 +293,7 @@ def captioned(picture: UInt8[np.ndarray, "h w 3"], words: str) -> UInt8[np.ndarr
     with require("physics"):
         from PIL import Image, ImageDraw, ImageFont
     height, width = picture.shape[:2]
-    strip = Image.new("RGB", (width, round(CAPTION * height)), "white")
+    strip = Image.new("RGB", (width, round(CAPTION_HEIGHT * height)), "white")
     font = ImageFont.load_default(size=0.66 * strip.height)
     ImageDraw.Draw(strip).text((0.4 * strip.height, strip.height / 2), words, fill=(29, 39, 49),
                                font=font, anchor="lm")  # fmt: skip

@@ -1,4 +1,4 @@
-"""Pictures one after the other as a file that plays: GIF for pages, MP4 for talks."""
+"""Encode images as a GIF or an MP4."""
 
 from __future__ import annotations
 
@@ -15,39 +15,40 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
 
 STRIP, GIF, MP4 = ".png", ".gif", ".mp4"
-"""How names of strips and films end."""
+"""Suffixes of filmstrips and films."""
 COLORS = 128
-"""Of a picture of a GIF [-]."""
+"""Number of colors of a GIF [-]."""
 QUALITY = {"crf": "23", "preset": "veryfast"}
-"""Of H.264: clean edges at about 50 kB a second of a quiet picture."""
+"""H.264 options: sharp edges at about 50 kB/s for a still scene."""
 
 
 def check_film(path: Path) -> None:
-    """Make sure before the work that a file can become a strip of pictures or a film.
+    """Check that a filmstrip or film can be written to a file.
 
     Raises:
-        InputError: Its name ends otherwise.
-        MissingExtraError: What writes it is not installed.
+        InputError: The suffix is unknown.
+        MissingExtraError: The encoder is not installed.
     """
     if path.suffix.lower() not in (STRIP, GIF, MP4):
         raise InputError(
-            f"{path}: a strip of pictures is a PNG, a film a GIF or an MP4; name it so"
+            f"{path}: unknown suffix {path.suffix!r}; use .png for a filmstrip, "
+            ".gif or .mp4 for a film"
         )
     if path.suffix.lower() == MP4:
         with require("film"):
             import av  # noqa: F401
 
 
-def encoded(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], ending: str, rate: float) -> bytes:
-    """Pictures as the content of a file.
+def encode_film(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], ending: str, rate: float) -> bytes:
+    """Encode images as the content of a film.
 
     Args:
-        pictures: One after the other, all of one size, which is even for an MP4; at least one.
+        pictures: At least one image, all of the same size, which is even for an MP4.
         ending: `GIF` or `MP4`.
-        rate: Pictures a second [1/s].
+        rate: Frame rate [1/s].
 
     Raises:
-        MissingExtraError: What writes them is not installed.
+        MissingExtraError: The encoder is not installed.
     """
     return _mp4(pictures, rate) if ending == MP4 else _gif(pictures, rate)
 
@@ -72,7 +73,7 @@ def _mp4(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], rate: float) -> bytes:
             if stream is None:
                 stream = file.add_stream("libx264", Fraction(rate), options=QUALITY)
                 stream.height, stream.width = picture.shape[:2]
-                stream.pix_fmt = "yuv420p"  # what every player shows
+                stream.pix_fmt = "yuv420p"  # supported by every player
             file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         if stream is not None:
             file.mux(stream.encode())

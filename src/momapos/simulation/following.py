@@ -1,4 +1,4 @@
-"""The hand moves the part that it holds, along the way that this turns out to take."""
+"""Move a grasped part along the path that its estimated joint allows."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from momapos.core.geometry import invert
 from momapos.model import Trajectory
 
 from .arm_control import EVERYWHERE, Reference, twist_between
-from .avoidance import LOOK, Bounds
+from .avoidance import PROXIMITY_INTERVAL, Bounds
 from .config import Ending, Stage
-from .joint_estimate import JointEstimate, Learned
+from .execution_run import ExecutionRun, JointBelief, Stretch
+from .joint_estimate import JointEstimate, LearnedPart
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from .stages import Belief, ExecutionRun, Stretch
 
-_STRAYED = 0.02
-"""A hand that brings a part back may have strayed so far on it [m]."""
+_MAX_RETURN_SLIP = 0.02
+"""Maximum slip of the hand along a part that it brings back [m]."""
 
 
 def follow_part(
-    run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: Belief
+    run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: JointBelief
 ) -> Ending | None:
-    """Move the part as planned about the joint as the hand finds it; why that ends early."""
+    """Move the part about its estimated joint as planned; return an early ending, or None."""
     way = _PartWay(run, plan, stretch, belief)
-    extra = round(run.config.dwell / run.step)  # in which the arm makes up what it lags behind
+    extra = round(run.config.dwell / run.step)  # time for the arm to make up its lag
     for i in range(len(plan) + extra):
         ending = way.step(i)
         if ending is Ending.OTHERWISE and not stretch.pushes:
@@ -41,17 +41,17 @@ def follow_part(
 
 
 class _PartWay:
-    """The way of a part that the hand moves, and what the hand learns of it."""
+    """Path of a part under the hand, and what the hand learns about its joint."""
 
     def __init__(
-        self, run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: Belief
+        self, run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: JointBelief
     ) -> None:
         self.run, self.plan, self.belief, motion = run, plan, belief, stretch.motion
         times = np.arange(len(plan)) * run.step
         self.values = np.interp(times, plan.state_times, motion.object_q)
         T_held = self._hand()
         self.T_first, _ = run.arm.kinematics.at(plan.q[0])
-        self.shift = T_held @ invert(self.T_first)  # the grasp, from where it was planned
+        self.shift = T_held @ invert(self.T_first)  # offset of the grasp from the plan
         run.estimate = self.estimate = JointEstimate(
             belief.axis, T_held[:3, 3], run.config.compliance
         )
@@ -64,38 +64,38 @@ class _PartWay:
         self.bounds: Bounds | None = None
         self.pushes, self.most_felt = stretch.pushes, 0.0
         self.trail = [(run.world.data.qpos[run.world.arm_q].copy(), T_held)]
-        """States of the arm and poses of the tool on the way, `LOOK` steps apart."""
+        """Arm states and tool poses on the path, `PROXIMITY_INTERVAL` steps apart."""
 
     def _hand(self) -> Float[np.ndarray, "4 4"]:
         return self.run.arm.kinematics.at(self.run.world.data.qpos[self.run.world.arm_q])[0]
 
     def _off_at(self, k: int) -> Float[np.ndarray, "4 4"]:
-        """Moves what is planned of tool and part to where the estimated joint has it."""
+        """Return the transform from planned to estimated poses of tool and part."""
         moved = self.planned[k] + self.more * self.planned[k] / self.whole
         return (
             self.estimate.axis.moved(moved) @ self.shift @ self.belief.axis.moved(-self.planned[k])
         )
 
     def _pose_at(self, k: int) -> Float[np.ndarray, "4 4"]:
-        """Where the tool is when the part moves about the estimated joint as planned."""
+        """Return the tool pose for the planned part motion about the estimated joint."""
         return self._off_at(k) @ self.run.arm.kinematics.at(self.plan.q[k])[0]
 
     def _near_end(self, here: Float[np.ndarray, "4 4"]) -> bool:
-        """Whether what is left of the way is within the tolerance."""
+        """Return whether the remaining path is within the tolerance."""
         return _left(here, self._pose_at(self.last)) <= self.run.config.tolerance * self.length
 
     def step(self, i: int) -> Ending | None:
-        """Let one step of the controller pass; why the way ends with it, if it does."""
+        """Advance by one control step; return an early ending, or None."""
         run, plan = self.run, self.plan
         k = min(i, self.last)
-        if i % LOOK == 0:
+        if i % PROXIMITY_INTERVAL == 0:
             value, after = self.values[k], self.values[min(k + 1, self.last)]
-            self.bounds = run.surroundings.bounds(
+            self.bounds = run.avoidance.bounds(
                 run.arm.q, float(value), self._off_at(k), part_speed=float(after - value) / run.step
             )
         T, T_after = self._pose_at(k), self._pose_at(min(k + 1, self.last))
         here = self._hand()
-        if i % LOOK == 0 and self._meets_robot(k):
+        if i % PROXIMITY_INTERVAL == 0 and self._meets_robot(k):
             run.arm.stop()
             return Ending.STOPPED_AT_END if self._near_end(here) else Ending.MEETS_ROBOT
         farther = self.estimate.see(here[:3, 3])
@@ -105,14 +105,14 @@ class _PartWay:
         run.arm.follow(
             Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3], self.bounds)
         )
-        ending = run.tick(Stage.MANIPULATE) or run.lost()
+        ending = run.tick(Stage.MANIPULATE) or run.check_grasp()
         self.most_felt = max(self.most_felt, run.touch.size[0])
-        if i % LOOK == 0:
+        if i % PROXIMITY_INTERVAL == 0:
             self.trail.append((run.world.data.qpos[run.world.arm_q].copy(), here))
         if max(run.touch.pads) > 1.0 or run.world.welded:
             run.learned = self._learned(here[:3, 3])
             if farther and run.doubt is not None and run.doubt(self.estimate.points):
-                run.arm.stop()  # with the part in the hand, or it swings on
+                run.arm.stop()  # hold the part, which would swing on otherwise
                 settled = run.rest(Stage.MANIPULATE, run.config.settle)
                 ending = ending or settled or Ending.OTHERWISE
         if ending is Ending.SLIPPED and self._near_end(here):
@@ -123,27 +123,27 @@ class _PartWay:
         return ending
 
     def bring_back(self) -> None:
-        """Bring the part back to where the hand took it, as long as it holds it.
+        """Bring the part back to where the hand grasped it, as long as the hand holds it.
 
-        How the part moves is in doubt then, and so is where it stands when it is let go on its way:
-        where it stood at first is not. The hand goes as it came, gives way across that, and stops
-        where the part resists: it is back, and the hand has strayed on it.
+        The joint is in doubt here, so the part's position after release would be, too; its initial
+        position is known. The hand retraces its path, compliant across it, and stops where the part
+        resists: the part is back, and the hand has slipped on it.
         """
         run, still, start = self.run, np.zeros_like(self.run.arm.q), self.trail[0][1][:3, 3]
         for (q, T), (_, T_after) in reversed(list(pairwise(self.trail))):
-            twist = twist_between(T_after, T) / (LOOK * run.step)
+            twist = twist_between(T_after, T) / (PROXIMITY_INTERVAL * run.step)
             way = twist[:3] / max(float(np.linalg.norm(twist[:3])), 1e-9)
             across = EVERYWHERE - np.outer(way, way)
-            for k in range(LOOK):
-                goal = T_after + (k + 1) / LOOK * (T - T_after)
+            for k in range(PROXIMITY_INTERVAL):
+                goal = T_after + (k + 1) / PROXIMITY_INTERVAL * (T - T_after)
                 here = self._hand()[:3, 3]
                 run.arm.follow(Reference(q, still, goal, twist, across, across, here))
-                if run.tick(Stage.MANIPULATE) is not None or run.lost() is not None:
+                if run.tick(Stage.MANIPULATE) is not None or run.check_grasp() is not None:
                     return
             resists = -run.arm.wrench[:3] @ way > run.config.control.stop_force
             if resists:
                 run.arm.stop()
-                if np.linalg.norm(here - start) > _STRAYED:
+                if np.linalg.norm(here - start) > _MAX_RETURN_SLIP:
                     return
                 here = start
             self.estimate.see(here)
@@ -152,44 +152,44 @@ class _PartWay:
                 return
 
     def _meets_robot(self, k: int) -> bool:
-        """Whether the part, as it is found to move, comes upon the base or an arm in a corner."""
-        surroundings, compliance = self.run.surroundings, self.run.config.compliance
-        base, arm = surroundings.part_gaps
+        """Return whether the part, on its estimated path, reaches the base or a cornered arm."""
+        avoidance, compliance = self.run.avoidance, self.run.config.compliance
+        base, arm = avoidance.part_gaps
         if min(base, arm) < compliance.apart:
             return True
         if base > compliance.base_room:
             return False
-        planned, _ = surroundings.gaps(self.run.arm.q, float(self.values[k]))
+        planned, _ = avoidance.gaps(self.run.arm.q, float(self.values[k]))
         return base < planned - compliance.apart
 
-    def _learned(self, point: Float[np.ndarray, "3"]) -> Learned:
-        """What the hand knows of the part, from where it is."""
+    def _learned(self, point: Float[np.ndarray, "3"]) -> LearnedPart:
+        """Return the state of the part for a position of the hand."""
         axis, belief, first = self.estimate.axis, self.belief, self.values[0]
         value = first - self.more + self.estimate.value_at(point)
-        shut = belief.axis.moved(belief.closed - first) @ self.T_first
-        expected = axis.moved(value - belief.closed) @ shut
-        return Learned(value, axis, point - expected[:3, 3], tuple(self.estimate.points))
+        closed = belief.axis.moved(belief.closed - first) @ self.T_first
+        expected = axis.moved(value - belief.closed) @ closed
+        return LearnedPart(value, axis, point - expected[:3, 3], tuple(self.estimate.points))
 
     def end(self) -> Ending | None:
-        """How the way ends after its last step."""
+        """Return how the path ends after its last step."""
         if self.pushes and self.most_felt < self.run.config.compliance.noticed:
-            if self.run.learned is not None:  # most parts that run away fall shut
+            if self.run.learned is not None:  # most parts that were pushed away fall closed
                 self.run.learned = replace(self.run.learned, value=self.belief.closed)
             return Ending.NOTHING_MET
         here = self._hand()
         if self._near_end(here):
             return None
         left = _left(here, self._pose_at(self.last))
-        self.run.detail = f"{100 * left:.0f} cm of {100 * self.length:.0f} were left"
+        self.run.detail = f"{100 * left:.0f} cm of {100 * self.length:.0f} cm left"
         return Ending.BEHIND
 
 
 def _missing(
-    belief: Belief, T_held: Float[np.ndarray, "4 4"], T_planned: Float[np.ndarray, "4 4"]
+    belief: JointBelief, T_held: Float[np.ndarray, "4 4"], T_planned: Float[np.ndarray, "4 4"]
 ) -> float:
-    """How much farther a part that was moved before must go than planned [rad] or [m].
+    """Return how much farther than planned a part must move that was moved before [rad] or [m].
 
-    What the hand holds farther back on the part's way than planned has not come so far as believed.
+    A grasp farther back on the part's path than planned means that the part is less far open.
     """
     point, axis = T_planned[:3, 3], belief.axis
     along = float((T_held[:3, 3] - point) @ axis.way_at(point))
@@ -202,22 +202,21 @@ def _at_stop(
     goal: Float[np.ndarray, "4 4"],
     length: float,
 ) -> bool:
-    """Whether a part resists the hand's push where its way should end.
+    """Return whether a part resists the hand at the end of its path.
 
-    The arm feels it by the force at its hand alone; where the part is, it does not know.
+    The arm judges by the force at its hand alone; it does not know where the part is.
     """
     left, distance = goal[:3, 3] - here[:3, 3], _left(here, goal)
     if not 0.0 < distance <= run.config.tolerance * length:
         return False
     push = float(-run.touch.force @ left) / distance
-    if run.usual_push is None:  # weight and friction, which resist all along
+    if run.usual_push is None:  # weight and friction, which resist all along the path
         run.usual_push = max(0.0, push)
     if push - run.usual_push < run.config.control.stop_force:
         return False
-    run.detail = f"{1000 * distance:.0f} mm were left"
+    run.detail = f"{1000 * distance:.0f} mm left"
     return True
 
 
 def _left(here: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"]) -> float:
-    """How far the tool is from where its way ends [m]."""
     return float(np.linalg.norm(goal[:3, 3] - here[:3, 3]))

@@ -1,4 +1,4 @@
-"""Collision elements as geoms of the physics engine, and which kinds of them meet."""
+"""Collision shapes as geoms of the physics engine, and the pairs of kinds that collide."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 
 class Kind(IntEnum):
-    """What a geom belongs to; each is one bit of the engine's collision masks."""
+    """Owner of a geom; each value is one bit of the engine's collision masks."""
 
     BASE = 1
     ARM = 2
     GRIPPER = 4
-    """The palm, and whatever else of the hand does not close."""
+    """The palm and the other links of the hand that do not close."""
     ROOM = 8
     PART = 16
     """The moved part or object."""
     FLOOR = 32
     PAD = 64
-    """What holds: the fingers, or the tip of a hand that has none."""
+    """The fingers, or the tip of a hand without fingers."""
 
 
 ROBOT: tuple[Kind, ...] = (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PAD)
@@ -53,11 +53,11 @@ HANDLE_COLOR = (0.10, 0.25, 0.45, 1.0)
 
 
 def masks(kind: Kind, *, touched: bool) -> tuple[int, int]:
-    """The engine's `contype` and `conaffinity` of a kind.
+    """Return the engine's `contype` and `conaffinity` of a kind.
 
     Args:
-        kind: Of the geom.
-        touched: Whether the pads meet the part that they hold; a weld stands in their place.
+        kind: Kind of the geom.
+        touched: Let the pads collide with the part, as without a weld.
     """
     others = list(_MEETS[kind])
     if touched and kind is Kind.PAD:
@@ -66,7 +66,7 @@ def masks(kind: Kind, *, touched: bool) -> tuple[int, int]:
 
 
 def matrix_quat(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    """Quaternion wxyz of a rotation matrix, as the engine wants it."""
+    """Return the quaternion wxyz of a rotation matrix, computed by the engine."""
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R, float).ravel())
     return quat
@@ -81,7 +81,7 @@ def place_body(body: Any, T: Float[np.ndarray, "4 4"]) -> Any:
 def add_shape(
     spec: Any, body: Any, shape: Geometry, T_body_link: Float[np.ndarray, "4 4"], name: str
 ) -> Any:
-    """Add a collision element: a primitive as it is, a mesh as its convex hull."""
+    """Add a collision shape: a primitive as it is, a mesh as its convex hull."""
     if shape.kind == "mesh":
         return add_hull(spec, body, hull_of(shape), T_body_link, name)
     geom = body.add_geom(name=name)
@@ -111,7 +111,7 @@ def add_hull(
 
 
 def dress(geom: Any, kind: Kind, *, touched: bool, handle: bool = False) -> Any:
-    """Set what a geom meets, and its color."""
+    """Set the collision masks and the color of a geom."""
     geom.contype, geom.conaffinity = masks(kind, touched=touched)
     geom.rgba = HANDLE_COLOR if handle else _COLORS[kind]
     return geom

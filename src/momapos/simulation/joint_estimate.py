@@ -1,4 +1,4 @@
-"""Where a part's joint really is, estimated from the way that the hand takes while it holds it."""
+"""Estimate the joint of a part from the path of the hand that holds it."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float
 
-_ROUNDS = 3
-"""Gauss-Newton steps for each estimate, which begins at the last one [-]."""
-_ROUNDS_AT_ONCE = 8
-"""Likewise where the estimate begins at the model [-]."""
+_UPDATE_STEPS = 3
+"""Gauss-Newton steps per update, which starts at the previous estimate [-]."""
+_INITIAL_STEPS = 8
+"""Gauss-Newton steps of an estimate that starts at the model [-]."""
 _SPACING = 0.005
-"""Way of the hand between two points that count [m]."""
+"""Minimum distance between two hand positions used [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Where a joint is, in the world."""
+    """Position and direction of a joint in the world."""
 
     slides: bool
     direction: Float[np.ndarray, "3"]
     """Unit vector."""
     point: Float[np.ndarray, "3"]
-    """On the axis of a hinge [m]."""
+    """Point on a hinge axis [m]."""
 
     def moved(self, value: float) -> Float[np.ndarray, "4 4"]:
-        """How a joint moves what hangs on it, when it moves by a value [rad] or [m]."""
+        """Return the transform of the child link when the joint moves by a value [rad] or [m]."""
         if self.slides:
             return pose(value * self.direction)
         R = rotation_about(self.direction, np.array(value))
         return pose(self.point - R @ self.point, R)
 
     def shifted(self, by: Float[np.ndarray, "3"]) -> Axis:
-        """The same joint elsewhere [m]."""
+        """Return the joint, translated [m]."""
         return replace(self, point=self.point + by)
 
     def lever_at(self, point: Float[np.ndarray, "3"]) -> float:
-        """Way of a point when the joint moves by 1 [m/rad] or [-]."""
+        """Return the speed of a point per speed of the joint [m/rad] or [-]."""
         if self.slides:
             return 1.0
         return max(float(np.linalg.norm(np.cross(self.direction, point - self.point))), 1e-3)
 
     def way_at(self, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """Unit vector along which a point moves when the joint's value rises."""
+        """Return the unit direction of a point's motion for an increasing joint value."""
         if self.slides:
             return self.direction
         way = np.cross(self.direction, point - self.point)
@@ -61,29 +61,29 @@ class Axis:
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
-    """What the hand has learned of the part."""
+class LearnedPart:
+    """State of a part, as the hand has measured it."""
 
     value: float
-    """Where the hand has its joint, or had it last [rad] or [m]."""
+    """Value of its joint at the hand's last contact [rad] or [m]."""
     axis: Axis
-    """Its joint, as the hand found it."""
+    """Its joint, as estimated."""
     offset: Float[np.ndarray, "3"]
-    """How far it is from where that joint and the plan's grasp have it [m]."""
+    """Offset of the part from that joint and the planned grasp [m]."""
     way: tuple[Float[np.ndarray, "3"], ...] = ()
-    """Where the hand was while it held the part in its last hold, one after the other [m]."""
+    """Positions of the hand while it held the part in its last grasp [m]."""
 
 
-Doubt: TypeAlias = "Callable[[Sequence[Float[np.ndarray, '3']]], bool]"
-"""Whether the way of a hand that holds a part [m] speaks against the joint as believed."""
+JointDoubt: TypeAlias = "Callable[[Sequence[Float[np.ndarray, '3']]], bool]"
+"""Whether the path of a hand that holds a part [m] contradicts the believed joint."""
 
 
 class JointEstimate:
-    """The most likely joint: near the modeled one, and fit for the way that the hand took.
+    """Maximum a posteriori estimate of a joint, given its model and the path of the hand.
 
-    A Gaussian prior holds it near the model as long as the hand has not moved far. Points of the
-    hand on a hinge keep their distance from the axis and their height along it; on a slide they
-    stay on a line.
+    A Gaussian prior keeps it near the model until the hand has moved far. Points of the hand on a
+    hinge keep their distance from the axis and their height along it; on a slide they stay on a
+    line.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class JointEstimate:
         self.points = [np.array(start)]
         one = orthonormal(modeled.direction)
         self._across = np.stack([one, np.cross(modeled.direction, one)])
-        self._x = np.zeros(2 if modeled.slides else 4)  # turns [rad], then shifts [m]
+        self._x = np.zeros(2 if modeled.slides else 4)  # rotations [rad], then translations [m]
 
     @property
     def tilt(self) -> float:
@@ -102,18 +102,17 @@ class JointEstimate:
 
     @property
     def shift(self) -> float:
-        """Distance of the estimated hinge from the modeled one, where the hand is [m]."""
+        """Distance of the estimated hinge from the modeled one, at the height of the hand [m]."""
         return float(np.linalg.norm(self._x[2:]))
 
     @property
     def misfit(self) -> float:
-        """How improbable the way is for a joint that is about where it is modeled: minus the
-        logarithm of its density, but for a constant [-]."""
+        """Negative log posterior density of the estimate, up to a constant [-]."""
         r, _ = self._residuals()
         return float(r @ r) / 2
 
     def value_at(self, point: Float[np.ndarray, "3"]) -> float:
-        """How far the joint has moved since the start, by where the hand is [rad] or [m]."""
+        """Return the joint's motion since the start for a position of the hand [rad] or [m]."""
         axis, start = self.axis, self.points[0]
         if axis.slides:
             return float((point - start) @ axis.direction)
@@ -126,18 +125,18 @@ class JointEstimate:
     def along(
         cls, modeled: Axis, way: Sequence[Float[np.ndarray, "3"]], config: ComplianceConfig
     ) -> JointEstimate:
-        """The estimate for a whole way of the hand [m]."""
+        """Return the estimate for a whole path of the hand [m]."""
         estimate = cls(modeled, way[0], config)
         estimate.points += way[1:]
-        estimate._fit(_ROUNDS_AT_ONCE)
+        estimate._fit(_INITIAL_STEPS)
         return estimate
 
     def see(self, point: Float[np.ndarray, "3"]) -> bool:
-        """Take a position of the hand into account [m]; whether it is far enough to count."""
+        """Add a position of the hand [m]; return whether it is far enough from the last one."""
         if np.linalg.norm(point - self.points[-1]) < _SPACING:
             return False
         self.points.append(np.array(point))
-        self._fit(_ROUNDS)
+        self._fit(_UPDATE_STEPS)
         return True
 
     def _fit(self, rounds: int) -> None:
@@ -147,7 +146,7 @@ class JointEstimate:
         self.axis = self._axis(self._x)
 
     def _axis(self, x: Float[np.ndarray, " k"]) -> Axis:
-        """The joint for its parameters; a hinge turns about the point nearest to the start."""
+        """Return the joint for its parameters, with a hinge's point nearest to the start."""
         direction = rotation_of(x[:2] @ self._across) @ self.modeled.direction
         if self.modeled.slides:
             return Axis(True, direction, self.modeled.point)
@@ -156,7 +155,7 @@ class JointEstimate:
         return Axis(False, direction, foot + x[2:] @ self._across)
 
     def _residuals(self) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r k"]]:
-        """Prior and measurements, each over its standard deviation, and their derivatives."""
+        """Return prior and measurements over their standard deviations, and their Jacobian."""
         sigma = np.full(len(self._x), self.config.tilt_error)
         sigma[2:] = self.config.axis_error
         r, step = self._off(self._x), 1e-6
@@ -165,7 +164,7 @@ class JointEstimate:
         return np.append(self._x / sigma, r / noise), np.vstack([np.diag(1 / sigma), J / noise])
 
     def _off(self, x: Float[np.ndarray, " k"]) -> Float[np.ndarray, " r"]:
-        """How far the points are off the way of the first one [m]."""
+        """Return the offsets of the points from the path of the first one [m]."""
         axis, points = self._axis(x), np.array(self.points)
         away = points[1:] - points[0]
         if axis.slides:

@@ -1,4 +1,4 @@
-"""Worlds that differ from the scene that a plan was made with."""
+"""Random differences between the true world and the scene that a plan is based on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from momapos.core.geometry import orthonormal
 
 from .config import ModelErrorConfig
-from .simulated_room import Deviation, Resistance
+from .simulated_room import Deviation, PartResistance
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 def draw_deviation(
     axis: Float[np.ndarray, "3"], config: ModelErrorConfig, rng: np.random.Generator
 ) -> Deviation:
-    """Draw how the task's object differs, the same for the same generator.
+    """Draw the deviation of the task's object.
 
     Args:
-        axis: Of the joint, in its own frame.
-        config: How much.
+        axis: Axis of the joint, in its own frame.
+        config: Sizes of the errors.
         rng: Draws the directions.
     """
     away, across, about = _unit(rng.normal(size=3)), *_perpendicular(axis, rng)
@@ -32,20 +32,20 @@ def draw_deviation(
 
 
 def mirrored(deviation: Deviation, axis: Float[np.ndarray, "3"]) -> Deviation:
-    """The same with the joint off the other way.
+    """Return the deviation with the opposite joint offset and tilt.
 
     Args:
-        deviation: How the object differs.
-        axis: Of the joint as modeled, in its own frame.
+        deviation: Deviation of the object.
+        axis: Axis of the joint as modeled, in its own frame.
     """
     across = deviation.axis - (deviation.axis @ axis) * axis
     return replace(deviation, shift=-deviation.shift, axis=deviation.axis - 2.0 * across)
 
 
-def resisting(
-    resistance: Resistance, config: ModelErrorConfig, rng: np.random.Generator
-) -> Resistance:
-    """The same part, heavier or lighter, stiffer or easier."""
+def draw_resistance_error(
+    resistance: PartResistance, config: ModelErrorConfig, rng: np.random.Generator
+) -> PartResistance:
+    """Draw each resistance of a part up or down by the configured share."""
     up, down = 1.0 + config.resistance, 1.0 - config.resistance
     mass, friction, damping, pull = rng.choice([up, down], 4).tolist()
     return replace(
@@ -60,7 +60,6 @@ def resisting(
 def _perpendicular(
     axis: Float[np.ndarray, "3"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Two directions across an axis."""
     one = orthonormal(axis)
     other = np.cross(axis, one)
     angles = rng.uniform(-np.pi, np.pi, 2)

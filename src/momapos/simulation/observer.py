@@ -1,4 +1,4 @@
-"""Watches a run: what touches, what slips, how well the motors follow."""
+"""Observe a run: collisions, slip and tracking errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from momapos.core.geometry import invert, rotation_angle
 
 from .config import ExecutionConfig
-from .feel import Touch
+from .feel import SensedForces
 from .geoms import ROBOT, Kind
 from .run_record import Collision, Load, Slip, Tracking
 from .simulation import Simulation
@@ -19,22 +19,22 @@ from .simulation import Simulation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_FASTEST = 1e4
-"""A joint that moves faster is the engine's error [rad/s] or [m/s]."""
+_MAX_JOINT_SPEED = 1e4
+"""Joint speed above which the simulation has diverged [rad/s] or [m/s]."""
 _HELD = Kind.PAD | Kind.PART
 _RESTS = (Kind.PART | Kind.ROOM, Kind.PART | Kind.FLOOR)
 _ROBOT_ROOM = np.array([kind | Kind.ROOM for kind in ROBOT])
 
 
-@dataclass
+@dataclass(eq=False)
 class Observer:
-    """What has been seen so far."""
+    """Observations of a run so far."""
 
     world: Simulation
     config: ExecutionConfig
     collisions: dict[tuple[str, str], Collision] = field(default_factory=dict)
     reaching: bool = True
-    """Whether the hand is on its way to what it will hold; from there on pads press on it."""
+    """Whether the hand is on its way to the grasp; afterwards contacts of the pads are normal."""
     clearance: float = np.inf
     slip: Slip = field(default_factory=Slip)
     load: Load = field(default_factory=Load)
@@ -54,35 +54,35 @@ class Observer:
 
     @property
     def diverged(self) -> bool:
-        """Whether the state is no longer finite, or grew beyond all reason."""
+        """Whether the state is not finite, or its speed is implausible."""
         data = self.world.data
-        return not (np.abs(data.qvel).max() < _FASTEST and np.isfinite(data.qpos.sum()))
+        return not (np.abs(data.qvel).max() < _MAX_JOINT_SPEED and np.isfinite(data.qpos.sum()))
 
     @property
     def tracking(self) -> Tracking:
-        """How well the motors followed."""
+        """Tracking errors of the motors."""
         rms = float(np.sqrt(self._squares / max(self._samples, 1)))
         return Tracking(self._worst, rms, self._effort)
 
     def hold(self) -> None:
-        """Slip counts from now, and pads press on what they hold."""
+        """Start measuring slip, and accept contacts between pads and part."""
         self.reaching = False
         self._T_part_tool = invert(self.world.T_world_part) @ self.world.T_world_tool
 
     def let_go(self) -> None:
-        """Slip counts no more."""
+        """Stop measuring slip."""
         self._T_part_tool = None
 
     def record_step(
-        self, wanted: Float[np.ndarray, " n"], time: float, stage: str, touch: Touch
+        self, wanted: Float[np.ndarray, " n"], time: float, stage: str, touch: SensedForces
     ) -> None:
-        """Note the present state.
+        """Record the present state.
 
         Args:
-            wanted: Where the arm should be [rad] or [m].
-            time: Since the beginning of the run [s].
-            stage: What the robot is doing.
-            touch: What its hand feels.
+            wanted: Set-points of the arm [rad] or [m].
+            time: Time since the start of the run [s].
+            stage: Stage of the run.
+            touch: Forces on the hand.
         """
         data, world = self.world.data, self.world
         error = np.abs(data.qpos[world.arm_q] - wanted)
@@ -97,7 +97,7 @@ class Observer:
         if self._T_part_tool is not None:
             self._note_hold(self._T_part_tool, touch)
 
-    def _note_hold(self, T_before: Float[np.ndarray, "4 4"], touch: Touch) -> None:
+    def _note_hold(self, T_before: Float[np.ndarray, "4 4"], touch: SensedForces) -> None:
         T = invert(self.world.T_world_part) @ self.world.T_world_tool
         moved = float(np.linalg.norm(T[:3, 3] - T_before[:3, 3]))
         angle = float(rotation_angle(T_before[:3, :3], T[:3, :3]))
@@ -106,14 +106,14 @@ class Observer:
         self.load = Load(max(self.load.force, force), max(self.load.torque, torque))
 
     def _note_contacts(self, time: float, stage: str) -> None:
-        """Contacts that push are collisions; all others tell the clearance."""
+        """Record contacts with a force as collisions, and the others as clearance."""
         contact, kinds = self.world.data.contact, self.world.kinds
         geoms, dist = contact.geom, contact.dist
         both = kinds[geoms[:, 0]] | kinds[geoms[:, 1]]
         room = (both[:, None] == _ROBOT_ROOM).any(1)
         self.clearance = min(self.clearance, float(dist[room].min(initial=np.inf)))
         pushing = (contact.efc_address >= 0) & (self.reaching | (both != _HELD))
-        if self._loose:  # it may rest on things
+        if self._loose:  # it may rest on the room and the floor
             pushing &= (both != _RESTS[0]) & (both != _RESTS[1])
         if not pushing.any():
             return
@@ -141,5 +141,5 @@ class Observer:
         )
 
     def hardest(self) -> tuple[Collision, ...]:
-        """All collisions, the hardest first."""
+        """Return all collisions, the hardest first."""
         return tuple(sorted(self.collisions.values(), key=lambda c: -c.force))

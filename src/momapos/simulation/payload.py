@@ -1,4 +1,4 @@
-"""What the hand carries, felt at the wrist: the arm bears it, and does not give way to it."""
+"""Estimate the carried weight at the wrist, so that the arm bears it instead of yielding to it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .feel import Touch
+from .feel import SensedForces
 from .simulation import Simulation
 
 if TYPE_CHECKING:
@@ -16,27 +16,23 @@ if TYPE_CHECKING:
 
 
 class Payload:
-    """The weight of a loose object in the hand, and where it acts.
+    """Weight of a movable object in the hand, and its line of action.
 
-    The force at the wrist is taken for weight where it points down, and slowly, so that a push of
-    something else is felt first. Only then would the arm bear that too: what the object rests on
-    takes its weight away, and never adds to it.
+    The downward force at the wrist counts as weight, through a slow filter: a sudden push acts on
+    the arm first. A lasting push would count as weight, but a support only ever reduces it.
     """
 
     def __init__(self, filter_time: float, step: float) -> None:
-        """`filter_time` is that of the low-pass filter of the weight [s]."""
+        """`filter_time` is the time constant of the weight's low-pass filter [s]."""
         self._share = step / (filter_time + step)
         self._felt, self._carried = np.zeros(6), False
 
-    def see(self, touch: Touch, *, carried: bool) -> Touch:
-        """Take in what the hand feels.
+    def remove_weight(self, touch: SensedForces, *, carried: bool) -> SensedForces:
+        """Update the estimate and subtract the weight from the sensed forces.
 
         Args:
-            touch: What it feels.
-            carried: Whether it holds a loose object.
-
-        Returns:
-            What it feels beside the weight of what it carries.
+            touch: The sensed forces.
+            carried: Whether the hand holds a movable object.
         """
         self._carried = carried
         if not carried:
@@ -56,7 +52,7 @@ class Payload:
         return down
 
     def lead(self, world: Simulation) -> Float[np.ndarray, " n"]:
-        """How far the set-points of the arm's motors lead, so that they bear it [rad] or [m]."""
+        """Return the lead of the motors' set-points that bears the weight [rad] or [m]."""
         if not self._carried:
             return np.zeros(len(world.arm_v))
         J = np.zeros((6, world.model.nv))

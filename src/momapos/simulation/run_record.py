@@ -1,4 +1,4 @@
-"""What came of a run, and its file: momapos-run, version 1."""
+"""Record of a run, and its file: momapos-run, version 1."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ Pose = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Collision:
-    """Two things that touched and should not."""
+    """Contact between two bodies that should not touch."""
 
     one: str
-    """A link of the robot or OBJECT/LINK."""
+    """Link of the robot, or OBJECT/LINK."""
     other: str
     force: float
-    """Largest normal force [N]."""
+    """Maximum normal force [N]."""
     depth: float
-    """Deepest overlap; the engine's contacts are soft [m]."""
+    """Maximum overlap, which the engine's soft contacts allow [m]."""
     seconds: float
-    """How long they touched [s]."""
+    """Duration of the contact [s]."""
     first: float
-    """When they first touched, from the beginning of the run [s]."""
+    """Time of the first contact, since the start of the run [s]."""
     stage: str
 
 
 @dataclass(frozen=True)
 class Slip:
-    """How far the tool moved in what it held, from the moment it took hold."""
+    """Maximum motion of the tool relative to the grasped object since the grasp."""
 
     position: float = 0.0
     """[m]"""
@@ -55,7 +55,7 @@ class Slip:
 
 @dataclass(frozen=True)
 class Load:
-    """The largest load of the hand while it held something."""
+    """Maximum load of the hand during a grasp."""
 
     force: float = 0.0
     """[N]"""
@@ -65,28 +65,28 @@ class Load:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How well the motors followed."""
+    """Tracking errors of the motors."""
 
     worst: float = 0.0
-    """Largest error of a joint [rad] or [m]."""
+    """Maximum error of a joint [rad] or [m]."""
     rms: float = 0.0
-    """Root of the mean square over joints and time [rad] or [m]."""
+    """Root mean square over joints and time [rad] or [m]."""
     effort: float = 0.0
-    """Largest share of a joint's effort limit that was used [-]; 0 where no limit is known."""
+    """Maximum used share of a joint's effort limit [-]; 0 without known limits."""
 
 
 @dataclass(frozen=True)
 class JointFound:
-    """Where the arm found the joint of the part that it moved."""
+    """Estimated joint of the moved part."""
 
     direction: Triple
-    """Of the axis, in the world."""
+    """Direction of the axis, in the world."""
     point: Triple
-    """On the axis of a hinge [m]."""
+    """Point on a hinge axis [m]."""
     tilt: float
-    """Angle to the axis as modeled [rad]."""
+    """Angle to the modeled axis [rad]."""
     shift: float
-    """Distance of a hinge from where it is modeled [m]."""
+    """Distance of a hinge from its modeled position [m]."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,13 @@ class Execution:
     """One motion, executed in physics."""
 
     success: bool
-    """Whether the joint reached the value asked for, or the object is where it should be."""
+    """Whether the joint reached the requested value, or the object its goal."""
     reason: str
-    """Why not; "" where it did."""
+    """Why it failed; "" on success."""
     hold: str
     """weld or contact."""
     start: float
-    """Value of the joint at first [rad] or [m]; for loose objects the height [m]."""
+    """Initial value of the joint [rad] or [m]; for movable objects the height [m]."""
     asked: float
     reached: float
     collisions: tuple[Collision, ...] = ()
@@ -109,25 +109,25 @@ class Execution:
     load: Load = Load()
     tracking: Tracking = Tracking()
     clearance: float | None = None
-    """Least distance of the robot from everything but floor and part [m]; None: out of sight."""
+    """Minimum distance from the robot to the room [m]; None if above the observed range."""
     base_shift: Pose = (0.0, 0.0, 0.0)
-    """How far the base yielded at most: forward, left [m], yaw [rad]."""
+    """Maximum displacement of the base: forward, left [m], yaw [rad]."""
     resistance: Mapping[str, float] = field(default_factory=dict)
-    """Of the part in this run: mass, friction, damping, pull."""
+    """Resistance of the part in this run: mass, friction, damping, pull."""
     time: Mapping[str, float] = field(default_factory=dict)
-    """Simulated seconds by stage."""
+    """Simulated time by stage [s]."""
     simulated: float = 0.0
-    """Simulated time in all [s]."""
+    """Total simulated time [s]."""
     wall: float = 0.0
-    """Time that the simulation took, without building the world [s]."""
+    """Computing time of the simulation, without building the world [s]."""
     ending: str = ""
     """How the run ended, one of `Ending`."""
     base_pose: Pose | None = None
-    """Where the base stood: x [m], y [m], yaw [rad]; None in records of before."""
+    """Pose of the base: x [m], y [m], yaw [rad]; None in older records."""
     joint: JointFound | None = None
-    """None for loose objects, and where the hand took no hold."""
+    """None for movable objects, and without a grasp."""
     notes: tuple[str, ...] = ()
-    """What was left out or assumed, one line each."""
+    """Assumptions and omissions, one line each."""
 
 
 @dataclass(frozen=True)
@@ -138,52 +138,52 @@ class Visit:
     """x [m], y [m], yaw [rad]."""
     reached: Pose
     length: float
-    """Driven [m]."""
+    """Driven distance [m]."""
     seconds: float
     """[s]"""
     reason: str
-    """Why nothing was executed there; "" where it was."""
+    """Why nothing was executed there; "" otherwise."""
     arrived: bool = True
-    """Whether the drive ended at the base pose; else the reason is why it did not."""
+    """Whether the drive ended at the base pose; otherwise `reason` explains it."""
     way: float | None = None
-    """Length of the way as first planned [m]; None where there was none."""
+    """Length of the planned path [m]; None without a path."""
     clearance: float | None = None
-    """Smallest distance of the driving base, its arm at home, to anything [m], at most 0.5."""
+    """Minimum clearance of the driving base with its arm at home [m], at most 0.5."""
     hit: str = ""
-    """What the base touched, which ended the drive; "" where it touched nothing."""
+    """Obstacle that the base touched, which ended the drive; "" without contact."""
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What came of a plan."""
+    """Result of executing a plan."""
 
     scene: str
     robot: str
     task: Task
     visits: tuple[Visit, ...]
-    """All drives; where something was executed after one, `Execution.base_pose` says."""
+    """All drives; `Execution.base_pose` tells after which one a motion was executed."""
     execution: Execution | None
-    """The last one; None where no arm motion was found at any pose reached."""
+    """Last motion; None if no arm motion was found at any pose reached."""
     failed: tuple[Execution, ...] = ()
-    """Those before, which failed and after which the arm came home, in order."""
+    """Earlier motions that failed and after which the arm came home, in order."""
     kinds: tuple[str, ...] = ()
-    """As what kind of part each motion took its part, one of `PartKind`; empty where the scene
-    knows how it moves."""
+    """Kind of part that each motion assumed, one of `PartKind`; empty if the scene knows the
+    part's joint."""
     seed: int = 0
     noise: bool = False
     time: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of computing by stage: drive, plan, execute."""
+    """Computing time by stage [s]: drive, plan, execute."""
     versions: Mapping[str, str] = field(default_factory=dict)
     plan: str = ""
-    """The plan's file, seen from the folder of the record; "" where nobody said."""
+    """Path of the plan file, relative to the record's folder; "" if unknown."""
     world: str = ""
-    """Likewise the scene that was really there; "" where that is the plan's own."""
+    """Path or name of the true scene; "" for the plan's own scene."""
     world_at: Pose | None = None
-    """Where its origin lies in the plan's scene: x [m], y [m], yaw [rad]."""
+    """Pose of that scene's origin in the plan's scene: x [m], y [m], yaw [rad]."""
     true_task: Task | None = None
-    """What the task means in that world."""
+    """The task in that scene."""
     motion: RunMotion | None = None
-    """What moved; None where nobody watched."""
+    """Recorded motion; None if the run was not watched."""
 
     @property
     def success(self) -> bool:
@@ -192,19 +192,19 @@ class RunRecord:
 
     @property
     def reason(self) -> str:
-        """Why it was not; "" where it was."""
+        """Why the task was not done; "" on success."""
         if self.execution is not None:
             return self.execution.reason
         return self.visits[-1].reason if self.visits else "nothing was driven"
 
     @property
     def driven(self) -> float:
-        """Driven length [m]."""
+        """Driven distance [m]."""
         return sum(visit.length for visit in self.visits)
 
 
 def run_to_dict(record: RunRecord) -> dict[str, Any]:
-    """Turn a record into what its file holds."""
+    """Convert a record to the content of its file."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -216,15 +216,15 @@ def run_to_dict(record: RunRecord) -> dict[str, Any]:
 
 
 def write_run(record: RunRecord, path: Path) -> None:
-    """Write a record, the whole file or nothing.
+    """Write a record atomically.
 
     Raises:
-        InputError: It holds NaN, or the file cannot be written.
+        InputError: The record has NaN or infinity, or the file cannot be written.
     """
     try:
         text = json.dumps(run_to_dict(record), allow_nan=False) + "\n"
     except ValueError as error:
-        raise InputError(f"{path}: the record holds NaN or infinity and was not written") from error
+        raise InputError(f"{path}: not written, the record contains NaN or infinity") from error
     try:
         write_atomic(path, text.encode())
     except OSError as error:
@@ -238,14 +238,14 @@ def with_files(
     world: str | None = None,
     world_at: Float[np.ndarray, "3"] | None = None,
 ) -> RunRecord:
-    """A record that says from which files it came, so that it can be shown again.
+    """Return a record with the files it came from, so that it can be replayed.
 
     Args:
         record: The record.
-        out: Where it will be written; what it names is seen from there.
-        plan: The plan's file.
-        world: A scene file, or the name of a built-in scene, that was really there.
-        world_at: Where its origin lies: x [m], y [m], yaw [rad].
+        out: File of the record; the paths in it are relative to its folder.
+        plan: The plan file.
+        world: True scene: a scene file, or the name of a built-in scene.
+        world_at: Pose of its origin: x [m], y [m], yaw [rad].
     """
 
     def seen(path: Path) -> str:
@@ -268,16 +268,16 @@ def read_run(path: Path) -> RunRecord:
     """Read a record.
 
     Raises:
-        FileFormatError: It is none that can be used; one line says why.
+        FileFormatError: The file is not a valid run record of this version.
     """
     content = read_bytes_bounded(path, MAX_BYTES)
     try:
         head = msgspec.json.decode(content, type=_RunHead)
         if (head.format, head.version) != (FORMAT, VERSION):
             raise FileFormatError(
-                f'{path}: not a run record of this version; it has "format": {head.format!r:.60}, '
-                f'"version": {head.version!r:.60}, not {FORMAT!r} and {VERSION}'
+                f'{path}: not a {FORMAT} file of version {VERSION}; it has "format": '
+                f'{head.format!r:.60}, "version": {head.version!r:.60}'
             )
         return msgspec.json.decode(content, type=RunRecord)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not a usable run record: {error}") from error
+        raise FileFormatError(f"{path}: invalid run record: {error}") from error

@@ -1,4 +1,4 @@
-"""Remembers a run while it goes on: its drives and what physics did, in the order they happened."""
+"""Trace of a run in progress: its drives and its physics, in order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from momapos.core.geometry import compose, local_points
 
 from .config import Stage
-from .feel import feel
+from .feel import sense_forces
 from .run_motion import DIGITS, DRIVE, RunMotion, Triple, rounded
 from .simulated_robot import BASE_JOINTS
 from .simulation import Simulation
@@ -20,52 +20,52 @@ from .simulation import Simulation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-INTERVAL = 0.05
-"""Time between remembered states [s]."""
-EVERY = 0.1
-"""Time between the moments of a record [s]."""
-HOLDING = (Stage.GRIP, Stage.MANIPULATE, Stage.DWELL)
-"""Stages in which the hand holds something."""
+STATE_INTERVAL = 0.05
+"""Minimum time between traced states [s]."""
+SAMPLE_INTERVAL = 0.1
+"""Time between the samples of a recorded motion [s]."""
+GRASP_STAGES = (Stage.GRIP, Stage.MANIPULATE, Stage.DWELL)
+"""Stages in which the hand may hold something."""
 _STILL = np.zeros(3)
 
 
 class State(NamedTuple):
-    """What a world was like."""
+    """State of a world."""
 
     time: float
-    """Since the beginning of its act [s]."""
+    """Time since the start of its act [s]."""
     stage: str
     q: np.ndarray
-    """Coordinates of the engine."""
+    """Generalized coordinates of the engine."""
     force: np.ndarray
-    """Of what is held on the hand, in the world [N]."""
+    """Force of the held object on the hand, in the world [N]."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Act:
-    """A motion in physics, and the drives that led there."""
+    """A motion in physics, and the drives before it."""
 
     times: list[Float[np.ndarray, " t"]] = field(default_factory=list)
-    """Of each drive, from its beginning [s]."""
+    """Times of each drive, from its start [s]."""
     poses: list[Float[np.ndarray, "t 3"]] = field(default_factory=list)
-    """Of the base in each drive: x [m], y [m], yaw [rad]."""
+    """Poses of the base in each drive: x [m], y [m], yaw [rad]."""
     world: Simulation | None = None
-    """None where the arm found no motion after the last drive."""
+    """None if the arm found no motion after the last drive."""
     states: list[State] = field(default_factory=list)
 
     @property
     def drove(self) -> float:
-        """How long all drives took [s]."""
+        """Duration of all drives [s]."""
         return sum(float(times[-1]) for times in self.times)
 
     @property
     def duration(self) -> float:
-        """How long it took [s]."""
+        """Duration of the act [s]."""
         return self.drove + (self.states[-1].time if self.states else 0.0)
 
     @property
     def way(self) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t 3"]]:
-        """Times [s] and poses of all drives, one after the other."""
+        """Times [s] and poses of all drives in sequence."""
         ends = np.cumsum([0.0, *(times[-1] for times in self.times)])
         shifted = [t + end for t, end in zip(self.times, ends[:-1], strict=True)]
         return np.concatenate([np.zeros(0), *shifted]), np.concatenate(
@@ -73,34 +73,34 @@ class Act:
         )
 
     def standing_at(self, pose: Float[np.ndarray, "3"]) -> np.ndarray:
-        """Coordinates of the first state, with the base elsewhere."""
+        """Return the coordinates of the first state with the base at another pose."""
         assert self.world is not None
-        q, stands = self.states[0].q.copy(), stand(self.world)
+        q, stands = self.states[0].q.copy(), initial_base_pose(self.world)
         q[self.world.base_q] = [*local_points(stands, pose[None, :2])[0], pose[2] - stands[2]]
         return q
 
 
 @dataclass
 class RunTrace:
-    """Give it to `run_plan` as `watch`, and its `drive` as `trace`."""
+    """Callback for `run_plan`: pass it as `watch`, and its `drive` as `trace`."""
 
     acts: list[Act] = field(default_factory=list)
 
     def __call__(self, world: Simulation, time: float, stage: str) -> None:
-        """Remember a state, if the last one is long enough ago."""
+        """Store a state, if the last one is old enough."""
         if not self.acts or self.acts[-1].world not in (None, world):
             self.acts.append(Act())
         act = self.acts[-1]
         act.world = world
-        if not act.states or time - act.states[-1].time >= INTERVAL - 1e-9:
-            force = feel(world).force if stage in HOLDING else _STILL
+        if not act.states or time - act.states[-1].time >= STATE_INTERVAL - 1e-9:
+            force = sense_forces(world).force if stage in GRASP_STAGES else _STILL
             act.states.append(State(time, str(stage), world.data.qpos.copy(), force))
 
     def drive(self, times: Float[np.ndarray, " t"], poses: Float[np.ndarray, "t 3"]) -> None:
-        """Remember a drive.
+        """Store a drive.
 
         Args:
-            times: From its beginning [s].
+            times: Times from the start of the drive [s].
             poses: True poses of the base: x [m], y [m], yaw [rad].
         """
         if not self.acts or self.acts[-1].world is not None:
@@ -114,7 +114,7 @@ class RunTrace:
         return [act for act in self.acts if act.states]
 
     def motion(self) -> RunMotion:
-        """What moved, for the record."""
+        """Return the recorded motion."""
         rows = list(self._rows())
         worlds = [row.world for row in rows if row.world is not None]
         names = joints_of(worlds[0]) if worlds else []
@@ -132,15 +132,15 @@ class RunTrace:
         )
 
     def _rows(self) -> Iterator[_Row]:
-        """The moments of a record. While the base drives the arm is where physics begins."""
+        """Yield the samples of a record. During a drive the arm is as at the next act's start."""
         began, before = 0.0, _Row(0.0, DRIVE, _STILL, None, np.zeros(0), _STILL)
         for act in self.acts:
             if act.world is not None:
                 before = before._replace(world=act.world, q=act.states[0].q)
             times, poses = act.way
-            for i in _every(times):
+            for i in _sampled(times):
                 yield before._replace(time=began + float(times[i]), base=poses[i])
-            for i in _every(np.array([state.time for state in act.states])):
+            for i in _sampled(np.array([state.time for state in act.states])):
                 assert act.world is not None
                 time, stage, q, force = act.states[i]
                 base = base_pose(act.world, q)
@@ -151,7 +151,7 @@ class RunTrace:
 
 
 class _Row(NamedTuple):
-    """One moment of a record."""
+    """One sample of a record."""
 
     time: float
     stage: str
@@ -161,20 +161,20 @@ class _Row(NamedTuple):
     force: np.ndarray
 
 
-def stand(world: Simulation) -> Float[np.ndarray, "3"]:
-    """Where the base stood when a world was built: x [m], y [m], yaw [rad]."""
+def initial_base_pose(world: Simulation) -> Float[np.ndarray, "3"]:
+    """Return the pose of the base for which a world was built: x [m], y [m], yaw [rad]."""
     body = world.model.body("base")
     w, _, _, z = body.quat
     return np.array([body.pos[0], body.pos[1], 2 * np.arctan2(z, w)])
 
 
 def base_pose(world: Simulation, q: np.ndarray) -> Float[np.ndarray, "3"]:
-    """Pose of the base in a state: x [m], y [m], yaw [rad]."""
-    return compose(stand(world), q[world.base_q][None])[0]
+    """Return the pose of the base in a state: x [m], y [m], yaw [rad]."""
+    return compose(initial_base_pose(world), q[world.base_q][None])[0]
 
 
 def joints_of(world: Simulation) -> list[str]:
-    """Names of the robot's joints that move: arm and fingers."""
+    """Return the names of the robot's moving joints: arm and fingers."""
     model, part = world.model, world.model.body_jntadr[world.part_body]
     return [
         model.joint(k).name
@@ -183,10 +183,10 @@ def joints_of(world: Simulation) -> list[str]:
     ]
 
 
-def _every(times: Float[np.ndarray, " t"]) -> Iterator[int]:
-    """Numbers of the times that are kept: one every so often, and the last."""
+def _sampled(times: Float[np.ndarray, " t"]) -> Iterator[int]:
+    """Yield the indices of the recorded times: one per interval, and the last."""
     if len(times):
-        wanted = np.arange(times[0], times[-1], EVERY)
+        wanted = np.arange(times[0], times[-1], SAMPLE_INTERVAL)
         yield from np.unique([*np.searchsorted(times, wanted), len(times) - 1]).tolist()
 
 
@@ -200,7 +200,7 @@ def _loose(world: Simulation) -> bool:
 
 
 def _part(row: _Row) -> list[float]:
-    """Value of the part's joint; of a loose object x, y, z, w, x, y, z of its pose."""
+    """Return the value of the part's joint; for a movable object its pose x, y, z, wxyz."""
     if row.world is None:
         return [0.0]
     at = row.world.part_q

@@ -1,4 +1,4 @@
-"""The hand: what closes, toward which end, and how hard its motors push."""
+"""Find the fingers of a gripper, their closing direction and their forces."""
 
 from __future__ import annotations
 
@@ -10,60 +10,58 @@ import numpy as np
 
 from momapos.core.geometry import apply, invert
 from momapos.model.robots import Pivot, Robot, pivots
-from momapos.model.urdf import Joint
-
-from .dynamics import Mimic
+from momapos.model.urdf import Joint, Mimic
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-PAD_DEPTH = 0.03
-"""What reaches this near to the tip of a finger may face it [m]."""
-_STEP = 0.02
-"""Share of a finger's way over which its speed at the pads is measured [-]."""
+MAX_PAD_DEPTH = 0.03
+"""Distance behind the fingertip within which a link can be the opposing jaw [m]."""
+_LEVER_STEP = 0.02
+"""Share of a finger's travel over which its pad speed is measured [-]."""
 
 
 @dataclass(frozen=True)
 class Finger:
-    """A joint with a motor that closes a finger, or several that follow it."""
+    """A motorized joint that closes one finger, or several that follow it."""
 
     joint: str
     open: float
-    """Where the plan has it [rad] or [m]."""
+    """Value in the plan [rad] or [m]."""
     closed: float
-    """Its end at which the fingers are nearest to each other [rad] or [m]."""
+    """Joint limit at which the fingers are closest [rad] or [m]."""
     lever: float
-    """Way that all its tips close for a step of the joint [m/rad] or [-]."""
+    """Closing travel of all its tips per travel of the joint [m/rad] or [-]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Hand:
-    """What a gripper holds with."""
+class SimulatedHand:
+    """Fingers and pads of a gripper."""
 
     fingers: tuple[Finger, ...]
-    """The joints with motors; none where nothing closes."""
+    """Motorized finger joints; empty if nothing closes."""
     followers: Mapping[str, Mimic]
-    """The joints that follow one of these: as the URDF says, and those of `pivots`."""
+    """Joints that follow a finger: mimic joints of the URDF, and those of `pivots`."""
     pads: Mapping[str, float]
-    """The links that hold, with the side of the tool's middle that they are on: 1 or -1 along the
-    closing axis; 0 for the tip of a hand in which nothing closes."""
+    """Links that hold, with their side of the tool along the closing axis, 1 or -1; 0 for the tip
+    of a hand that does not close."""
     axis: Float[np.ndarray, "3"]
-    """That axis, in the tool's frame."""
+    """Closing axis, in the tool frame."""
     approach: Float[np.ndarray, "3"]
-    """Where the hand points, in that frame."""
+    """Approach direction, in the tool frame."""
     force: float
-    """With which each finger closes [N]."""
+    """Closing force of each finger [N]."""
     pivots: tuple[Pivot, ...] = ()
-    """Tips that turn on their fingers, so that they face each other."""
+    """Tips that rotate on their fingers, so that they face each other."""
 
     @property
     def closes(self) -> bool:
-        """Whether the hand can hold between its fingers."""
+        """Whether the hand can grasp between its fingers."""
         return bool(self.fingers)
 
 
-def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
-    """Find the fingers of a gripper: the joints that move links of it, sliding or turning.
+def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> SimulatedHand:
+    """Find the fingers of a gripper: the joints, sliding or rotating, that move its links.
 
     Args:
         robot: The robot.
@@ -96,29 +94,29 @@ def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
     if {1.0, -1.0} <= set(pads.values()):
         tips = tuple(pivot for pivot in pivots(robot) if pivot.joint in named)
         followers |= {tip.name: Mimic(tip.joint, tip.ratio, tip.offset) for tip in tips}
-        return Hand(tuple(found), followers, pads, *axes, tips)
-    return Hand((), {}, dict.fromkeys(_tip(robot), 0.0), *axes)
+        return SimulatedHand(tuple(found), followers, pads, *axes, tips)
+    return SimulatedHand((), {}, dict.fromkeys(_tip(robot), 0.0), *axes)
 
 
 def _fixed_jaw(robot: Robot, pads: Mapping[str, float]) -> dict[str, float]:
-    """The link that one jaw closes on, where it alone moves, with the side that it is on."""
+    """Return the fixed jaw that a single moving jaw closes on, with its side."""
     ahead = _ahead(robot, robot.gripper_links)
     others = [link for link in ahead if link not in pads and link in robot.gripper_links]
     if len(set(pads.values())) != 1 or not others:
         return {}
     farthest = max(others, key=lambda link: ahead[link])
-    if ahead[farthest] < max(ahead[link] for link in pads if link in ahead) - PAD_DEPTH:
+    if ahead[farthest] < max(ahead[link] for link in pads if link in ahead) - MAX_PAD_DEPTH:
         return {}
     return {farthest: -next(iter(pads.values()))}
 
 
 def _moves_arm(robot: Robot, joint: Joint) -> bool:
-    """Whether a joint carries the hand itself: it is no finger's."""
+    """Return whether a joint moves the hand itself, so that it belongs to no finger."""
     return robot.tool_link in robot.model.moved_by(joint.name)
 
 
 def _finger(robot: Robot, joint: Joint, followers: Mapping[str, Mimic]) -> Finger | None:
-    """A finger with its closed end; None where its joint closes nothing."""
+    """Return a finger with its closed value; None if its joint closes nothing."""
     rest = robot.model.rest[joint.name]
     group = [joint.name, *(n for n, m in followers.items() if m.joint == joint.name)]
     tips = _tips(robot, {link for name in group for link in robot.model.moved_by(name)})
@@ -135,19 +133,19 @@ def _finger(robot: Robot, joint: Joint, followers: Mapping[str, Mimic]) -> Finge
     way = closed - rest
     if abs(way) < 1e-6:
         return None
-    step = _STEP * way
+    step = _LEVER_STEP * way
     closing = apart(rest + 0.5 * way - step) - apart(rest + 0.5 * way + step)
     lever = float(closing.sum() / abs(2 * step))
     return Finger(joint.name, rest, closed, lever) if lever > 1e-6 else None
 
 
 def _sides(robot: Robot, links: Iterable[str]) -> dict[str, float]:
-    """On which side of the tool's middle links with a shape are, at rest."""
+    """Return the side of the tool on which each link with a shape is, at rest."""
     return {n: float(np.sign(v)) for n, v in _across(robot, links, {}).items() if v}
 
 
 def _tips(robot: Robot, links: Iterable[str]) -> dict[str, float]:
-    """Of some links the one that reaches farthest along the approach on each side, at rest."""
+    """Return the link that reaches farthest along the approach on each side, at rest."""
     ahead, sides = _ahead(robot, links), _sides(robot, links)
     return {
         max((n for n in sides if sides[n] == side), key=lambda n: ahead[n]): side
@@ -156,13 +154,13 @@ def _tips(robot: Robot, links: Iterable[str]) -> dict[str, float]:
 
 
 def _across(robot: Robot, links: Iterable[str], values: dict[str, float]) -> dict[str, float]:
-    """Where the middles of links are along the closing axis, from the tool's origin [m]."""
+    """Return the centers of links along the closing axis, from the tool's origin [m]."""
     clouds = _clouds(robot, links, values).items()
     return {n: float((p.min(0) + p.max(0)) / 2 @ robot.closing_axis) for n, p in clouds}
 
 
 def _ahead(robot: Robot, links: Iterable[str]) -> dict[str, float]:
-    """How far links reach along the approach at rest, from the tool's origin [m]."""
+    """Return the reach of links along the approach at rest, from the tool's origin [m]."""
     clouds = _clouds(robot, links, {}).items()
     return {n: float((p @ robot.approach_axis).max()) for n, p in clouds}
 
@@ -170,7 +168,7 @@ def _ahead(robot: Robot, links: Iterable[str]) -> dict[str, float]:
 def _clouds(
     robot: Robot, links: Iterable[str], values: dict[str, float]
 ) -> dict[str, Float[np.ndarray, "n 3"]]:
-    """Corners of links that have a shape, in the tool's frame [m]."""
+    """Return the vertices of links that have a shape, in the tool frame [m]."""
     model = robot.model
     poses = model.link_poses(values)
     T = invert(poses[robot.tool_link])
@@ -182,6 +180,6 @@ def _clouds(
 
 
 def _tip(robot: Robot) -> tuple[str, ...]:
-    """The link of the gripper that reaches farthest along the approach."""
+    """Return the gripper link that reaches farthest along the approach."""
     ahead = _ahead(robot, robot.gripper_links)
     return (max(ahead, key=lambda name: ahead[name]),) if ahead else ()

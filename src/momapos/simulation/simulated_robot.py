@@ -1,4 +1,4 @@
-"""The robot in the physics engine: a heavy base on its tyres, an arm with motors, fingers."""
+"""Build the robot in the physics engine: a heavy base on tires, a motorized arm, fingers."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ import numpy as np
 
 from momapos.core.geometry import invert, pose_planar
 from momapos.model.robots import Pivot, Robot
-from momapos.model.urdf import Joint, joint_motion
+from momapos.model.urdf import Joint, Mimic, joint_motion
 
 from .config import ExecutionConfig
-from .dynamics import Dynamics, Inertia, Mimic
+from .dynamics import Dynamics, Inertia
 from .geoms import Kind, add_shape, dress, place_body
-from .simulated_hand import Finger, Hand
+from .simulated_hand import Finger, SimulatedHand
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 BASE_JOINTS = ("base x", "base y", "base yaw")
 TOOL_POINT = "tool point"
-"""Name of a geom that nothing meets, at the tool's origin."""
+"""Name of a geom without collisions at the tool's origin."""
 _TIP_ARMATURE = 0.02
-"""Inertia of a turning tip as its linkage shows it: the less, the softer it follows [kg m^2]."""
+"""Inertia of a rotating fingertip through its linkage; less makes it softer [kg m^2]."""
 UNKNOWN_DENSITY = 500.0
-"""Of links whose URDF gives no mass [kg/m^3]."""
+"""Density of links whose URDF gives no mass [kg/m^3]."""
 
 
 def body_of(link: str) -> str:
-    """Name of the body of a robot's link."""
+    """Return the body name of a robot's link."""
     return f"robot/{link}"
 
 
@@ -39,7 +39,7 @@ def add_robot(
     spec: Any,
     robot: Robot,
     base_pose: tuple[float, float, float],
-    hand: Hand,
+    hand: SimulatedHand,
     dynamics: Dynamics,
     config: ExecutionConfig,
 ) -> None:
@@ -131,13 +131,13 @@ def _add_link(
         geom.density, geom.gap = UNKNOWN_DENSITY, config.near
         if kind is Kind.PAD:
             geom.friction, geom.condim = [config.gripper.friction, 0.01, 1e-4], 4
-            geom.priority = 1  # else the larger friction of the two counts
+            geom.priority = 1  # otherwise the larger friction of the two applies
 
 
 def _set_inertia(body: Any, inertia: Inertia) -> None:
     xx, yy, zz, xy, xz, yz = inertia.matrix
     R = inertia.T_link_inertia[:3, :3]
-    least = 1e-4 * inertia.mass  # a ball of 16 mm: files may give a mass and no inertia
+    least = 1e-4 * inertia.mass  # a ball of 16 mm, for files with a mass but no inertia
     matrix = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     if np.linalg.eigvalsh(matrix)[0] <= 0:
         matrix = np.eye(3) * max(float(np.trace(matrix)) / 3, least)
@@ -147,7 +147,7 @@ def _set_inertia(body: Any, inertia: Inertia) -> None:
 
 
 def _add_motors(spec: Any, robot: Robot, fingers: tuple[Finger, ...]) -> None:
-    """One position-controlled motor a joint; `tune` sets the gains when inertias are known."""
+    """Add a position-controlled motor to each joint; `tune` sets the gains later."""
     for name in (*BASE_JOINTS, *robot.moved_joints):
         spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     for finger in fingers:
@@ -159,9 +159,9 @@ def _add_motors(spec: Any, robot: Robot, fingers: tuple[Finger, ...]) -> None:
 
 
 def _add_couplings(spec: Any, fingers: tuple[Finger, ...], followers: Mapping[str, Mimic]) -> None:
-    """Joints that follow others; two fingers with motors of their own close alike, as the jaws of
-    a parallel gripper do, which share one motor."""
-    pairs = [(name, m.joint, m.offset, m.multiplier) for name, m in followers.items()]
+    """Couple followers to their drivers; two motorized fingers close together, as the jaws of a
+    parallel gripper with one motor."""
+    pairs = [(name, m.joint, m.offset, m.ratio) for name, m in followers.items()]
     if len(fingers) == 2:
         one, other = fingers
         factor = (other.closed - other.open) / (one.closed - one.open)
@@ -176,10 +176,10 @@ def _add_couplings(spec: Any, fingers: tuple[Finger, ...], followers: Mapping[st
 
 
 def _add_excludes(spec: Any, robot: Robot, fingers: set[str], tips: set[str]) -> None:
-    """Pairs of links that the robot's maker does not check; neighbors the engine leaves out.
+    """Exclude link pairs that the robot's SRDF disables; the engine excludes neighbors itself.
 
-    Where tips turn on their fingers, only tips meet tips: what bends is drawn stiff, and would
-    meet the other side before they do.
+    If tips rotate on their fingers, only tips collide with tips: a flexible finger is modeled
+    rigid, and would touch the other side first.
     """
     pairs = {tuple(sorted(pair)) for pair in robot.disabled if len(pair) == 2}
     pairs |= {pair for pair in combinations(sorted(fingers), 2) if len(tips.intersection(pair)) < 2}

@@ -1,4 +1,4 @@
-"""The room in the physics engine, and the part or object that the task moves."""
+"""Build the room in the physics engine, and the part or object that the task moves."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 PART = "part"
-"""Name of the body that the task moves, and of its joint."""
-WORD = "handle"
-HAND_REACH = 0.1
-"""Elements that are nearer to the tool where it takes hold meet the hand [m]."""
+"""Name of the moved body, and of its joint."""
+HANDLE_WORD = "handle"
+MAX_HAND_DISTANCE = 0.1
+"""Distance from the tool at the grasp within which elements touch the hand [m]."""
 
 
 @dataclass(frozen=True)
-class Resistance:
-    """How a part resists being moved, as drawn for one run."""
+class PartResistance:
+    """Resistance of a part, as drawn for one run."""
 
     mass: float
     """[kg]"""
     friction: float
-    """Dry friction of its joint [Nm] or [N]; 0 for loose objects."""
+    """Dry friction of its joint [Nm] or [N]; 0 for movable objects."""
     damping: float
-    """Of its joint [Nms/rad] or [Ns/m]; 0 for loose objects."""
+    """Damping of its joint [Nms/rad] or [Ns/m]; 0 for movable objects."""
     pull: float
-    """Force at its free edge that frees it where it is closed [N]; 0 for loose objects."""
+    """Force at the free edge that opens the closed part [N]; 0 for movable objects."""
 
 
 def draw_resistance(
     item: SceneObject, joint: Joint | None, config: FurnitureConfig, rng: np.random.Generator
-) -> Resistance:
-    """Draw how a part resists; the same for the same generator."""
+) -> PartResistance:
+    """Draw the resistance of a part."""
     factor = 1.0 + config.spread * rng.uniform(-1.0, 1.0, 4)
     links = item.model.links if joint is None else item.model.moved_by(joint.name)
     size = sum(volume(s) for link in links for s in item.model.urdf.links[link].collisions)
     mass = config.density * size * factor[0]
     if joint is None:
-        return Resistance(float(np.clip(mass, 0.05, config.most_mass)), 0.0, 0.0, 0.0)
+        return PartResistance(float(np.clip(mass, 0.05, config.most_mass)), 0.0, 0.0, 0.0)
     slides = joint.kind == "prismatic"
     words = f"{item.category} {item.name}".lower()
     sealed = not slides and any(word in words for word in config.sealed)
@@ -61,7 +61,7 @@ def draw_resistance(
         if slides
         else (config.hinge_friction, config.hinge_damping)
     )
-    return Resistance(
+    return PartResistance(
         mass=float(np.clip(mass, config.least_mass, config.most_mass)),
         friction=float(values[0] * factor[1]),
         damping=float(values[1] * factor[2]),
@@ -71,43 +71,43 @@ def draw_resistance(
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """How the task's object differs from the scene that the plan was made with."""
+    """Difference between the task's object and the scene that the plan is based on."""
 
     offset: Float[np.ndarray, "3"]
-    """Of the object, in the world [m]."""
+    """Translation of the object, in the world [m]."""
     shift: Float[np.ndarray, "3"]
-    """Of its joint, in that joint's frame [m]."""
+    """Translation of its joint, in the joint's frame [m]."""
     axis: Float[np.ndarray, "3"]
-    """Of its joint, in that frame."""
+    """Axis of its joint, in that frame."""
 
 
 @dataclass(frozen=True)
 class Seal:
-    """What keeps a closed part closed."""
+    """Seal or catch that keeps a closed part closed."""
 
     closed: float
     """[rad] or [m]"""
     outward: float
-    """Direction in which the joint opens, 1 or -1; 0 where nothing holds it."""
+    """Direction in which the joint opens, 1 or -1; 0 without a seal."""
     pull: float
-    """Torque or force at the joint when it is closed [Nm] or [N]."""
+    """Torque or force at the closed joint [Nm] or [N]."""
     reach: float
-    """Travel over which it fades [rad] or [m]."""
+    """Travel over which it decays [rad] or [m]."""
 
     def force(self, value: float) -> float:
-        """Torque or force at a value of the joint [Nm] or [N]."""
+        """Return the torque or force at a value of the joint [Nm] or [N]."""
         share = 1.0 - abs(value - self.closed) / self.reach
         return -self.outward * self.pull * max(0.0, share)
 
 
 def seal_of(item: SceneObject, joint: Joint | None, pull: float, way: float) -> Seal:
-    """The seal of a part: a pull at its free edge, wherever it is held.
+    """Return the seal of a part, from the pull at its free edge.
 
     Args:
         item: The object.
-        joint: The part's; None for loose objects, which have no seal.
+        joint: Joint of the part; None for movable objects, which have no seal.
         pull: Force at the free edge [N].
-        way: Way of the free edge over which it fades [m].
+        way: Travel of the free edge over which it decays [m].
     """
     if joint is None:
         return Seal(0.0, 0.0, 0.0, 1.0)
@@ -117,7 +117,7 @@ def seal_of(item: SceneObject, joint: Joint | None, pull: float, way: float) -> 
 
 
 def _width(item: SceneObject, joint: Joint) -> float:
-    """Distance of a part's free edge from its hinge [m]."""
+    """Return the distance of a part's free edge from its hinge [m]."""
     poses = item.link_poses()
     back = invert(poses[joint.child])
     hulls = [
@@ -133,9 +133,9 @@ def _width(item: SceneObject, joint: Joint) -> float:
 
 
 def add_room(spec: Any, scene: Scene, task: Task, deviation: Deviation | None) -> None:
-    """Add all that stands still: a floor, and every element of every object but the part's.
+    """Add everything fixed: the floor, and all elements of all objects except the part's.
 
-    Each element is a body of its own, so that a single one can be left out against the part.
+    Each element is a separate body, so that single collision pairs with the part can be excluded.
     """
     floor = spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05]
@@ -154,7 +154,7 @@ def add_room(spec: Any, scene: Scene, task: Task, deviation: Deviation | None) -
 
 
 def moved_links(item: SceneObject, task: Task) -> frozenset[str]:
-    """The links of an object that the task moves."""
+    """Return the links of an object that the task moves."""
     if item.name != task.object:
         return frozenset()
     return frozenset(item.model.links if task.joint is None else item.model.moved_by(task.joint))
@@ -163,7 +163,6 @@ def moved_links(item: SceneObject, task: Task) -> frozenset[str]:
 def _poses(
     item: SceneObject, task: Task, deviation: Deviation | None
 ) -> dict[str, Float[np.ndarray, "4 4"]]:
-    """Where the links of an object are."""
     poses = item.link_poses()
     if deviation is None or item.name != task.object:
         return poses
@@ -175,16 +174,16 @@ def add_part(
     spec: Any,
     scene: Scene,
     task: Task,
-    resistance: Resistance,
+    resistance: PartResistance,
     deviation: Deviation | None,
     config: ExecutionConfig,
     reached: Collection[tuple[str, int]] = (),
 ) -> None:
-    """Add what the task moves: the links beyond a joint on that joint, or an object, loose.
+    """Add what the task moves: the links beyond its joint, or a movable object.
 
-    Joints beyond the task's own are locked where the scene has them. Meshes that are not convex are
-    cut into convex pieces where they are `reached`, as (link, number of the element): the hand goes
-    behind a handle that is part of its panel's mesh.
+    Other joints of the part are locked at the scene's values. `reached` names elements as (link,
+    index) whose non-convex meshes are split into convex pieces, so that the hand can reach behind a
+    handle in the mesh of its panel.
     """
     item = scene.object(task.object)
     poses = _poses(item, task, deviation)
@@ -215,7 +214,7 @@ def add_part(
 
 
 def reached_elements(item: SceneObject, joint: str, motion: Motion) -> set[tuple[str, int]]:
-    """The elements of a part near which a motion takes hold of it, as (link, number)."""
+    """Return the elements of a part near its grasps in a motion, as (link, index)."""
     found = set()
     for hold in motion.holds or (Hold(0, len(motion.q) - 1),):
         poses = item.link_poses({joint: float(motion.object_q[hold.first])})
@@ -224,7 +223,7 @@ def reached_elements(item: SceneObject, joint: str, motion: Motion) -> set[tuple
             at = apply(invert(poses[link]), tool[None])[0]
             for i, hull in enumerate(item.model.hulls[link]):
                 beyond = np.maximum(hull.vertices.min(0) - at, at - hull.vertices.max(0))
-                if np.linalg.norm(np.maximum(beyond, 0.0)) < HAND_REACH:
+                if np.linalg.norm(np.maximum(beyond, 0.0)) < MAX_HAND_DISTANCE:
                     found.add((link, i))
     return found
 
@@ -234,9 +233,9 @@ def _numbered(item: SceneObject, link: str) -> list[tuple[int, Geometry]]:
 
 
 def _add_joint(
-    body: Any, joint: Joint, value: float, resistance: Resistance, deviation: Deviation | None
+    body: Any, joint: Joint, value: float, resistance: PartResistance, deviation: Deviation | None
 ) -> None:
-    """Add the part's joint to a body that is where it is at a value of the joint."""
+    """Add the part's joint to a body whose pose belongs to the given joint value."""
     slides = joint.kind == "prismatic"
     kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
     axis = joint.axis if deviation is None else deviation.axis
@@ -249,4 +248,4 @@ def _add_joint(
 
 
 def _is_handle(link: str, shape: Geometry) -> bool:
-    return WORD in link.lower() or WORD in shape.name.lower()
+    return HANDLE_WORD in link.lower() or HANDLE_WORD in shape.name.lower()

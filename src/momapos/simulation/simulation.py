@@ -1,4 +1,4 @@
-"""The world of one run: room, part and robot, compiled, with names turned into indices."""
+"""Physics world of one run: room, part and robot, compiled and indexed."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from momapos.model.scene import Scene, SceneObject
 from .config import ExecutionConfig
 from .dynamics import Dynamics
 from .geoms import HAND, ROBOT, Kind, matrix_quat
-from .simulated_hand import Finger, Hand
+from .simulated_hand import Finger, SimulatedHand
 from .simulated_robot import BASE_JOINTS, TOOL_POINT, add_robot, body_of, tune
-from .simulated_room import PART, Deviation, Resistance, add_part, add_room
+from .simulated_room import PART, Deviation, PartResistance, add_part, add_room
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 WELD = "hold"
-_VALUES = 30
-"""Values of the part's joint at which it is looked at what touches it [-]."""
-_AT_REST = 1e-3
-"""A joint rests where it is this near to its value at rest [rad] or [m]."""
-_NOSLIP = 5
-"""Rounds that take the creep out of friction, which soft contacts have [-]."""
+_CONTACT_SAMPLES = 30
+"""Number of joint values at which contacts of the part are checked [-]."""
+_REST_TOLERANCE = 1e-3
+"""Deviation from its rest value up to which a joint is at rest [rad] or [m]."""
+_NOSLIP_ITERATIONS = 5
+"""Solver iterations that remove the slow slip of soft frictional contacts [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +43,11 @@ class Simulation:
     kinds: Int[np.ndarray, " g"]
     """Kind of each geom."""
     names: tuple[str, ...]
-    """What each geom belongs to: OBJECT/LINK, or a link of the robot."""
+    """Owner of each geom: OBJECT/LINK, or a link of the robot."""
     arm_q: Int[np.ndarray, " n"]
-    """Addresses of the arm's joints in the state."""
+    """Addresses of the arm joints' positions."""
     arm_v: Int[np.ndarray, " n"]
-    """Addresses of their speeds."""
+    """Addresses of the arm joints' velocities."""
     arm_motor: Int[np.ndarray, " n"]
     base_q: Int[np.ndarray, "3"]
     base_motor: Int[np.ndarray, "3"]
@@ -56,32 +56,32 @@ class Simulation:
     part_body: int
     tool_body: int
     weld: int
-    hand: Hand
+    hand: SimulatedHand
     hand_bodies: Int[np.ndarray, " b"]
     """Bodies of the gripper."""
     pad_side: Int[np.ndarray, " g"]
-    """On which side of the tool's middle the geom of a pad is, 1 or -1; 0 for all others."""
+    """Side of the tool on which the geom of a pad is, 1 or -1; 0 for other geoms."""
     fingers: tuple[tuple[Finger, int], ...]
-    """The fingers that move, with their motors."""
+    """Moving fingers, with their motors."""
     loose: tuple[str, ...]
-    """What touches the part in the scene, and is left out against it."""
+    """Bodies whose contacts with the part are excluded, because they touch it in the scene."""
     balanced: tuple[str, ...]
-    """Joints whose efforts do not bear the arm's weight, so that something else must."""
+    """Joints whose effort limits are below the arm's weight, so that springs must bear it."""
 
     @property
     def weight_on_part(self) -> float:
-        """What its weight does to the joint of the part as it stands, positive to larger values
-        [Nm] or [N]."""
+        """Torque or force of gravity on the part's joint at its present value, positive toward
+        larger values [Nm] or [N]."""
         return -float(self.data.qfrc_bias[self.part_v])
 
     @property
     def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the tool link."""
+        """Pose of the tool link in the world."""
         return self._pose(self.tool_body)
 
     @property
     def T_world_part(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the part."""
+        """Pose of the part in the world."""
         return self._pose(self.part_body)
 
     def _pose(self, body: int) -> Float[np.ndarray, "4 4"]:
@@ -91,7 +91,7 @@ class Simulation:
         return T
 
     def grip_gap(self, most: float) -> float:
-        """Distance from the gripper, or the tool's origin, to the part [m]; at most `most`."""
+        """Return the distance from the gripper or tool origin to the part [m], capped at `most`."""
         hand = np.isin(self.kinds, HAND)
         hand[self.model.geom(TOOL_POINT).id] = True
         return min(
@@ -101,18 +101,18 @@ class Simulation:
         )
 
     def attach(self, *, turns: bool = False) -> None:
-        """Weld the part to the tool as they are; where it turns, by the tool's origin alone."""
+        """Weld the part to the tool at their present poses; `turns` welds the position only."""
         T_tool_part = invert(self.T_world_tool) @ self.T_world_part
         values = self.model.eq_data[self.weld]
-        values[:3] = invert(T_tool_part)[:3, 3]  # the tool's origin, in the part
-        values[3:6] = 0.0  # and in the tool
+        values[:3] = invert(T_tool_part)[:3, 3]  # the tool's origin in the part's frame
+        values[3:6] = 0.0  # and in the tool frame
         values[6:10] = matrix_quat(T_tool_part[:3, :3])
         values[10] = 0.0 if turns else 1.0
         self.data.eq_active[self.weld] = 1
 
     @property
     def welded(self) -> bool:
-        """Whether the weld is closed."""
+        """Whether the weld is active."""
         return bool(self.data.eq_active[self.weld])
 
     def release(self) -> None:
@@ -126,9 +126,9 @@ def build_simulation(
     base_pose: tuple[float, float, float],
     states: Float[np.ndarray, "k n"],
     task: Task,
-    hand: Hand,
+    hand: SimulatedHand,
     dynamics: Dynamics,
-    resistance: Resistance,
+    resistance: PartResistance,
     deviation: Deviation | None,
     config: ExecutionConfig,
     *,
@@ -137,26 +137,26 @@ def build_simulation(
 ) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
 
-    Furniture that touches the part in the scene, elements of the part's own object that touch it
-    anywhere on its way while all else of the object is closed, and links of the robot that touch
-    where its joints rest, do so by design or for want of exact models: these pairs are left out.
+    Some pairs touch by design or for lack of exact models, and are excluded from collisions:
+    furniture that touches the part in the scene, elements of the part's own object that touch it
+    anywhere on its path while its other joints are closed, and robot links that touch at rest.
 
     Args:
         scene: The room.
         robot: The robot.
         base_pose: x [m], y [m], yaw [rad] of its base.
-        states: Of the arm, for which its motors are tuned [rad] or [m].
-        task: Names what moves.
-        hand: What the robot holds with.
+        states: Arm states for which the motors are tuned [rad] or [m].
+        task: Names the part.
+        hand: Hand of the robot.
         dynamics: Masses and efforts of the robot.
-        resistance: Of the part.
-        deviation: How the task's object differs from the scene; None where it does not.
-        config: How to model it.
-        begin: Value of the part's joint, where that is no longer the scene's [rad] or [m].
-        reached: Elements of the part that the hand meets, see `add_part`.
+        resistance: Resistance of the part.
+        deviation: Difference of the task's object from the scene; None for none.
+        config: Model parameters.
+        begin: Value of the part's joint [rad] or [m]; by default as in the scene.
+        reached: Elements of the part that the hand touches, see `add_part`.
 
     Raises:
-        InputError: The engine refuses the model.
+        InputError: The engine rejects the model.
     """
     spec = _spec(config)
     add_room(spec, scene, task, deviation)
@@ -174,7 +174,7 @@ def build_simulation(
         touching = list(dict.fromkeys(touching))
         apart = touching
         if deviation is not None and task.joint is not None:
-            # Where a joint is not as modeled, its true frame leaves the part free.
+            # A deviating joint would move the part through its frame: exclude all fixed bodies.
             apart = list(dict.fromkeys([*touching, *((PART, name) for name in _standing(model))]))
         for one, other in apart:
             spec.add_exclude(bodyname1=one, bodyname2=other)
@@ -182,7 +182,7 @@ def build_simulation(
         model.geom_solref[kinds_of(model) == Kind.PAD] = (config.gripper.pad_time, 1.0)
     except ValueError as error:
         raise InputError(
-            f"the physics engine refuses the model of {robot.name} in {scene.name}: {error}"
+            f"the physics engine rejects the model of {robot.name} in {scene.name}: {error}"
         ) from error
     driven = {finger.joint: finger.open for finger in fingers}
     at = {**driven, **dict(zip(robot.moved_joints, states[0].tolist(), strict=True))}
@@ -208,7 +208,7 @@ def _spec(config: ExecutionConfig) -> Any:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if config.hold == "contact":
         option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
-        option.noslip_iterations = _NOSLIP
+        option.noslip_iterations = _NOSLIP_ITERATIONS
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.55] * 3
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     return spec
@@ -223,7 +223,7 @@ def _add_weld(spec: Any, robot: Robot, config: ExecutionConfig) -> None:
 
 
 def _values(model: Any, values: dict[str, float | None]) -> Any:
-    """A state with some joints set; those without a value stay as they are."""
+    """Return a state with some joints set; None leaves a joint unchanged."""
     data = mujoco.MjData(model)
     for name, value in values.items():
         if value is not None:
@@ -233,9 +233,9 @@ def _values(model: Any, values: dict[str, float | None]) -> Any:
 
 
 def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str, str]]:
-    """Pairs of bodies that touch at rest: links of the robot, the part on its joint and the room.
+    """Return the pairs of bodies that touch at rest: robot links, or a jointed part and the room.
 
-    A loose object rests on something, and stays as it is.
+    A movable object rests on something; its contacts remain.
     """
     kinds = kinds_of(model)
     fixed = model.joint(PART).type[0] != mujoco.mjtJoint.mjJNT_FREE
@@ -253,16 +253,16 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
 def _bearings(
     model: Any, item: SceneObject, joint: str, config: ExecutionConfig
 ) -> list[tuple[str, str]]:
-    """The part and those elements of its own object that touch it somewhere on its way.
+    """Return the part and the elements of its own object that touch it somewhere on its path.
 
-    A door moves freely in its frame; the hull of a hollow frame does not let it. What another joint
-    of the object has moved from where it rests may really be in the way, and counts.
+    A door moves freely in its frame, but not in the convex hull of a hollow frame. Elements that
+    another joint of the object has moved from rest can be real obstacles, and stay.
     """
     values, rest = item.values(), item.model.rest
     moved = {
         link
         for name in item.model.joints
-        if name != joint and abs(values[name] - rest[name]) > _AT_REST
+        if name != joint and abs(values[name] - rest[name]) > _REST_TOLERANCE
         for link in item.model.moved_by(name)
     }
     own = {f"{item.name}/{link}" for link in item.model.links if link not in moved}
@@ -271,7 +271,7 @@ def _bearings(
         float(np.clip(end, rest[joint] - np.pi, rest[joint] + np.pi))
         for end in (record.lower, record.upper)
     )
-    way = [rest[joint], *np.linspace(low, high, _VALUES).tolist()]
+    way = [rest[joint], *np.linspace(low, high, _CONTACT_SAMPLES).tolist()]
     pairs = [p for v in way for p in _touching(model, _values(model, {PART: v}), config)]
     return [
         pair for pair in pairs if PART in pair and any(n.rpartition("#")[0] in own for n in pair)
@@ -292,13 +292,13 @@ def _gap(data: Any, one: int, other: int) -> float:
 
 
 def _standing(model: Any) -> list[str]:
-    """Names of the bodies that stand still."""
+    """Return the names of the fixed bodies."""
     still = np.isin(kinds_of(model), (Kind.ROOM, Kind.FLOOR))
     return [model.body(body).name for body in np.unique(model.geom_bodyid[still]).tolist()]
 
 
 def kinds_of(model: Any) -> Int[np.ndarray, " g"]:
-    """Kind of each geom of a model."""
+    """Return the kind of each geom of a model."""
     return np.array(model.geom_contype, int)
 
 
@@ -306,7 +306,7 @@ def _index(
     model: Any,
     data: Any,
     robot: Robot,
-    hand: Hand,
+    hand: SimulatedHand,
     fingers: tuple[Finger, ...],
     loose: tuple[str, ...],
     balanced: tuple[str, ...],

@@ -1,4 +1,4 @@
-"""What is really there, where a plan was made for a scene that is not quite true."""
+"""The true world, if a plan was made for a scene that is not accurate."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from momapos.core import InputError
 from momapos.core.geometry import apply, invert, pose_planar
 from momapos.model.records import Task
 from momapos.model.scene import Scene, SceneObject
-from momapos.model.urdf import Opening, opening_of
+from momapos.model.urdf import JointOpening, opening_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-AT_HAND = 0.3
-"""The part that a hand closes on is no farther from it [m]."""
-WIDE_OPEN = np.pi / 2
-"""A hinged part is wide open there [rad]."""
-DRAWN = 0.3
-"""And a drawer there: how far it slides is not to be seen from before it [m]."""
-KNOB = 0.1
-"""What is nowhere larger than this is a knob or a button [m]."""
+MAX_HAND_DISTANCE = 0.3
+"""Maximum distance between the hand and the part it grasps [m]."""
+WIDE_OPEN_ANGLE = np.pi / 2
+"""Opening of a hinged part that counts as wide open [rad]."""
+WIDE_OPEN_SLIDE = 0.3
+"""Opening of a drawer that counts as wide open [m]; its full travel is not visible from outside."""
+MAX_KNOB_SIZE = 0.1
+"""Maximum extent of a knob or button [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +32,18 @@ class TrueWorld:
 
     scene: Scene
     task: Task
-    """What the robot's task means here: its own object, joint and value."""
+    """The robot's task in this room: its own object, joint and value."""
 
     def values(
         self, believed: Float[np.ndarray, " m"], scene: Scene, task: Task
     ) -> Float[np.ndarray, " m"]:
-        """Values of this world's joint where another one has opened by so much [rad] or [m].
+        """Convert values of the believed joint to values of this room's joint [rad] or [m].
 
-        Where one is hinged and the other slides, as large a share of what is wide open.
+        Between a hinge and a slide, the share of the wide-open travel stays the same.
 
         Args:
             believed: Values of the joint that the robot believes to move.
-            scene, task: What it believes.
+            scene, task: The robot's scene and task.
         """
         if self.task.joint is None or task.joint is None:
             return believed
@@ -54,44 +54,49 @@ class TrueWorld:
         slides = [j.kind == "prismatic" for j in (joint, other.joint(task.joint))]
         moved = theirs.sign * (believed - theirs.closed)
         if slides[0] != slides[1]:
-            moved = np.clip(moved / _way(theirs, slides[1]), 0.0, 1.0) * _way(ours, slides[0])
+            moved = np.clip(moved / _wide_travel(theirs, slides[1]), 0.0, 1.0) * _wide_travel(
+                ours, slides[0]
+            )
         values = ours.closed + ours.sign * moved
         return np.clip(values, joint.lower, joint.upper)
 
 
-def _way(opening: Opening, slides: bool) -> float:
-    """How far a part opens until it is wide open [rad] or [m]."""
-    return min(abs(opening.wide - opening.closed), DRAWN if slides else WIDE_OPEN)
+def _wide_travel(opening: JointOpening, slides: bool) -> float:
+    """Return the travel of a part until it is wide open [rad] or [m]."""
+    return min(abs(opening.wide - opening.closed), WIDE_OPEN_SLIDE if slides else WIDE_OPEN_ANGLE)
 
 
 def true_world(there: Scene, scene: Scene, task: Task, hand: Float[np.ndarray, "3"]) -> TrueWorld:
-    """The world in which a robot does what was planned for another scene.
+    """Return the world in which a robot executes a plan made for another scene.
 
-    The hand closes on whatever is there: the part nearest to it is the one that should open, as
-    far as was asked of the part that the robot believes to be there.
+    The hand grasps whatever is there: the nearest part must open as far as the task requests of the
+    part that the robot believes to be there.
 
     Args:
-        there: What is really there, in the frame of the plan's scene.
-        scene: What the robot believes.
-        task: What it was asked.
-        hand: Where it takes hold [m].
+        there: The true scene, in the frame of the plan's scene.
+        scene: The scene that the robot believes.
+        task: The robot's task.
+        hand: Position of the grasp [m].
 
     Raises:
-        InputError: The task is not about a joint, or there is no part that opens near the hand.
+        InputError: The task has no joint, or no part that opens is near the hand.
     """
     if task.joint is None or task.to is None:
-        raise InputError(f"a world of its own is for doors and drawers, not to {task.verb}")
+        raise InputError(
+            f"a separate true world needs a task that opens or closes a joint, not {task.verb!r}"
+        )
     gaps = {
-        (item.name, joint): _gap(item, joint, hand)
+        (item.name, joint): _distance(item, joint, hand)
         for item in there.objects
         for joint in item.model.joints
     }
     name, joint = min(gaps, key=gaps.__getitem__, default=("", ""))
-    if not name or gaps[name, joint] > AT_HAND:
+    if not name or gaps[name, joint] > MAX_HAND_DISTANCE:
         x, y, z = hand.tolist()
         raise InputError(
-            f"{there.name}: no part that opens is within {100 * AT_HAND:.0f} cm of the hand at "
-            f"({x:.2f}, {y:.2f}, {z:.2f}); is the world in the frame of the plan's scene?"
+            f"{there.name}: no part that opens is within {100 * MAX_HAND_DISTANCE:.0f} cm of the "
+            f"hand at ({x:.2f}, {y:.2f}, {z:.2f}) m; check that the world is in the frame of the "
+            "plan's scene"
         )
     same = TrueWorld(there, Task(task.verb, name, joint))
     (to,) = same.values(np.array([task.to]), scene, task).tolist()
@@ -99,7 +104,7 @@ def true_world(there: Scene, scene: Scene, task: Task, hand: Float[np.ndarray, "
 
 
 def moved(scene: Scene, at: Float[np.ndarray, "3"]) -> Scene:
-    """A room elsewhere on the floor, without its start: x [m], y [m], yaw [rad] of its origin."""
+    """Return a room at another pose, without its start: x [m], y [m], yaw [rad] of its origin."""
     T = pose_planar(at)
     objects = tuple(replace(o, T_world_object=T @ o.T_world_object) for o in scene.objects)
     floor = scene.floor_polygon
@@ -108,14 +113,14 @@ def moved(scene: Scene, at: Float[np.ndarray, "3"]) -> Scene:
     return replace(scene, objects=objects, floor_polygon=floor, start=None)
 
 
-def _gap(item: SceneObject, joint: str, point: Float[np.ndarray, "3"]) -> float:
-    """Distance of a point from what a joint moves, box by box [m]; infinite from a knob."""
+def _distance(item: SceneObject, joint: str, point: Float[np.ndarray, "3"]) -> float:
+    """Return the distance of a point from the boxes that a joint moves [m]; inf for a knob."""
     poses = item.link_poses()
     hulls = [
         (link, h.vertices) for link in item.model.moved_by(joint) for h in item.model.hulls[link]
     ]
     world = [apply(poses[link], vertices) for link, vertices in hulls]
-    if not world or np.ptp(np.concatenate(world), axis=0).max() < KNOB:
+    if not world or np.ptp(np.concatenate(world), axis=0).max() < MAX_KNOB_SIZE:
         return np.inf
     away = []
     for link, vertices in hulls:

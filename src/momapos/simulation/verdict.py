@@ -1,4 +1,4 @@
-"""Was the task done?"""
+"""Judge whether a task was done."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from .simulation import Simulation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-PLACED_POSITION, PLACED_ANGLE = 0.02, np.radians(15.0)
-"""A placed object may rest this far from where the scene has it [m], [rad]."""
+MAX_PLACED_OFFSET, MAX_PLACED_ANGLE = 0.02, np.radians(15.0)
+"""Maximum deviation of a placed object from its goal [m], [rad]."""
 
 
 @dataclass(frozen=True)
 class TaskOutcome:
-    """Whether a task was done, by which number."""
+    """Verdict on a task, with the value it is based on."""
 
     success: bool
     reason: str
-    """Why not; "" where it was."""
+    """Why the task failed; "" on success."""
     start: float
-    """Value of the joint at first [rad] or [m]; for loose objects the height [m]."""
+    """Initial value of the joint [rad] or [m]; for movable objects the height [m]."""
     asked: float
     reached: float
 
@@ -46,33 +46,44 @@ def judge(
     config: ExecutionConfig,
     stopped: str,
 ) -> TaskOutcome:
-    """Judge a run by the state it ended in.
+    """Judge a run by its final state.
 
     Args:
-        world: At the end.
-        observer: Saw all of the run.
-        task: What was asked.
+        world: The world at the end.
+        observer: Observations of the whole run.
+        task: The task.
         item: The object, as the scene has it.
-        T_first: Pose of the part or object in the beginning.
-        motion: What was executed.
-        config: How near is near enough.
-        stopped: Why the run ended early; "" where it did not.
+        T_first: Initial pose of the part or object.
+        motion: The executed motion.
+        config: Tolerances.
+        stopped: Why the run ended early; "" otherwise.
     """
     if observer.diverged:
         return TaskOutcome(False, stopped, 0.0, 0.0, 0.0)
     if task.joint is None:
-        return _loose(world, observer, task, item, T_first, motion, config, stopped)
-    assert task.to is not None
-    start, reached = float(item.values()[task.joint]), float(world.data.qpos[world.part_q])
-    near = abs(reached - task.to) <= config.tolerance * abs(task.to - start)
-    reason = ""
-    if not near or stopped:
-        share = (reached - start) / (task.to - start) if task.to != start else 0.0
-        reason = f"{task.joint} moved {100 * share:.0f} % of its way"
-    return _verdict(reason, stopped, observer, start, task.to, reached, config)
+        reason, start, asked, reached = _judge_object(
+            world, observer, task, item, T_first, motion, config
+        )
+    else:
+        assert task.to is not None
+        asked = task.to
+        start, reached = float(item.values()[task.joint]), float(world.data.qpos[world.part_q])
+        near = abs(reached - asked) <= config.tolerance * abs(asked - start)
+        reason = ""
+        if not near or stopped:
+            share = (reached - start) / (asked - start) if asked != start else 0.0
+            reason = f"{task.joint} moved {100 * share:.0f} % of the requested travel"
+    reasons = [text for text in (stopped, reason) if text]
+    # Collisions within one object do not count as hard: hulls of hollow shapes overlap where the
+    # shapes pass each other.
+    hard = [c for c in observer.hardest() if c.force > config.touch_force and not _of_one(c)]
+    hit = (hard or observer.hardest())[:1]
+    if hit and (reasons or hard):
+        reasons.append(f"{hit[0].one} hit {hit[0].other} with {hit[0].force:.0f} N")
+    return TaskOutcome(not reasons, "; ".join(reasons), start, asked, reached)
 
 
-def _loose(
+def _judge_object(
     world: Simulation,
     observer: Observer,
     task: Task,
@@ -80,51 +91,30 @@ def _loose(
     T_first: Float[np.ndarray, "4 4"],
     motion: Motion,
     config: ExecutionConfig,
-    stopped: str,
-) -> TaskOutcome:
-    """An object must be lifted and still in the hand, or rest where it belongs."""
+) -> tuple[str, float, float, float]:
+    """Check that an object is lifted and still in the hand, or rests at its goal.
+
+    Returns:
+        The reason of a failure, and the heights at the start, requested and reached [m].
+    """
     T, goal = world.T_world_part, item.T_world_object
     start, reached, reason = float(T_first[2, 3]), float(T[2, 3]), ""
     if task.verb == "place":
-        asked = float(goal[2, 3])
         off = float(np.linalg.norm(T[:3, 3] - goal[:3, 3]))
         tilt = float(rotation_angle(T[:3, :3], goal[:3, :3]))
-        if off > PLACED_POSITION or tilt > PLACED_ANGLE:
+        if off > MAX_PLACED_OFFSET or tilt > MAX_PLACED_ANGLE:
             turned = f"{np.degrees(tilt):.0f} deg"
-            reason = f"{item.name} lies {100 * off:.1f} cm and {turned} from where it belongs"
-    else:
-        lift = float(motion.Ts_world_tool[-1, 2, 3] - motion.Ts_world_tool[0, 2, 3])
-        asked = start + lift
-        if observer.slip.position > config.slip:
-            reason = f"{item.name} slipped {100 * observer.slip.position:.1f} cm in the hand"
-        elif reached - start < (1 - config.tolerance) * lift:
-            reason = f"{item.name} was lifted {100 * (reached - start):.1f} cm"
-    return _verdict(reason, stopped, observer, start, asked, reached, config)
-
-
-def _verdict(
-    reason: str,
-    stopped: str,
-    observer: Observer,
-    start: float,
-    asked: float,
-    reached: float,
-    config: ExecutionConfig,
-) -> TaskOutcome:
-    """Put the reasons together, and name what was hit hardest: a hard hit is one of its own.
-
-    Elements of one object do not count as hard: hulls of hollow things overlap where the things
-    pass each other.
-    """
-    reasons = [text for text in (stopped, reason) if text]
-    hard = [c for c in observer.hardest() if c.force > config.touch_force and not _of_one(c)]
-    hit = (hard or observer.hardest())[:1]
-    if hit and (reasons or hard):
-        reasons.append(f"{hit[0].one} pushed {hit[0].other} with {hit[0].force:.0f} N")
-    return TaskOutcome(not reasons, "; ".join(reasons), start, asked, reached)
+            reason = f"{item.name} is {100 * off:.1f} cm and {turned} from its goal"
+        return reason, start, float(goal[2, 3]), reached
+    lift = float(motion.Ts_world_tool[-1, 2, 3] - motion.Ts_world_tool[0, 2, 3])
+    if observer.slip.position > config.slip:
+        reason = f"{item.name} slipped {100 * observer.slip.position:.1f} cm in the hand"
+    elif reached - start < (1 - config.tolerance) * lift:
+        reason = f"{item.name} was lifted only {100 * (reached - start):.1f} cm"
+    return reason, start, start + lift, reached
 
 
 def _of_one(hit: Collision) -> bool:
-    """Whether two elements belong to the same piece of furniture."""
+    """Return whether two elements belong to the same piece of furniture."""
     one, other = hit.one.rpartition("/")[0], hit.other.rpartition("/")[0]
     return one == other != ""

@@ -1,4 +1,4 @@
-"""The worlds that a motion is executed in: the one that is there, and the one the robot knows."""
+"""Build the worlds of a motion: the true one, and the one that the robot believes."""
 
 from __future__ import annotations
 
@@ -12,56 +12,62 @@ from momapos.model.scene import Scene
 
 from .config import ExecutionConfig
 from .dynamics import Dynamics
-from .model_errors import draw_deviation, mirrored, resisting
+from .model_errors import draw_deviation, draw_resistance_error, mirrored
 from .run_record import Pose
-from .simulated_hand import Hand
-from .simulated_room import Deviation, Resistance, Seal, draw_resistance, reached_elements, seal_of
+from .simulated_hand import SimulatedHand
+from .simulated_room import (
+    Deviation,
+    PartResistance,
+    Seal,
+    draw_resistance,
+    reached_elements,
+    seal_of,
+)
 from .simulation import Simulation, build_simulation
 from .true_worlds import TrueWorld
 
-_STATES = 5
-"""States of the motion for which the motors are tuned [-]."""
+_TUNED_STATES = 5
+"""Number of arm states for which the motors are tuned [-]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
-    """Who executes what: what all worlds of one motion share."""
+class WorldSetup:
+    """Robot, motion and configuration that all worlds of one motion share."""
 
     scene: Scene
-    """The room that the run began with."""
+    """Room at the start of the run."""
     robot: Robot
     base_pose: Pose
     """x [m], y [m], yaw [rad]."""
     motion: Motion
     task: Task
-    hand: Hand
+    hand: SimulatedHand
     dynamics: Dynamics
     config: ExecutionConfig
 
     def build(
         self,
         room: TrueWorld,
-        resistance: Resistance,
+        resistance: PartResistance,
         deviation: Deviation | None = None,
         begin: float | None = None,
     ) -> Simulation:
-        """A simulation of a room.
+        """Build the simulation of a room.
 
         Args:
-            room: The room, and the task there.
-            resistance: Of the part.
-            deviation: How the part's joint differs from the room's model.
-            begin: Where the part's joint stands at first [rad] or [m]; by default as
-                the room has it.
+            room: The room, and the task in it.
+            resistance: Resistance of the part.
+            deviation: Difference of the part's joint from the room's model.
+            begin: Initial value of the part's joint [rad] or [m]; by default the room's.
         """
         reached: set[tuple[str, int]] = set()
         if room.task.joint is not None:
             values = room.values(self.motion.object_q, self.scene, self.task)
-            thing = room.scene.object(room.task.object)
+            item = room.scene.object(room.task.object)
             motion = replace(self.motion, object_q=values)
-            reached = reached_elements(thing, room.task.joint, motion)
+            reached = reached_elements(item, room.task.joint, motion)
         states = np.concatenate([self.motion.approach, self.motion.q])
-        tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
+        tuned = states[np.linspace(0, len(states) - 1, _TUNED_STATES).astype(int)]
         return build_simulation(
             room.scene, self.robot, self.base_pose, tuned, room.task, self.hand, self.dynamics,
             resistance, deviation, self.config, begin=begin, reached=reached,
@@ -73,32 +79,32 @@ class Worlds:
     """The worlds of one motion."""
 
     room: TrueWorld
-    """What is really there, and the task in it."""
+    """The true room, and the task in it."""
     there: Simulation
-    """The same, simulated."""
+    """Simulation of the true room."""
     known: Simulation
-    """What the robot believes, and asks for room and weight; the same where nothing differs."""
-    resistance: Resistance
-    """Of the part that is there."""
+    """Simulation of the believed room, for clearance and weight; `there` if they are the same."""
+    resistance: PartResistance
+    """Resistance of the true part."""
     seal: Seal
 
 
 def draw_worlds(
-    setting: Setting,
+    setting: WorldSetup,
     rng: np.random.Generator,
     *,
     true_world: TrueWorld | None = None,
     believed: Scene | None = None,
     begin: float | None = None,
 ) -> Worlds:
-    """Draw how the part resists and lies, and build what is there and what is known of it.
+    """Draw resistance and deviation of the part, and build the true and the believed world.
 
     Args:
-        setting: Who executes what.
-        rng: Draws, where the configuration has furniture or joints that differ.
-        true_world: What is really there; as the scene says by default.
-        believed: What earlier tries left the robot with; None for the first one.
-        begin: Where these left the part [rad] or [m].
+        setting: What all worlds share.
+        rng: Draws resistance and model errors, as configured.
+        true_world: The true room; by default the setting's.
+        believed: Robot's scene after earlier attempts; None for the first one.
+        begin: Value of the part's joint after these [rad] or [m].
     """
     there = true_world or TrueWorld(setting.scene, setting.task)
     item = there.scene.object(there.task.object)
@@ -107,14 +113,14 @@ def draw_worlds(
     resistance = draw_resistance(item, joint, setting.config.furniture, rng)
     deviation = None
     if errors.any:
-        resistance = resisting(resistance, errors, rng)
+        resistance = draw_resistance_error(resistance, errors, rng)
         axis = np.array([0.0, 0.0, 1.0]) if joint is None else joint.axis
         deviation = draw_deviation(axis, errors, rng)
     seal = seal_of(item, joint, resistance.pull, setting.config.furniture.seal_range)
     world = setting.build(there, resistance, deviation, begin)
     if deviation is not None and joint is not None and item.values()[joint.name] == seal.closed:
         first = world if begin is None else setting.build(there, resistance, deviation)
-        # What is shut has not been opened by its weight.
+        # A deviating joint must not let the weight open a closed part.
         if seal.outward * first.weight_on_part > resistance.friction:
             deviation = mirrored(deviation, joint.axis)
             world = setting.build(there, resistance, deviation, begin)

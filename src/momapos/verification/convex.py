@@ -1,14 +1,14 @@
-"""Signed distance of two convex bodies, with an error that is always on the safe side.
+"""Signed distance of two convex bodies, with errors on the safe side only.
 
-A body is the hull of points, widened by a disc in its own xy plane and by a ball: a box or a mesh
-is points alone, a cylinder two points and a disc, a sphere one point and a ball. Distances come
-from GJK, depths from an expanding polytope. Neither result is taken from the last simplex: what
-is returned is the best separating direction that was evaluated on the bodies themselves, so that
-where the iteration ends early a depth is too large and a distance too small, never the reverse.
+A body is the hull of points, extended by a disc in its own xy plane and by a ball: a box or a mesh
+is points alone, a cylinder two points and a disc, a sphere one point and a ball. GJK computes
+distances, an expanding polytope (EPA) depths. The result is the extent along the best direction
+evaluated on the bodies themselves, not the last simplex. So if the iteration stops early, a depth
+is too large and a distance too small, never the reverse.
 
-A library would do, but python-fcl errs on axis-aligned boxes (0.5 % of the pairs, calling some
-0.58 m farther apart than they are), does not return for concentric spheres, and its wrapper lets
-a C++ exception end the process; coal is 380 MB. `docs/verification.md` has the measurements.
+Libraries are no alternative: python-fcl is wrong for 0.5 % of axis-aligned boxes (by up to 0.58 m),
+does not return for concentric spheres, and a C++ exception in its wrapper ends the process; coal
+is 380 MB. `docs/results/verification.md` has the measurements.
 
 Sources: van den Bergen, Collision Detection in Interactive 3D Environments (2003), chapter 4.
 """
@@ -29,12 +29,11 @@ _MAX_FACES = 2 * _MAX_POINTS
 _FLAT = 1e-10
 """Lengths below this are zero [m]."""
 
-# A body in the kernels is a tuple (points (n, 3), disc radius, ball radius). Numbers that go on
-# to another kernel are no literals, since numba compiles that kernel once more for each literal.
+# Numbers passed to another kernel are not literals: numba compiles that kernel for each literal.
 
 
 class Body(NamedTuple):
-    """The hull of points (n, 3), widened by a disc in its xy plane and by a ball [m]."""
+    """The hull of points (n, 3), extended by a disc in its xy plane and by a ball [m]."""
 
     points: F2
     disc: float
@@ -137,7 +136,7 @@ def _try_triangle(y, i, j, k, weights, best, n):
 
 @kernel
 def _corner(n, q, r, px, py, pz):
-    """Triple product n . ((q - p) x (r - p))."""
+    """Return the triple product n . ((q - p) x (r - p))."""
     ux, uy, uz = q[0] - px, q[1] - py, q[2] - pz
     vx, vy, vz = r[0] - px, r[1] - py, r[2] - pz
     return n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
@@ -145,7 +144,7 @@ def _corner(n, q, r, px, py, pz):
 
 @kernel
 def _nearest(y, count, weights, n):
-    """Weights of the simplex point nearest to the origin; False when the origin is inside."""
+    """Write weights of the simplex point nearest to the origin; False if the origin is inside."""
     weights[:] = 0.0
     if count == 1:
         weights[0] = 1.0
@@ -169,7 +168,7 @@ def _nearest(y, count, weights, n):
 
 @kernel
 def _gjk(a, b, T, work):
-    """Lower bound on the distance of two cores [m], exact to TOLERANCE; <= 0 if they may meet."""
+    """Bound the distance of two cores from below [m], to TOLERANCE; <= 0 if they may meet."""
     y, v, n, w = work[2:6], work[6], work[7], work[8]
     weights = np.zeros(4)
     count, best, length = 0, -np.inf, np.inf
@@ -199,7 +198,7 @@ def _gjk(a, b, T, work):
                 kept += 1
         count = kept
         shorter = np.sqrt(_dot(v, v))
-        if shorter >= length:  # rounding has eaten the progress
+        if shorter >= length:  # no progress, due to rounding
             return best
         length = shorter
     return best
@@ -210,7 +209,7 @@ def _gjk(a, b, T, work):
 
 @kernel
 def _first_points(a, b, T, p, work):
-    """Span a tetrahedron inside A - B; return the least extent met, or -1 if A - B is flat."""
+    """Span a tetrahedron inside A - B; return the smallest extent found, or -1 if A - B is flat."""
     n, w, u = work[7], work[8], work[2]
     best, widest = np.inf, _FLAT
     for axis in range(3):
@@ -249,21 +248,21 @@ def _first_points(a, b, T, p, work):
 
 
 class Polytope(NamedTuple):
-    """The growing hull of the points of A - B that are known, with room for more."""
+    """The growing hull of the known points of A - B."""
 
     p: F2
     corners: I2
     normals: F2
     offsets: F1
     edges: I2
-    """Those of the faces that are taken away."""
+    """Edges of the removed faces."""
     inside: F1
-    """A point within."""
+    """An interior point."""
 
 
 @kernel
 def _set_face(f, polytope):
-    """Compute the plane of face `f`, its normal away from `inside`; slivers are never chosen."""
+    """Compute the plane of face `f`, its normal away from `inside`; slivers are never nearest."""
     p, corners, inside = polytope.p, polytope.corners, polytope.inside
     normals, offsets = polytope.normals, polytope.offsets
     i, j, k = corners[f]
@@ -284,10 +283,10 @@ def _set_face(f, polytope):
 
 @kernel
 def _depth(a, b, T, work):
-    """Upper bound on the depth of two cores [m], exact to TOLERANCE; < 0 if they are apart.
+    """Bound the depth of two cores from above [m], to TOLERANCE; < 0 if they are apart.
 
-    The polytope need not hold the origin at first: faces beyond which it lies have the smallest
-    offsets, and are pushed out first.
+    The polytope need not contain the origin at first: the faces that separate it from the origin
+    have the smallest offsets and are expanded first.
     """
     p = np.empty((_MAX_POINTS, 3))
     best = _first_points(a, b, T, p, work)
@@ -321,9 +320,9 @@ def _depth(a, b, T, work):
 
 @kernel
 def _expand(new, polytope, faces):
-    """Replace the faces that see a new point by a fan around it; return the number of faces.
+    """Replace the faces that see a new point by a fan around it.
 
-    -1 when there is no room.
+    Returns the number of faces, or -1 if there are too many.
     """
     p, corners, edges = polytope.p, polytope.corners, polytope.edges
     normals, offsets = polytope.normals, polytope.offsets
@@ -351,7 +350,7 @@ def _expand(new, polytope, faces):
 
 @kernel
 def _toggle(edges, count, i, j):
-    """Add an edge, or remove it if it is there: what is left in the end is the rim."""
+    """Add an edge, or remove it if present; the remaining edges are the rim of the hole."""
     for e in range(count):
         if edges[e, 0] == i and edges[e, 1] == j:
             edges[e, 0], edges[e, 1] = edges[count - 1, 0], edges[count - 1, 1]
@@ -363,15 +362,11 @@ def _toggle(edges, count, i, j):
 
 
 @entry
-def overlap(
-    a: Body,
-    b: Body,
-    T: F2,
-) -> float:
-    """How deep two bodies overlap [m]; minus their distance where they are apart.
+def overlap(a: Body, b: Body, T: F2) -> float:
+    """Return the overlap depth of two bodies [m], or minus their distance if they are apart.
 
     Args:
-        a, b: LinkBodies (points (n, 3), disc radius, ball radius), each in its own frame.
+        a, b: The bodies, each in its own frame.
         T: Pose of A in the frame of B (4, 4).
     """
     work = np.empty((9, 3))

@@ -1,8 +1,7 @@
-"""The exact check of a motion: one world a task, many motions.
+"""Check motions exactly: one verifier per task checks many motions.
 
-The planner's spheres, boxes and kinematics are not used here. Shapes are the collision elements
-themselves, a mesh as its hull, from which the planner's are made too; states are no farther apart
-than the execution's.
+The planner's spheres, boxes and kinematics are not used. Shapes are the collision elements
+themselves, a mesh as its hull; states are no farther apart than in execution.
 """
 
 from __future__ import annotations
@@ -23,40 +22,41 @@ from .moved_part import split
 from .part_sweep import part_sweep_check
 from .polygon import outside
 from .report import DEFAULT, Check, Limits, Report, at_most
-from .robot_collision_model import Arm, robot_collision_model
+from .robot_collision_model import RobotDescription, robot_collision_model
 from .sweep import all_pairs, deepest
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-SWEEP_STEPS = 49
-"""The joint's way is cut into so many steps, or a multiple, where base and room are checked [-]."""
-DRIVEN_OVER = 0.005
-"""What is no higher than this is no obstacle to a base that drives [m]."""
-MOST_PAIRS = 6
-"""Overlapping pairs that are named one by one [-]."""
+MIN_SWEEP_STEPS = 49
+"""The part's path is divided into this number of intervals, or a multiple of it [-]."""
+MAX_DRIVABLE_HEIGHT = 0.005
+"""The base drives over obstacles up to this height [m]."""
+MAX_NAMED_PAIRS = 6
+"""Largest number of overlapping pairs that a check lists [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Placed:
-    """Where everything is at every state of a motion, in the world."""
+    """World poses of tool and shapes at every state of a motion."""
 
     path: paths.DensePath
     Ts_tool: Float[np.ndarray, "s 4 4"]
     Ts_base: Float[np.ndarray, "1 b 4 4"]
-    """Of the base's shapes."""
     Ts_arm: Float[np.ndarray, "s a 4 4"]
     Ts_part: Float[np.ndarray, "s p 4 4"]
 
 
 class PlanVerifier:
-    """A scene, a robot and a task, prepared for the check of motions.
+    """A verifier of motions for one scene, robot and task.
 
     Raises:
-        UnknownNameError, TaskError, RobotError: They do not fit together.
+        UnknownNameError, TaskError, RobotError: The task does not fit the scene or the robot.
     """
 
-    def __init__(self, scene: Scene, robot: Arm, task: Task, limits: Limits = DEFAULT) -> None:
+    def __init__(
+        self, scene: Scene, robot: RobotDescription, task: Task, limits: Limits = DEFAULT
+    ) -> None:
         self.limits = limits
         self.task = task
         self.robot_model = robot_collision_model(robot)
@@ -68,11 +68,11 @@ class PlanVerifier:
         self._base_fixed = all_pairs(len(self._base), len(self.fixed))
         self._part_base = all_pairs(len(self.part.shapes), len(self._base))
         on_part = all_pairs(len(self._arm), len(self.part.shapes))
-        holds = self.robot_model.gripper[on_part[:, 0]]
-        self._arm_part, self._gripper_part = on_part[~holds], on_part[holds]
+        on_gripper = self.robot_model.gripper[on_part[:, 0]]
+        self._arm_part, self._gripper_part = on_part[~on_gripper], on_part[on_gripper]
 
     def first_violation(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
-        """Why a motion is refused, in words that are the same for similar motions; None if not."""
+        """Return why a motion is rejected, in the same words for similar motions, or None."""
         checks, _ = self._checks(base_pose, motion)
         first = next((check for check in checks if not check.ok), None)
         if first is None:
@@ -80,10 +80,10 @@ class PlanVerifier:
         return f"{first.name}: {first.culprit}" if first.culprit else first.name
 
     def blocked(self, lift: float) -> str | None:
-        """What the part runs into on its way, wherever the robot stands; None where it is free.
+        """Return what the part hits on its path, wherever the robot stands; None if it is free.
 
         Args:
-            lift: How far an object without a joint is lifted straight up [m].
+            lift: Height to which an object without a joint is lifted [m].
         """
         goal = self.part.goal if self.part.joint is not None else lift
         return self.part_sweep.first_hit(goal)
@@ -104,38 +104,38 @@ class PlanVerifier:
     def _checks(
         self, base_pose: tuple[float, float, float], motion: Motion
     ) -> tuple[tuple[Check, ...], _Placed | None]:
-        """All checks, and where everything is at every state; None where it makes no sense."""
+        """Return all checks, and the poses; no poses if the motion is not well formed."""
         checks = list(paths.number_checks(self.part, motion, base_pose))
         if all(check.ok for check in checks):
             checks += paths.hold_checks(self.part, motion)
         if not all(check.ok for check in checks):
             return tuple(checks), None
-        # Before anything is allocated: a step of 1e6 would be cut into millions of states.
+        # Check the sizes before allocating: a step of 1e6 would make millions of states.
         states = paths.count_states(motion, self.limits.step)
         if self.part.joint is not None:
-            states += paths.count_cuts(motion.object_q, self.limits.step, SWEEP_STEPS)
+            states += paths.count_cuts(motion.object_q, self.limits.step, MIN_SWEEP_STEPS)
         shapes = len(self._arm) + len(self._base) + len(self.part.shapes)
-        few = [
+        for check in (
             at_most("states to check", states, self.limits.states),
             at_most("poses of shapes to check", states * shapes, self.limits.poses),
-        ]
-        if not all(check.ok for check in few):
-            first = next(check for check in few if not check.ok)
-            return (*checks, first), None
+        ):
+            if not check.ok:
+                return (*checks, check), None
         placed = self._placed(base_pose, motion)
-        return (*checks, *self._of_placed(placed, motion)), placed
+        return (*checks, *self._motion_checks(placed, motion)), placed
 
     def drive_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
-        """Check the start that a plan names, and its way from there, with the arm at home.
+        """Check the plan's start and base path, with the arm as at the start of the approach.
 
-        Home is where the approach begins; the object is as the scene has it, and left out where
-        the robot brings it. What is no higher than a base drives over is no obstacle.
+        The object is as in the scene; it is left out if the robot carries it there.
         """
         if plan.motion is None or plan.start is None or plan.base_pose is None:
             return ()
         ends = np.array([plan.start, plan.base_pose])
         way = ends[:1] if plan.base_path is None else plan.base_path
-        checks = [] if plan.base_path is None else list(paths.way_checks(way, ends, self.limits))
+        checks: list[Check] = []
+        if plan.base_path is not None:
+            checks += paths.base_path_checks(way, ends, self.limits)
         if not all(check.ok for check in checks):
             return tuple(checks)
         _, T_base, T_arm = self.robot_model.poses((0.0, 0.0, 0.0), plan.motion.approach[:1])
@@ -144,7 +144,7 @@ class PlanVerifier:
         high = fixed.Ts_body_shape[:, 2, 3] + (
             np.abs(fixed.Ts_body_shape[:, 2, :3]) * fixed.half
         ).sum(1)
-        tall = high > DRIVEN_OVER
+        tall = high > MAX_DRIVABLE_HEIGHT
         for shapes, Ts in (
             (self._base, Ts_world_base @ T_base),
             (self._arm, Ts_world_base @ T_arm),
@@ -157,7 +157,7 @@ class PlanVerifier:
                 placed = part.placed(np.array([part.start if part.joint is not None else 0.0]))
                 pairs = all_pairs(len(shapes), len(part.shapes))
                 found.add(shapes, Ts, part.shapes, placed, pairs, _where)
-        return (*checks, found.check("start and way, arm at home"))
+        return (*checks, found.check("start and base path collision, arm at home"))
 
     def _placed(self, base_pose: tuple[float, float, float], motion: Motion) -> _Placed:
         path = paths.dense_path(motion, self.limits.step)
@@ -165,17 +165,16 @@ class PlanVerifier:
         Ts = paths.part_poses(self.part, self.task.verb, path, Ts_tool)
         return _Placed(path, Ts_tool, Ts_base, Ts_arm, self.part.placed_at(Ts))
 
-    def _of_placed(self, placed: _Placed, motion: Motion) -> Iterator[Check]:
-        """The checks of what is placed."""
-        machine, part, limits, path = self.robot_model, self.part, self.limits, placed.path
+    def _motion_checks(self, placed: _Placed, motion: Motion) -> Iterator[Check]:
+        robot, part, limits, path = self.robot_model, self.part, self.limits, placed.path
         Ts_planned = placed.Ts_tool[path.planned[: len(motion.q)]]
         yield from paths.object_checks(part, motion, limits)
-        yield from paths.joint_checks(machine, motion, limits)
+        yield from paths.joint_checks(robot, motion, limits)
         yield from paths.home_checks(motion, limits)
         yield from paths.tool_checks(Ts_planned, motion, limits)
         yield from paths.grasp_checks(part, path, placed.Ts_tool, paths.holds_of(motion), limits)
         yield paths.reach_check(part, self.task.verb, motion, Ts_planned, limits)
-        Ts_way, where = self._way(placed.Ts_part, path)
+        Ts_way, where = self._part_path(placed.Ts_part, path)
         yield self._part_check(Ts_way, where)
         yield self._base_check(placed.Ts_base, Ts_way, where)
         yield self._arm_check(placed.Ts_arm, placed.Ts_part, path)
@@ -183,30 +182,30 @@ class PlanVerifier:
         yield _above_floor(self._arm, placed.Ts_arm, path, limits)
         yield from self._on_floor(placed.Ts_base)
 
-    def _way(
+    def _part_path(
         self, Ts_part: Float[np.ndarray, "s p 4 4"], path: paths.DensePath
     ) -> tuple[Float[np.ndarray, "w p 4 4"], Callable[[int], str]]:
-        """Every pose of the part's shapes, and how to name it.
+        """Return the poses of the part's shapes along its path, and a function that names them.
 
-        Arm states may be far apart in the joint's value: a joint's way is cut once more.
+        Consecutive arm states may be far apart in the joint's value, so its range is sampled, too.
         """
         if self.part.joint is None:
             return Ts_part, path.where
         held = path.object_q[path.approach :]
-        cuts = int(paths.count_cuts(held, self.limits.step, SWEEP_STEPS))
+        cuts = int(paths.count_cuts(held, self.limits.step, MIN_SWEEP_STEPS))
         values = np.unique(np.concatenate([held, np.linspace(held[0], held[-1], cuts + 1)]))
         return self.part.placed(values), lambda state: f"object_q {values[state]:.3f}"
 
     def _part_check(
         self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
     ) -> Check:
-        """The moved part against the room: no deeper than in the scene, but for the tolerance."""
-        found, passage, fixed = _Overlaps(self.limits.penetration), self.part_sweep, self.fixed
+        """Check the moved part against the scene, relative to its overlap in the given scene."""
+        found, sweep, fixed = _Overlaps(self.limits.penetration), self.part_sweep, self.fixed
         found.add(
             self.part.shapes, Ts_way, fixed, fixed.Ts_body_shape[None],
-            passage.pairs, where, already=passage.already,
+            sweep.pairs, where, already=sweep.already,
         )  # fmt: skip
-        return found.check("moved part in the room")
+        return found.check("moved part collision with the scene")
 
     def _base_check(
         self,
@@ -214,17 +213,17 @@ class PlanVerifier:
         Ts_way: Float[np.ndarray, "w p 4 4"],
         where: Callable[[int], str],
     ) -> Check:
-        """The base against the scene, and against the part on all its way."""
+        """Check the base against the scene, and against the part on its whole path."""
         fixed, part = self.fixed, self.part
         found = _Overlaps(self.limits.penetration)
         found.add(
             self._base, Ts_base, fixed, fixed.Ts_body_shape[None],
-            self._base_fixed, lambda _: "any state",
+            self._base_fixed, lambda _: "all states",
         )  # fmt: skip
         found.add(
             part.shapes, Ts_way, self._base, Ts_base, self._part_base, where, swapped=True,
         )  # fmt: skip
-        return found.check("base in the scene")
+        return found.check("base collision with the scene")
 
     def _arm_check(
         self,
@@ -232,12 +231,12 @@ class PlanVerifier:
         Ts_part: Float[np.ndarray, "s p 4 4"],
         path: paths.DensePath,
     ) -> Check:
-        """The arm against the scene, and without the gripper against the part."""
+        """Check the arm against the scene, and the arm without gripper against the part."""
         found = _Overlaps(self.limits.penetration)
         fixed, part = self.fixed, self.part.shapes
         found.add(self._arm, Ts_arm, fixed, fixed.Ts_body_shape[None], self._arm_fixed, path.where)
         found.add(self._arm, Ts_arm, part, Ts_part, self._arm_part, path.where)
-        return found.check("arm in the scene")
+        return found.check("arm collision with the scene")
 
     def _self_check(
         self,
@@ -246,10 +245,10 @@ class PlanVerifier:
         path: paths.DensePath,
     ) -> Check:
         found = _Overlaps(self.limits.penetration)
-        arm, base, machine = self._arm, self._base, self.robot_model
-        found.add(arm, Ts_arm, base, Ts_base, machine.arm_base_pairs, path.where)
-        found.add(arm, Ts_arm, arm, Ts_arm, machine.arm_arm_pairs, path.where)
-        return found.check("robot in itself")
+        arm, base, robot = self._arm, self._base, self.robot_model
+        found.add(arm, Ts_arm, base, Ts_base, robot.arm_base_pairs, path.where)
+        found.add(arm, Ts_arm, arm, Ts_arm, robot.arm_arm_pairs, path.where)
+        return found.check("robot self-collision")
 
     def _gripper_depth(self, placed: _Placed) -> float:
         depth, _ = deepest(
@@ -270,12 +269,12 @@ class PlanVerifier:
 
     def _notes(self, path: paths.DensePath, gripper_depth: float) -> tuple[str, ...]:
         held = len(path.q) - path.approach
-        notes = [f"{held} states of the manipulation and {path.approach} of the approach checked"]
+        notes = [f"checked {held} manipulation states and {path.approach} approach states"]
         if gripper_depth > 0.0:
             deep = f"{1000 * gripper_depth:.1f} mm"
-            notes.append(f"the gripper overlaps the part it holds by up to {deep}, as it may")
+            notes.append(f"the gripper overlaps the held part by up to {deep}, which is allowed")
         if self.part.joint is None:
-            notes.append("no joint moves: neither the goal nor the grasp's slip is checked")
+            notes.append("the task moves no joint: goal and grasp slip are not checked")
         return tuple(notes)
 
 
@@ -284,7 +283,7 @@ def _where(pose: int) -> str:
 
 
 class _Overlaps:
-    """Gathers overlapping pairs, the deepest overlap of each pair of links."""
+    """Collects overlapping pairs of links, each with its deepest overlap."""
 
     def __init__(self, limit: float) -> None:
         self.limit = limit
@@ -302,7 +301,7 @@ class _Overlaps:
         swapped: bool = False,
         already: Float[np.ndarray, " p"] | float = 0.0,
     ) -> None:
-        """Look at pairs of shapes; only what is deeper than `already` counts [m]."""
+        """Add pairs of shapes; overlap counts beyond `already` [m]."""
         depth, state = deepest(a, Ts_a, b, Ts_b, pairs, min(0.0, self.limit))
         depth = depth - already
         for p in np.flatnonzero(state >= 0):
@@ -315,9 +314,14 @@ class _Overlaps:
         ranked = sorted(self.worst.items(), key=lambda item: -item[1][0])
         deep = ranked[0][1][0] if ranked else min(0.0, self.limit)
         bad = [(names, d, at) for names, (d, at) in ranked if d > self.limit]
-        words = [f"{a} in {b} by {1000 * d:.0f} mm at {at}" for (a, b), d, at in bad[:MOST_PAIRS]]
-        more = [f"and {len(bad) - MOST_PAIRS} more pairs"] if len(bad) > MOST_PAIRS else []
-        culprit = " in ".join(bad[0][0]) if bad else ""
+        words = [
+            f"{a} and {b} overlap by {1000 * d:.0f} mm at {at}"
+            for (a, b), d, at in bad[:MAX_NAMED_PAIRS]
+        ]
+        more = (
+            [f"and {len(bad) - MAX_NAMED_PAIRS} more pairs"] if len(bad) > MAX_NAMED_PAIRS else []
+        )
+        culprit = " and ".join(bad[0][0]) if bad else ""
         return at_most(
             name, 1000 * deep, 1000 * self.limit, "mm deep", "; ".join(words + more), culprit
         )
@@ -326,7 +330,7 @@ class _Overlaps:
 def _above_floor(
     arm: Shapes, Ts_arm: Float[np.ndarray, "s a 4 4"], path: paths.DensePath, limits: Limits
 ) -> Check:
-    """How far the arm dips below z = 0."""
+    """Check how far the arm extends below z = 0."""
     extent = np.einsum("skj,kj->sk", np.abs(Ts_arm[..., 2, :3]), arm.half)
     low = Ts_arm[..., 2, 3] - extent
     worst, where, culprit = 0.0, "", ""

@@ -1,4 +1,4 @@
-"""Forward kinematics straight from a URDF, in plain numpy; the planner's own is not used."""
+"""Forward kinematics from a URDF in plain numpy, independent of the planner's."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 Values: TypeAlias = "Mapping[str, float | Float[np.ndarray, ' s']]"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinkBodies:
-    """The links of a model, those that are rigidly joined as one body; body 0 has the root link.
+    """The links of a model, grouped into rigid bodies; body 0 holds the root link.
 
-    The frame of a body is that of the joint that moves it, the root link's for body 0.
+    The frame of a body is that of the joint that moves it, or the root link's for body 0.
     """
 
     joints: tuple[Joint | None, ...]
     """The joint that moves each body; None for body 0."""
     parent: tuple[int, ...]
-    """The body it hangs from, -1 for body 0; parents come before children."""
+    """The parent body, -1 for body 0; parents come before children."""
     Ts_parent_joint: Float[np.ndarray, "b 4 4"]
     of_link: Mapping[str, int]
     T_body_link: Mapping[str, Float[np.ndarray, "4 4"]]
@@ -38,7 +38,7 @@ class LinkBodies:
         return len(self.parent)
 
     def moved_by(self, joint: str) -> frozenset[int]:
-        """The bodies that move when a joint does, and those that follow it."""
+        """Return the bodies that move with a joint and with its mimic joints."""
         moved = {self.of_joint[joint]}
         moved |= {body for body, other in enumerate(self.joints) if _leader(other) == joint}
         for body, parent in enumerate(self.parent):
@@ -47,7 +47,7 @@ class LinkBodies:
         return frozenset(moved)
 
     def depth(self, joint: str) -> int:
-        """How many movable joints lead to the body that a joint moves."""
+        """Return how many movable joints lead to the body that a joint moves."""
         body, depth = self.of_joint[joint], 0
         while body > 0:
             body, depth = self.parent[body], depth + 1
@@ -77,11 +77,11 @@ def bodies_of(model: Articulated) -> LinkBodies:
 def body_poses(
     bodies: LinkBodies, values: Values, T_world_root: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "s b 4 4"]:
-    """World poses of all bodies for a batch of states.
+    """Return world poses of all bodies for a batch of states.
 
     Args:
         bodies: The model.
-        values: Joint values [rad] or [m], one each or one a state; joints not named are at rest.
+        values: Joint values [rad] or [m], one per joint or one per state; other joints are at rest.
         T_world_root: Pose of the root link.
     """
     count = max((np.size(value) for value in values.values()), default=1)
@@ -96,7 +96,7 @@ def body_poses(
 
 
 def _value(joint: Joint, values: Values, bodies: LinkBodies) -> float | np.ndarray:
-    """Where a joint is: as named, as the one that it follows has it, or at rest."""
+    """Return a joint's value: as given, from its leader, or at rest."""
     if joint.name in values:
         return values[joint.name]
     if joint.mimic is not None and joint.mimic.joint in values:
@@ -105,7 +105,7 @@ def _value(joint: Joint, values: Values, bodies: LinkBodies) -> float | np.ndarr
 
 
 def following(mimic: Mimic, leader: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:
-    """Where a joint must be that follows another, by the other's values [rad] or [m]."""
+    """Return a mimic joint's value for its leader's value [rad] or [m]."""
     return mimic.ratio * leader + mimic.offset
 
 
@@ -118,20 +118,20 @@ def joint_motions(
     values: Float[np.ndarray, " s"],
     T_parent_joint: Float[np.ndarray, "4 4"] | None = None,
 ) -> Float[np.ndarray, "s 4 4"]:
-    """Poses of a joint's child at values [rad] or [m].
+    """Return poses of a joint's child.
 
     Args:
         joint: The joint.
-        values: Its values.
-        T_parent_joint: The joint's frame in that of its parent; the poses are in the latter, in the
-            joint's frame by default.
+        values: Joint values [rad] or [m].
+        T_parent_joint: The joint's frame in its parent; if given, poses are in the parent's frame,
+            otherwise in the joint's frame.
     """
     T = np.tile(np.eye(4) if T_parent_joint is None else T_parent_joint, (len(values), 1, 1))
     R, (x, y, z) = T[0, :3, :3].copy() if len(T) else np.eye(3), joint.axis
     if joint.kind == "prismatic":
         T[:, :3, 3] += values[:, None] * (R @ joint.axis)
         return T
-    # Rodrigues: what is along the axis stays, what is across turns.
+    # Rodrigues: the component along the axis stays, the component across it turns.
     along = np.outer(joint.axis, joint.axis)
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     cosine, sine = np.cos(values)[:, None, None], np.sin(values)[:, None, None]

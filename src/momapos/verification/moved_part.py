@@ -21,25 +21,25 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MovedPart:
-    """What is moved: the links beyond a joint, or an object as a whole."""
+    """The links that a joint moves, or a whole object."""
 
     name: str
     joint: Joint | None
-    """None where the object is moved as a whole; its value is then how far it is lifted [m]."""
+    """None for a whole object; its value is then the height to which it is lifted [m]."""
     start: float
     """Value of the joint in the scene [rad] or [m]."""
     rest: float
-    """Value of the joint where the object is closed: zero, or the limit nearest to it."""
+    """Value of the joint where the object is closed: zero, or the nearest limit."""
     goal: float
-    """Value that the task asks for."""
+    """Value that the task requests."""
     T_world_joint: Float[np.ndarray, "4 4"]
     shapes: Shapes
-    """With their poses in the frame of the part, which is their one body."""
+    """Shapes of the part, all on one body, the part."""
 
     def poses(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:
-        """World poses of the part at joint values."""
+        """Return world poses of the part at joint values."""
         if self.joint is None:
             Ts = np.repeat(self.T_world_joint[None], len(values), axis=0)
             Ts[:, 2, 3] += values
@@ -47,15 +47,15 @@ class MovedPart:
         return np.asarray(self.T_world_joint @ joint_motions(self.joint, values))
 
     def placed(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s k 4 4"]:
-        """World poses of the shapes at joint values."""
+        """Return world poses of the shapes at joint values."""
         return self.placed_at(self.poses(values))
 
     def placed_at(self, Ts_world_part: Float[np.ndarray, "s 4 4"]) -> Float[np.ndarray, "s k 4 4"]:
-        """World poses of the shapes from those of the part."""
+        """Return world poses of the shapes, given those of the part."""
         return self.shapes.placed(Ts_world_part[:, None])
 
     def distance(self, point: Float[np.ndarray, "3"]) -> float:
-        """Distance of a point in the part's frame from its shapes [m]; negative inside."""
+        """Return the distance of a point in the part's frame from the part [m]; negative inside."""
         Ts_shape_part = invert(self.shapes.Ts_body_shape)
         local = Ts_shape_part[:, :3, :3] @ point + Ts_shape_part[:, :3, 3]
         beyond = np.abs(local) - self.shapes.half
@@ -74,20 +74,20 @@ _POINT = Body(np.zeros((1, 3)), 0.0, 0.0)
 
 
 def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray, " k"]]:
-    """Split a scene into the part that a task moves, and all else, in world coordinates.
+    """Split a scene into the part that a task moves and all other shapes, in world coordinates.
 
     Returns:
-        The part, all other shapes, and which of these belong to the part's own object.
+        The part, the other shapes, and which of these belong to the part's own object.
 
     Raises:
         UnknownNameError: There is no such object or joint.
-        TaskError: The task names a joint but no value, or asks to open without a joint.
+        TaskError: The task names a joint but no value, or opens an object without a joint.
     """
     target = scene.object(task.object)
     if task.joint is None and task.verb in ("open", "close"):
-        raise TaskError(f"task: {task.verb} {task.object!r} needs the name of a joint")
+        raise TaskError(f"task: joint must be given to {task.verb} {task.object!r}")
     if task.joint is not None and task.to is None:
-        raise TaskError(f"task: joint {task.joint!r} of {task.object!r} needs a value to reach")
+        raise TaskError(f"task: to must be given for joint {task.joint!r} of {task.object!r}")
     if task.joint is not None:
         target.joint(task.joint)
     fixed, prefixes, own = [], [], []
@@ -106,14 +106,13 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
 
 
 def _world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
-    """LinkBodies, and the shapes as the scene has them, in world coordinates."""
+    """Return an object's bodies, and its shapes in world coordinates."""
     bodies, shapes = prepared(item.model)
     Ts = shapes.placed(body_poses(bodies, item.values(), item.T_world_object))[0]
     return bodies, shapes.moved_to(Ts)
 
 
 def _part(item: SceneObject, task: Task, bodies: LinkBodies, shapes: Shapes) -> MovedPart:
-    """The part, from its shapes in world coordinates."""
     joint, start, rest, goal = None, 0.0, 0.0, 0.0
     T = item.T_world_object
     if task.joint is not None and task.to is not None:

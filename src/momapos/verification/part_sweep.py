@@ -1,9 +1,9 @@
-"""The way of the moved part through the room, whoever moves it.
+"""Check the path of the moved part through the scene, independently of the robot.
 
-Real scenes are not clean: doors stand flush with their neighbors, drawers lie in frames that
-they touch, a thing leans on a front. So the scene as it is counts as given, and asked is only that
-the part comes no deeper into anything. The part's own object is its bearing: its elements that
-touch the part where it is closed are left out.
+Real scenes are imprecise: doors are flush with their neighbors, drawers touch their frames, an
+object leans on a front. So the scene as given is the reference, and the part must not overlap
+anything more deeply than there. Elements of the part's own object that touch the closed part are
+its bearing and are ignored.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from .sweep import all_pairs, deepest
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-BEARING = -1e-3
-"""Depth from which an element of the own object touches the closed part: 1 mm apart [m]."""
+BEARING_DEPTH = -1e-3
+"""Overlap from which an element of the same object touches the closed part: 1 mm apart [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PartSweepCheck:
-    """A part, the room, and which of their shapes may meet how deep."""
+    """A part, its obstacles, and the allowed overlap of each pair of their shapes."""
 
     part: MovedPart
     fixed: Shapes
     pairs: Int[np.ndarray, "p 2"]
-    """Indices into the shapes of the part and into the room's."""
+    """Indices into the shapes of the part and of the obstacles."""
     already: Float[np.ndarray, " p"]
-    """What does not count of the depth of each pair, since the scene has it so [m]."""
+    """Overlap of each pair to subtract, as the given scene has it [m]."""
     limits: Limits
 
     def first_hit(self, goal: float) -> str | None:
-        """What stops the part before a value of its joint (or a lift), and at which.
+        """Return the first collision of the part on the path to a joint value (or a lift).
 
         Args:
-            goal: Value [rad] or [m]; where no joint moves it, how far it is lifted [m].
+            goal: Joint value [rad] or [m]; without a joint, the height of the lift [m].
 
         Returns:
-            Words for people; None where the way is free.
+            A description; None if the path is free.
         """
         span = goal - self.part.start
         count = max(2, math.ceil(abs(span) / self.limits.step) + 1)
@@ -68,7 +68,7 @@ class PartSweepCheck:
         return f"{names} {self._at(float(values[state]), goal)}"
 
     def _first_state(self, pair: int, Ts: Float[np.ndarray, "s k 4 4"]) -> int:
-        """The first of some states at which a pair is too deep; there is one."""
+        """Return the first state at which a pair overlaps too deeply; there must be one."""
         i, j = self.pairs[pair].tolist()
         a, b = self.part.shapes.core(i), self.fixed.core(j)
         allowed = self.limits.penetration + self.already[pair]
@@ -77,26 +77,25 @@ class PartSweepCheck:
         return int(np.argmax(deep))
 
     def _at(self, value: float, goal: float) -> str:
-        """Say where on its way the part is."""
         start, joint = self.part.start, self.part.joint
         if joint is None:
             return f"when lifted by {value:.2f} of {goal:.2f} m"
         if joint.kind == "prismatic":
-            return f"at {value:.2f} m on its way from {start:.2f} to {goal:.2f} m"
+            return f"at {value:.2f} m, moving from {start:.2f} to {goal:.2f} m"
         v, a, b = (round(math.degrees(x)) for x in (value, start, goal))
-        return f"at {v} deg on its way from {a} to {b} deg"
+        return f"at {v} deg, moving from {a} to {b} deg"
 
 
 def part_sweep_check(
     part: MovedPart, fixed: Shapes, own: Bool[np.ndarray, " k"], limits: Limits
 ) -> PartSweepCheck:
-    """Find out what a part touches in the scene.
+    """Find which shapes the part touches in the given scene.
 
     Args:
-        part: What is moved.
-        fixed: All else, in world coordinates.
-        own: Which of it belongs to the same object.
-        limits: How deep things may overlap, and how much deeper than in the scene.
+        part: The moved part.
+        fixed: All other shapes, in world coordinates.
+        own: Which of them belong to the same object.
+        limits: Allowed overlap, also relative to the given scene.
     """
     pairs = all_pairs(len(part.shapes), len(fixed))
     Ts_fixed = fixed.Ts_body_shape[None]
@@ -106,7 +105,7 @@ def part_sweep_check(
         return deepest(part.shapes, Ts, fixed, Ts_fixed, pairs, floor)
 
     ours = np.flatnonzero(own[pairs[:, 1]])
-    _, state = depths(part.rest, pairs[ours], BEARING)
+    _, state = depths(part.rest, pairs[ours], BEARING_DEPTH)
     pairs = np.delete(pairs, ours[state >= 0], axis=0)
     floor = limits.penetration - limits.deeper
     depth, _ = depths(part.start, pairs, floor)

@@ -1,4 +1,4 @@
-"""Checks of a motion that need no collision geometry."""
+"""Check a motion without collision geometry: numbers, joints, tool poses, grasps, base path."""
 
 from __future__ import annotations
 
@@ -20,65 +20,68 @@ from .robot_collision_model import RobotCollisionModel
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-STEP_BACK = 1e-6
-STILL = 1e-9
-"""A part that nothing holds moves by no more [rad] or [m]."""
-LARGEST = 1e6
-"""Numbers from here on cannot be meant."""
-RIGID = 1e-3
-"""How far a tool pose may be from a rigid transform, entry by entry."""
+MAX_STEP_BACK = 1e-6
+"""Largest backward step of the object's joint [rad] or [m]."""
+MAX_FREE_MOTION = 1e-9
+"""Largest motion of the object's joint while nothing holds it [rad] or [m]."""
+MAX_MAGNITUDE = 1e6
+"""Larger numbers are treated as errors."""
+MAX_RIGIDITY_ERROR = 1e-3
+"""Largest error of a tool pose as a rigid transform, per matrix entry [-]."""
+MAX_BASE_STEP, MAX_BASE_TURN = 0.05, 0.1
+"""Largest distance [m] and turn [rad] between consecutive poses of a base path."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DensePath:
-    """A motion with no step above the limit, the approach first."""
+    """A motion, approach first, interpolated so that no step exceeds the limit."""
 
     q: Float[np.ndarray, "s n"]
     object_q: Float[np.ndarray, " s"]
     at: Float[np.ndarray, " s"]
-    """Index of each state in the plan, with its fraction."""
+    """Fractional index of each state in the plan."""
     approach: int
-    """How many of the states belong to the approach."""
+    """Number of states in the approach."""
 
     @property
     def planned(self) -> Int[np.ndarray, " m"]:
-        """Indices of the states of the manipulation that the plan itself has."""
+        """Return the indices of the manipulation states that are in the plan itself."""
         held = np.arange(self.approach, len(self.at))
         return np.asarray(held[self.at[held] == np.floor(self.at[held])])
 
     def where(self, state: int) -> str:
-        """Name a state in the plan's own numbers."""
+        """Describe a state by its index in the plan."""
         part = "approach" if state < self.approach else "manipulation"
-        return f"{part} {self.at[state]:.2f}"
+        return f"{part} state {self.at[state]:.2f}"
 
 
 def from_grasp(motion: Motion) -> Float[np.ndarray, "s n"]:
-    """Arm states of the manipulation, and of the way home after it."""
+    """Return the arm states of the manipulation and of the path home after it."""
     return motion.q if motion.home is None else np.concatenate([motion.q, motion.home])
 
 
 def home_checks(motion: Motion, limits: Limits) -> Iterator[Check]:
-    """Whether the way home ends where the approach began."""
+    """Check that the path home ends where the approach starts."""
     if motion.home is not None and len(motion.approach):
         gap = np.abs(motion.home[-1] - motion.approach[0]).max()
-        yield at_most("way home ends where the approach starts", gap, limits.join, "rad|m")
+        yield at_most("path home ends where the approach starts", gap, limits.join, "rad|m")
 
 
 def count_states(motion: Motion, step: float) -> float:
-    """How many states a dense path would have, before it is made."""
+    """Return how many states `dense_path` would have."""
     both = motion.approach, from_grasp(motion)
     return float(sum(_pieces(q, step).sum() + 1 for q in both if len(q)))
 
 
 def count_cuts(values: Float[np.ndarray, " s"], step: float, least: int) -> float:
-    """Into how many parts the way of a joint is cut, a multiple of the least number."""
+    """Return into how many intervals to divide a joint's path; a multiple of `least`."""
     return float(max(1.0, np.ceil(np.ptp(values) / step / least)) * least)
 
 
 def dense_path(motion: Motion, step: float) -> DensePath:
-    """Fill in states so that no joint moves more than a step [rad] or [m].
+    """Interpolate states so that no joint moves more than a step [rad] or [m].
 
-    On the way home the object's joint rests where it was left.
+    The object's joint rests during the path home.
     """
     q, at = _densify(from_grasp(motion), step)
     object_q = np.interp(at, np.arange(len(motion.object_q)), motion.object_q)
@@ -94,7 +97,6 @@ def dense_path(motion: Motion, step: float) -> DensePath:
 
 
 def _pieces(q: Float[np.ndarray, "s n"], step: float) -> Float[np.ndarray, " t"]:
-    """Into how many pieces each step is cut."""
     largest = np.abs(np.diff(q, axis=0)).max(1, initial=0.0)
     return np.asarray(np.maximum(1.0, np.ceil(largest / step - 1e-9)))
 
@@ -113,10 +115,9 @@ def _densify(
 def part_poses(
     part: MovedPart, verb: str, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"]
 ) -> Float[np.ndarray, "s 4 4"]:
-    """World poses of the part along a path: by its joint's value, or as the tool carries it.
+    """Return world poses of the part along a path: by its joint's value, or as the tool carries it.
 
-    An object is picked where the manipulation begins, and carried from then on; one that is placed
-    is carried until then, and stays.
+    A picked object is carried from the start of the manipulation on, a placed one until then.
     """
     if part.joint is not None:
         return part.poses(path.object_q)
@@ -130,25 +131,25 @@ def part_poses(
 def number_checks(
     part: MovedPart, motion: Motion, base_pose: tuple[float, float, float]
 ) -> Iterator[Check]:
-    """Whether the arrays fit together and are finite; nothing else makes sense before."""
+    """Check that the arrays fit together and are finite; the other checks rely on this."""
     lengths = [len(motion.q), len(motion.Ts_world_tool), len(motion.object_q)]
     least = 1 if part.joint is None else 2
     yield verdict(
-        f"same number ({least} or more) of q, object_q, T_world_tool",
+        f"q, object_q, T_world_tool have equal length >= {least}",
         min(lengths) == max(lengths) >= least,
         str(lengths),
     )
     home = () if motion.home is None else (motion.home,)
     if motion.home is not None:
-        yield verdict("way home is not empty", len(motion.home) > 0)
+        yield verdict("path home is not empty", len(motion.home) > 0)
     arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool, *home)
     largest = max(float(np.abs(a).max(initial=0.0)) for a in (*arrays, np.array(base_pose)))
     finite = all(np.isfinite(array).all() for array in (*arrays, np.array(base_pose)))
-    yield verdict("numbers are finite", finite and largest < LARGEST, f"largest {largest:g}")
+    yield verdict("numbers are finite", finite and largest < MAX_MAGNITUDE, f"largest {largest:g}")
 
 
 def object_checks(part: MovedPart, motion: Motion, limits: Limits) -> Iterator[Check]:
-    """Whether the object's joint goes where the task asks, without turning back."""
+    """Check that the object's joint reaches the task's value without moving backward."""
     if part.joint is None:
         return
     values, span = motion.object_q, part.goal - part.start
@@ -162,27 +163,27 @@ def object_checks(part: MovedPart, motion: Motion, limits: Limits) -> Iterator[C
         f"{values[-1]:.4f}, task {part.goal:g}",
     )  # fmt: skip
     back = float((-np.sign(span) * np.diff(values)).max(initial=0.0))
-    yield at_most("object moves monotonically (largest step back)", back, STEP_BACK, "rad|m")
+    yield at_most("object moves monotonically (largest step back)", back, MAX_STEP_BACK, "rad|m")
     excess = max(part.joint.lower - values.min(), values.max() - part.joint.upper, 0.0)
     yield at_most("object within its joint limits (excess)", excess, limits.joint, "rad|m")
 
 
-def joint_checks(machine: RobotCollisionModel, motion: Motion, limits: Limits) -> Iterator[Check]:
-    """Whether the arm's states are within limits and connected."""
+def joint_checks(robot: RobotCollisionModel, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Check that the arm's states are within limits and connected."""
     held = from_grasp(motion)
     both = np.vstack([motion.approach, held])
-    excess = np.maximum(machine.lower - both, both - machine.upper).max(0)
-    worst = machine.joints[int(excess.argmax())]
+    excess = np.maximum(robot.lower - both, both - robot.upper).max(0)
+    worst = robot.joints[int(excess.argmax())]
     yield at_most(
         "joint limits (excess)", max(0.0, excess.max()), limits.joint, "rad|m", worst, worst
     )
-    yield from _follower_checks(machine, both, limits)
+    yield from _mimic_checks(robot, both, limits)
     if len(held) > 1:
         steps = np.abs(np.diff(held, axis=0))
         state, joint = np.unravel_index(int(steps.argmax()), steps.shape)
         yield at_most(
             "largest step of the manipulation", steps.max(), limits.jump, "rad|m",
-            f"state {state}, {machine.joints[joint]}", machine.joints[joint],
+            f"state {state}, {robot.joints[joint]}", robot.joints[joint],
         )  # fmt: skip
     yield verdict("approach present", len(motion.approach) > 0)
     if len(motion.approach):
@@ -190,13 +191,13 @@ def joint_checks(machine: RobotCollisionModel, motion: Motion, limits: Limits) -
         yield at_most("approach ends where the manipulation starts", gap, limits.join, "rad|m")
 
 
-def _follower_checks(
-    machine: RobotCollisionModel, states: Float[np.ndarray, "m n"], limits: Limits
+def _mimic_checks(
+    robot: RobotCollisionModel, states: Float[np.ndarray, "m n"], limits: Limits
 ) -> Iterator[Check]:
-    """Whether joints that the URDF has follow others do so in the plan."""
-    column = {name: i for i, name in enumerate(machine.joints)}
+    """Check that mimic joints follow their leaders as in the URDF."""
+    column = {name: i for i, name in enumerate(robot.joints)}
     errors: dict[str, float] = {}
-    for joint in machine.bodies.joints:
+    for joint in robot.bodies.joints:
         if joint is None or joint.mimic is None or joint.name not in column:
             continue
         if joint.mimic.joint in column:
@@ -205,14 +206,14 @@ def _follower_checks(
     if errors:
         worst = max(errors, key=errors.__getitem__)
         yield at_most(
-            "joints follow as in the URDF", errors[worst], limits.joint, "rad|m", worst, worst
+            "mimic joints follow their leaders", errors[worst], limits.joint, "rad|m", worst, worst
         )
 
 
 def tool_checks(
     Ts_world_tool: Float[np.ndarray, "m 4 4"], motion: Motion, limits: Limits
 ) -> Iterator[Check]:
-    """Whether the plan's tool poses are those of its joints."""
+    """Check that the plan's tool poses match its joint values."""
     planned = motion.Ts_world_tool
     apart = np.linalg.norm(Ts_world_tool[:, :3, 3] - planned[:, :3, 3], axis=1)
     angle = rotation_angle(Ts_world_tool[:, :3, :3], planned[:, :3, :3])
@@ -230,16 +231,16 @@ def tool_checks(
         np.abs(np.linalg.det(R) - 1.0).max(),
         np.abs(planned[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(),
     )
-    yield at_most("T_world_tool is a rigid transform", off, RIGID)
+    yield at_most("T_world_tool is a rigid transform", off, MAX_RIGIDITY_ERROR)
 
 
 def holds_of(motion: Motion) -> tuple[Hold, ...]:
-    """When the hand holds the part; all along, without turning, where the motion says nothing."""
+    """Return the holds of a motion; by default one over all states, without a turn axis."""
     return motion.holds or (Hold(0, len(motion.q) - 1),)
 
 
 def hold_checks(part: MovedPart, motion: Motion) -> Iterator[Check]:
-    """Whether the holds are ranges of states in order, and the part rests between them."""
+    """Check that holds are ordered state ranges and that the part rests between them."""
     if not motion.holds or part.joint is None:
         return
     ends = np.array([(hold.first, hold.last) for hold in motion.holds])
@@ -247,14 +248,15 @@ def hold_checks(part: MovedPart, motion: Motion) -> Iterator[Check]:
     fits = (np.diff(order)[::2] > 0).all() and (ends[:, 0] <= ends[:, 1]).all()
     axes = np.array([hold.turn_axis for hold in motion.holds if hold.turn_axis is not None], float)
     unit = np.isfinite(axes).all() and np.allclose(np.linalg.norm(axes.reshape(-1, 3), axis=1), 1.0)
-    yield verdict("holds are ranges of states in order, with unit axes", bool(fits and unit))
+    yield verdict("holds are ordered state ranges with unit axes", bool(fits and unit))
     if not fits:
         return
     held = np.zeros(max(len(motion.q) - 1, 0), bool)
     for first, last in ends:
         held[first:last] = True
     loose = np.abs(np.diff(motion.object_q))[~held]
-    yield at_most("object moves while nothing holds it", loose.max(initial=0.0), STILL, "rad|m")
+    name = "object moves while nothing holds it"
+    yield at_most(name, loose.max(initial=0.0), MAX_FREE_MOTION, "rad|m")
 
 
 def grasp_checks(
@@ -264,9 +266,9 @@ def grasp_checks(
     holds: tuple[Hold, ...],
     limits: Limits,
 ) -> Iterator[Check]:
-    """Whether the tool keeps its place in the part while it holds it.
+    """Check that the tool keeps its pose in the part while it holds it.
 
-    It may turn about the axis that the hold names, which is fixed in the part. Tool poses are of
+    The tool may turn about the hold's axis, which is fixed in the part. Tool poses are those of
     the dense path.
     """
     if part.joint is None:
@@ -279,7 +281,7 @@ def grasp_checks(
         T = invert(part.poses(path.object_q[held])) @ Ts_world_tool[held]
         states.append(held)
         slips.append(np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1))
-        turns.append(_turn_beside(T[:, :3, :3], hold.turn_axis))
+        turns.append(_swing_angles(T[:, :3, :3], hold.turn_axis))
     state, slip, turn = (np.concatenate(values) for values in (states, slips, turns))
     yield at_most(
         "grasp slips: translation in the moved part", 1000 * slip.max(),
@@ -291,10 +293,10 @@ def grasp_checks(
     )  # fmt: skip
 
 
-def _turn_beside(
+def _swing_angles(
     R: Float[np.ndarray, "s 3 3"], axis: tuple[float, float, float] | None
 ) -> Float[np.ndarray, " s"]:
-    """Angle from the first rotation to each, less what is about the axis (swing and twist)."""
+    """Return the angle from the first rotation to each, without the twist about the axis."""
     if axis is None:
         return np.asarray(rotation_angle(R[:1], R))
     M, a = R @ R[0].T, np.array(axis)
@@ -311,9 +313,9 @@ def reach_check(
     Ts_world_tool: Float[np.ndarray, "m 4 4"],
     limits: Limits,
 ) -> Check:
-    """Whether the tool is at the part while it holds it; at the end for a pick.
+    """Check that the tool is at the part while it holds it; for a pick, at the end.
 
-    A distance changes by no more than the point moves, so that few points are computed.
+    Between two points the distance changes by at most their separation, so few need computing.
     """
     states = np.concatenate([np.arange(h.first, h.last + 1) for h in holds_of(motion)])
     if part.joint is None:
@@ -332,27 +334,23 @@ def reach_check(
     return at_most("grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail)
 
 
-WAY_STEP, WAY_TURN = 0.05, 0.1
-"""Poses of a base path are no farther apart than this [m], [rad]."""
-
-
-def way_checks(
+def base_path_checks(
     way: Float[np.ndarray, "k 3"], ends: Float[np.ndarray, "2 3"], limits: Limits
 ) -> Iterator[Check]:
-    """A base path leads from the start to the base pose, in small steps."""
-    if not len(way) or len(way) > limits.states or np.abs([*way, *ends]).max() > LARGEST:
-        yield verdict("base path has one to 20 000 poses", False)
+    """Check that a base path leads from the start to the base pose in small steps."""
+    if not len(way) or len(way) > limits.states or np.abs([*way, *ends]).max() > MAX_MAGNITUDE:
+        yield verdict(f"base path has 1 to {limits.states} poses", False)
         return
-    off = _apart(way[[0, -1]], ends)
+    off = _max_offset(way[[0, -1]], ends)
     yield at_most("base path from start to base pose", 1000 * off[0], 1000 * limits.join, "mm")
     yield at_most("base path from start to base pose, turn", off[1], limits.join, "rad")
-    step, turn = _apart(way[1:], way[:-1])
-    yield at_most("step of the base path", 1000 * step, 1000 * WAY_STEP, "mm")
-    yield at_most("turn of the base path", turn, WAY_TURN, "rad")
+    step, turn = _max_offset(way[1:], way[:-1])
+    yield at_most("step of the base path", 1000 * step, 1000 * MAX_BASE_STEP, "mm")
+    yield at_most("turn of the base path", turn, MAX_BASE_TURN, "rad")
 
 
-def _apart(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
-    """Largest distance [m] and turn [rad] between poses."""
+def _max_offset(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+    """Return the largest distance [m] and turn [rad] between poses."""
     away = a - b
     distance = np.hypot(away[:, 0], away[:, 1]).max(initial=0.0)
     return float(distance), float(np.abs(wrap_angle(away[:, 2])).max(initial=0.0))

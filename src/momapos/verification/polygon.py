@@ -1,4 +1,4 @@
-"""How far points lie outside a polygon."""
+"""Distance of points from a polygon."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ if TYPE_CHECKING:
 def outside(
     polygon: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
-    """Distance of points from a polygon [m]; minus that from its edge where they lie in it."""
+    """Return the signed distance of points from a polygon [m], negative inside."""
     distance = edge_distances(points, polygon)
     return np.asarray(np.where(contains(polygon, points), -distance, distance))

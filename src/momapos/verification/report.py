@@ -1,47 +1,46 @@
-"""What a check of a plan says, and the limits it holds plans to."""
+"""The report of a plan verification, and the limits that it applies."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How much a plan may be off."""
+    """Largest allowed errors of a plan."""
 
     step: float = 0.02
-    """Largest step between the states that are checked [rad] or [m]."""
+    """Largest joint step between checked states [rad] or [m]."""
     penetration: float = 0.003
-    """Depth that two bodies may overlap; below zero: the clearance they must keep [m]."""
+    """Allowed overlap depth of two bodies; below zero: the clearance they must keep [m]."""
     deeper: float = 0.003
-    """How much deeper than in the scene the moved part may come into what it is in there [m]."""
+    """How much deeper than in the given scene the moved part may overlap an obstacle [m]."""
     fk_position: float = 0.005
-    """Tool pose of the plan against the one of its joints [m]."""
+    """Distance between the plan's tool position and forward kinematics [m]."""
     fk_rotation: float = math.radians(1.0)
-    """The same for the rotation [rad]."""
+    """Angle between the plan's tool rotation and forward kinematics [rad]."""
     slip_position: float = 0.01
-    """How far the tool may slip in the part it holds [m]."""
+    """Translation of the tool relative to the held part [m]."""
     slip_rotation: float = math.radians(3.0)
-    """How far it may turn in it [rad]."""
+    """Rotation of the tool relative to the held part [rad]."""
     reach: float = 0.06
-    """Distance of the tool's origin from the part it holds [m]."""
+    """Distance between the tool's origin and the held part [m]."""
     goal: float = 0.02
-    """Share of the motion asked for by which start and end may differ [-]."""
+    """Error of the joint's start and end values, as a share of the requested motion [-]."""
     jump: float = 0.3
-    """Largest step of a joint while the object is held [rad] or [m]."""
+    """Largest step of a joint while the hand holds the object [rad] or [m]."""
     join: float = 1e-3
-    """Gap between the end of the approach and the start of the manipulation [rad] or [m]."""
+    """Gap between two consecutive phases, such as approach and manipulation [rad] or [m]."""
     joint: float = 1e-4
     """Excess over a joint limit [rad] or [m]."""
     floor_edge: float = 0.003
-    """How far the base may stand outside the floor [m]."""
+    """How far the base may extend beyond the floor [m]."""
     states: int = 20_000
-    """Most states that are checked [-]."""
+    """Largest number of states to check [-]."""
     poses: int = 4_000_000
-    """Most poses of shapes in these, which are held at once [-]."""
+    """Largest number of shape poses to check; they are all in memory at once [-]."""
 
 
 DEFAULT = Limits()
@@ -56,10 +55,10 @@ class Check:
     value: float
     limit: float
     unit: str
-    """Of value and limit, for people: mm, deg, "rad|m"; "" for counts and yes or no."""
+    """Unit of value and limit: mm, deg, "rad|m"; "" for counts and for yes or no."""
     detail: str = ""
     culprit: str = ""
-    """The pair of bodies, or the joint, that is worst; the same words for every pose."""
+    """The worst pair of bodies or joint; independent of the base pose."""
 
 
 @dataclass(frozen=True)
@@ -69,34 +68,34 @@ class Report:
     checks: tuple[Check, ...]
     notes: tuple[str, ...] = ()
     gripper_depth: float = 0.0
-    """Deepest overlap of the gripper with the part it holds [m]; allowed, since it holds it."""
+    """Deepest overlap of the gripper with the held part [m]; not limited."""
 
     @property
     def violations(self) -> tuple[Check, ...]:
-        """The checks that failed."""
+        """Return the failed checks."""
         return tuple(check for check in self.checks if not check.ok)
 
     @property
     def valid(self) -> bool:
-        """Whether every check passed."""
+        """Return whether every check passed."""
         return not self.violations
 
 
 def at_most(
     name: str, value: float, limit: float, unit: str = "", detail: str = "", culprit: str = ""
 ) -> Check:
-    """Make a check; NaN fails."""
+    """Build a check of a number; NaN fails."""
     value = float(value)
     return Check(name, bool(value <= limit), value, float(limit), unit, detail, culprit)
 
 
 def verdict(name: str, ok: bool, detail: str = "") -> Check:
-    """Make a check that is met or not."""
+    """Build a check that holds or does not."""
     return Check(name, bool(ok), 0.0 if ok else 1.0, 0.0, "", detail)
 
 
 def report_to_dict(report: Report) -> dict[str, Any]:
-    """Turn a report into what JSON can hold; numbers that are not finite become null."""
+    """Convert a report for JSON; non-finite numbers become null."""
     return {
         "valid": report.valid,
         "checks": [
@@ -116,18 +115,15 @@ def report_to_dict(report: Report) -> dict[str, Any]:
 
 
 def report_lines(report: Report) -> list[str]:
-    """Write a report for people, one line a check and the verdict last."""
+    """Format a report as text: one line per check, then the notes and the verdict."""
     lines = []
     for check in report.checks:
         number = f"{check.value:10.4g} {check.unit:<8} (limit {check.limit:g})"
         detail = f"  {check.detail}" if check.detail else ""
         lines.append(f"{'ok  ' if check.ok else 'FAIL'} {check.name:<50} {number}{detail}")
     lines += [f"note: {note}" for note in report.notes]
-    return [*lines, _last_line(report.violations)]
-
-
-def _last_line(violations: Sequence[Check]) -> str:
-    if not violations:
-        return "VALID"
-    names = ", ".join(check.name for check in violations)
-    return f"INVALID: {len(violations)} of the checks failed: {names}"
+    if report.valid:
+        return [*lines, "VALID"]
+    names = ", ".join(check.name for check in report.violations)
+    count = f"{len(report.violations)} of {len(report.checks)} checks failed"
+    return [*lines, f"INVALID: {count}: {names}"]

@@ -1,4 +1,4 @@
-"""The robot as the exact check sees it: bodies, shapes, limits and the pairs that may not touch."""
+"""The robot in the exact check: bodies, shapes, joint limits and pairs to check."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 
-class Arm(Protocol):
-    """What the check takes from a robot; `Robot` has it all."""
+class RobotDescription(Protocol):
+    """What the check needs of a robot; `Robot` provides it."""
 
     @property
     def model(self) -> Articulated: ...
@@ -36,25 +36,25 @@ class Arm(Protocol):
     def disabled(self) -> frozenset[frozenset[str]]: ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobotCollisionModel:
-    """A robot, ready to be put into many states."""
+    """A robot's collision shapes, to be placed at any state."""
 
     bodies: LinkBodies
     joints: tuple[str, ...]
     lower: Float[np.ndarray, " n"]
     upper: Float[np.ndarray, " n"]
     T_base_root: Float[np.ndarray, "4 4"]
-    """Of the root link in the frame of the base link."""
+    """Pose of the root link in the base link's frame."""
     tool_body: int
     T_body_tool: Float[np.ndarray, "4 4"]
     base: Shapes
-    """What does not move with the arm."""
+    """Shapes that do not move with the arm."""
     arm: Shapes
     gripper: Bool[np.ndarray, " a"]
     """Which of the arm's shapes move with its last joint."""
     arm_base_pairs: Int[np.ndarray, "p 2"]
-    """Indices into `arm` and into `base` of what may not touch."""
+    """Indices into `arm` and `base` of the pairs to check."""
     arm_arm_pairs: Int[np.ndarray, "r 2"]
 
     def poses(
@@ -62,7 +62,7 @@ class RobotCollisionModel:
     ) -> tuple[
         Float[np.ndarray, "s 4 4"], Float[np.ndarray, "1 b 4 4"], Float[np.ndarray, "s a 4 4"]
     ]:
-        """World poses of the tool, of the base's shapes and of the arm's."""
+        """Return world poses of the tool, of the base's shapes and of the arm's."""
         values = {name: q[:, i] for i, name in enumerate(self.joints)}
         T_world_root = pose_planar(np.array(base_pose)) @ self.T_base_root
         Ts = body_poses(self.bodies, values, T_world_root)
@@ -70,14 +70,14 @@ class RobotCollisionModel:
         return T_tool, self.base.placed(Ts[:1]), self.arm.placed(Ts)
 
 
-def robot_collision_model(arm: Arm) -> RobotCollisionModel:
-    """Prepare a robot.
+def robot_collision_model(robot: RobotDescription) -> RobotCollisionModel:
+    """Build the collision model of a robot, cached.
 
     Raises:
-        UnknownNameError, RobotError: The robot has no such link or joint, or a joint twice.
+        UnknownNameError, RobotError: A link or joint does not exist, or a joint appears twice.
     """
     return _robot_collision_model(
-        arm.model, arm.base_link, arm.tool_link, tuple(arm.moved_joints), arm.disabled
+        robot.model, robot.base_link, robot.tool_link, tuple(robot.moved_joints), robot.disabled
     )
 
 
@@ -95,7 +95,7 @@ def _robot_collision_model(
         if link not in bodies.of_link:
             raise unknown_name("link", link, bodies.of_link, f"robot {name}")
     if len(set(arm_joints)) != len(arm_joints) or not arm_joints:
-        raise RobotError(f"robot {name}: the joints must be named, each once")
+        raise RobotError(f"robot {name}: joints must be a non-empty list without duplicates")
     joints = [model.joint(joint) for joint in arm_joints]
     moving = set().union(*(bodies.moved_by(joint) for joint in arm_joints))
     last = bodies.moved_by(max(arm_joints, key=bodies.depth))
@@ -120,7 +120,7 @@ def _robot_collision_model(
 
 
 def _link_pose(bodies: LinkBodies, link: str) -> Float[np.ndarray, "4 4"]:
-    """Pose of a link at rest in the root's frame."""
+    """Return the pose of a link in the root's frame, with all joints at rest."""
     T = body_poses(bodies, {}, np.eye(4))[0, bodies.of_link[link]]
     return np.asarray(T @ bodies.T_body_link[link])
 
@@ -128,7 +128,7 @@ def _link_pose(bodies: LinkBodies, link: str) -> Float[np.ndarray, "4 4"]:
 def _among(
     pairs: Int[np.ndarray, "p 2"], first: Int[np.ndarray, " a"], second: Int[np.ndarray, " b"]
 ) -> Int[np.ndarray, "m 2"]:
-    """The pairs of one shape from each set, as indices into the sets."""
+    """Return the pairs with one shape in each set, as indices into the sets."""
     flipped = np.isin(pairs[:, 1], first) & ~np.isin(pairs[:, 0], first)
     pairs = np.where(flipped[:, None], pairs[:, ::-1], pairs)
     pairs = pairs[np.isin(pairs[:, 0], first) & np.isin(pairs[:, 1], second)]
@@ -141,10 +141,10 @@ def _self_pairs(
     moved: Int[np.ndarray, " a"],
     disabled: frozenset[frozenset[str]],
 ) -> Int[np.ndarray, "p 2"]:
-    """Pairs of the robot's shapes that may not overlap.
+    """Return the pairs of the robot's shapes that may not overlap.
 
-    Not those of one body or of two bodies joined by a joint, and not those that the robot's maker
-    disables. That two links touch where all joints are at rest says nothing: an arm may be folded
+    Excluded are pairs of one body, of two bodies connected by a joint, and those that the robot's
+    SRDF disables. Pairs that touch with all joints at rest are not excluded: an arm may be folded
     into itself there.
     """
     pairs = all_pairs(len(shapes), len(shapes))

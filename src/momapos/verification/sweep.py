@@ -1,8 +1,8 @@
 """The deepest overlap of pairs of shapes over a motion.
 
-A state is skipped when it cannot be the deepest: no point of a shape moves farther between two
-states than its box's corners can, and a depth changes by no more than the points move. So the
-answer is that of checking every state, found with a few exact queries a pair.
+A state is skipped if it cannot be the deepest: between two states, no point of a shape moves
+farther than the corners of its box can, and the depth changes by at most the motion of the
+points. The result equals checking every state, with a few exact queries per pair.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ def deepest(
     pairs: Int[np.ndarray, "p 2"],
     floor: float,
 ) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-    """Find how deep pairs of shapes overlap at worst, and where.
+    """Find the deepest overlap of pairs of shapes, and its state.
 
     Args:
         a, b: The shapes.
-        Ts_a, Ts_b: Their world poses; `Ts_b` may hold one state, for what stands still.
+        Ts_a, Ts_b: Their world poses; `Ts_b` may hold a single state, for static shapes.
         pairs: Indices into `a` and `b`.
-        floor: Depths up to here do not matter [m]; below zero, distances count up to there.
+        floor: Smallest depth of interest [m]; below zero, distances count as negative depths.
 
     Returns:
-        Depth of each pair [m] (the floor where it is not exceeded), and its state (-1 there).
+        Depth [m] and state of each pair; the floor and -1 where no depth exceeds the floor.
     """
     depth, state = _deepest(
         np.ascontiguousarray(pairs, np.int64),
@@ -47,13 +47,13 @@ def deepest(
 
 
 def all_pairs(count_a: int, count_b: int) -> Int[np.ndarray, "p 2"]:
-    """Every shape of one set with every shape of another."""
+    """Pair every shape of one set with every shape of another."""
     return np.stack(np.meshgrid(np.arange(count_a), np.arange(count_b)), -1).reshape(-1, 2)
 
 
 @kernel
 def _swept(Ts, half):
-    """Axis-aligned boxes around shapes over the whole motion: corners (2, k, 3) [m]."""
+    """Return axis-aligned bounding boxes over the whole motion: corners (2, k, 3) [m]."""
     box = np.empty((2, Ts.shape[1], 3))
     box[0], box[1] = np.inf, -np.inf
     for s in range(len(Ts)):
@@ -76,12 +76,7 @@ def _meet(a, b, i, j, floor):
 
 @entry
 def _deepest(
-    pairs: I2,
-    Ts_a: F4,
-    Ts_b: F4,
-    a: ShapeArrays,
-    b: ShapeArrays,
-    floor: float,
+    pairs: I2, Ts_a: F4, Ts_b: F4, a: ShapeArrays, b: ShapeArrays, floor: float
 ) -> tuple[np.ndarray, np.ndarray]:
     depths, states = np.full(len(pairs), floor), np.full(len(pairs), -1)
     bounds, Ts = np.empty(len(Ts_a)), np.empty((len(Ts_a), 4, 4))
@@ -125,9 +120,9 @@ def _radius(half):
 
 @kernel
 def _bound(T_a, T_b, half_a, half_b, T):
-    """Upper bound on the depth of two boxes; writes the pose of A in the frame of B to `T`.
+    """Return an upper bound on the depth of two boxes; write the pose of A in B's frame to `T`.
 
-    The overlap along any direction bounds the depth; the directions here are the box axes.
+    The overlap along any direction bounds the depth; the box axes are used.
     """
     bound = np.inf
     for r in range(3):
@@ -173,7 +168,7 @@ def _search(a, b, Ts, bounds, half, floor):
 
 @kernel
 def _farthest_move(T, U, radius):
-    """Upper bound on how far any point within `radius` of the origin moves from T to U."""
+    """Bound how far any point within `radius` of the origin moves from T to U."""
     shift = turn = 0.0
     for r in range(3):
         shift += (U[r, 3] - T[r, 3]) ** 2

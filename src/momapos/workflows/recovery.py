@@ -1,4 +1,4 @@
-"""What a robot tries next where a motion failed: the way home, another grasp, the room as it is."""
+"""Recover from a failed motion: the path home, another grasp, the scene as the hand left it."""
 
 from __future__ import annotations
 
@@ -14,28 +14,27 @@ from momapos.core.geometry import invert, rotation_angle
 from momapos.model.collision import CheckMotion, motion_checker
 from momapos.model.records import Motion, Task
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene, scene_moving_as, way_about
+from momapos.model.scene import Scene, hypothesis_about, scene_with_part_motion
 from momapos.model.urdf import opening_of
 from momapos.planning import PipelineConfig, collision_world
-from momapos.planning.arm_motion import RESOLUTION, interpolate, plan_with_room
+from momapos.planning.arm_motion import RESOLUTION, interpolate, plan_with_clearance
 from momapos.planning.grasps import GraspFilter, TaskMotion, task_motion
-from momapos.simulation import Axis, Learned
+from momapos.simulation import Axis, LearnedPart
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-OTHER_POSITION, OTHER_ANGLE = 0.02, np.radians(20.0)
-"""A grasp is another one when it is this far from those that failed [m], [rad]."""
-LEANS = 0.03
-"""A part falls by its weight where its way rises more steeply than this [-]; friction holds it on
-a flatter one."""
-_NEAR, _SAMPLES = 0.15, 300
-"""How far beside a state that is too near to something the way home begins [rad] or [m], and how
-many states are looked at [-]."""
+MIN_GRASP_DISTANCE, MIN_GRASP_ANGLE = 0.02, np.radians(20.0)
+"""A new grasp differs from the failed ones by at least this distance [m] or this angle [rad]."""
+MAX_RESTING_SLOPE = 0.03
+"""Slope of a released part's path above which it falls closed; below, friction holds it [-]."""
+_START_RANGE, _START_SAMPLES = 0.15, 300
+"""Maximum joint offset of the start of the path home from the current state [rad] or [m], and the
+number of sampled states [-]."""
 
 
 def believed_scene(scene: Scene, task: Task, value: float, offset: Float[np.ndarray, "3"]) -> Scene:
-    """The room as the hand left it: the part at another value, its object elsewhere [m]."""
+    """Return the scene as the hand left it: the part at a value, its object offset [m]."""
     assert task.joint is not None
     joint = scene.object(task.object).model.joint(task.joint)
     moved = scene.with_joint(
@@ -48,55 +47,60 @@ def believed_scene(scene: Scene, task: Task, value: float, offset: Float[np.ndar
     return replace(moved, objects=tuple(shifted if o is item else o for o in moved.objects))
 
 
-def taken_as_felt(scene: Scene, task: Task, axis: Axis, value: float) -> tuple[Scene, Task, float]:
-    """The room, the task and a value with a part that moves as the hand found it.
+def with_estimated_joint(
+    scene: Scene, task: Task, axis: Axis, value: float
+) -> tuple[Scene, Task, float]:
+    """Return scene, task and joint value for the joint that the hand has measured.
+
+    In the returned scene, the part is closed at 0 and opens with a positive value.
 
     Args:
-        scene, task: As believed; the part is shut at 0, and opens to more, in what is returned.
-        axis: Where the hand found the joint.
-        value: To which the hand has moved it [rad] or [m].
+        scene, task: The scene and the task as believed.
+        axis: The measured joint.
+        value: Joint value to which the hand moved the part [rad] or [m].
 
     Raises:
-        SceneError: The part moves together with others.
+        SceneError: The joint is coupled with others.
     """
     assert task.joint is not None
     assert task.to is not None
     item = scene.object(task.object)
     opening = opening_of(item.model, task.joint)
     moved = opening.sign * (value - opening.closed)
-    way = way_about(item, task.joint, axis.direction, axis.point, moved)
+    measured = hypothesis_about(item, task.joint, axis.direction, axis.point, moved)
     first, to = (
-        float(np.clip(opening.sign * (at - opening.closed), 0.0, way.upper))
+        float(np.clip(opening.sign * (at - opening.closed), 0.0, measured.upper))
         for at in (item.values()[task.joint], task.to)
     )
-    other = scene_moving_as(scene, task.object, task.joint, way)
+    other = scene_with_part_motion(scene, task.object, task.joint, measured)
     return other.with_joint(task.object, task.joint, first), replace(task, to=to), moved
 
 
-def falls_shut(scene: Scene, task: Task, learned: Learned) -> bool:
-    """Whether a part falls shut where it is let go: the hand has found that opening lifts it."""
+def falls_closed(scene: Scene, task: Task, learned: LearnedPart) -> bool:
+    """Check whether a released part falls closed because opening lifts it."""
     if task.joint is None or not learned.way:
         return False
-    rises = float(learned.axis.way_at(learned.way[-1])[2])
-    return opening_of(scene.object(task.object).model, task.joint).sign * rises > LEANS
+    slope = float(learned.axis.way_at(learned.way[-1])[2])
+    sign = opening_of(scene.object(task.object).model, task.joint).sign
+    return sign * slope > MAX_RESTING_SLOPE
 
 
 def without_pushes(config: PipelineConfig) -> PipelineConfig:
-    """The same with one hold for the whole way: the part does not stay where it is let go."""
+    """Return the configuration with one grasp for the whole motion, so that it never lets go."""
     grasps = config.motion.grasps
     families = tuple(family for family in grasps.families if family != "push")
     return replace(config, motion=replace(config.motion, grasps=replace(grasps, families=families)))
 
 
 def grasp_in_part(scene: Scene, task: Task, motion: Motion) -> Float[np.ndarray, "4 4"]:
-    """Where a motion takes hold of its part: the tool in the object's frame, the part shut."""
+    """Return the first grasp of a motion: the tool in the object's frame, with the part closed."""
     return invert(_part_pose(scene, task)) @ motion.Ts_world_tool[0]
 
 
 def other_grasps(
     scene: Scene, task: Task, failed: Sequence[Float[np.ndarray, "4 4"]]
 ) -> GraspFilter:
-    """Accepts the grasps that differ from those that failed, see `grasp_in_part`."""
+    """Return a filter that accepts grasps different from the failed ones, see `grasp_in_part`."""
     back = invert(_part_pose(scene, task))
 
     def accept(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
@@ -105,22 +109,22 @@ def other_grasps(
         for T in failed:
             away = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=-1)
             angle = rotation_angle(Ts[:, :3, :3], np.broadcast_to(T[:3, :3], Ts[:, :3, :3].shape))
-            accepted &= (away > OTHER_POSITION) | (angle > OTHER_ANGLE)
+            accepted &= (away > MIN_GRASP_DISTANCE) | (angle > MIN_GRASP_ANGLE)
         return accepted
 
     return accept
 
 
 def _part_pose(scene: Scene, task: Task) -> Float[np.ndarray, "4 4"]:
-    """Pose of the object's frame, moved along with its part from where that is shut."""
+    """Return the pose of the object's frame, moved with the part from its closed value."""
     item, name = scene.object(task.object), task.joint
     assert name is not None
     link, closed = item.model.joint(name).child, opening_of(item.model, name).closed
-    shut = item.model.link_poses({**item.values(), name: closed})[link]
-    return item.link_poses()[link] @ invert(shut)
+    T_object_closed = item.model.link_poses({**item.values(), name: closed})[link]
+    return item.link_poses()[link] @ invert(T_object_closed)
 
 
-def arm_way_home(
+def arm_home_path(
     scene: Scene,
     robot: Robot,
     task: Task,
@@ -130,20 +134,23 @@ def arm_way_home(
     config: PipelineConfig,
     seed: int,
 ) -> Float[np.ndarray, "k n"] | None:
-    """States of the arm from one back to home, close together; None where no way is found.
+    """Plan a path of the arm from a state back to home.
 
     Args:
-        scene: The room as the hand left it.
+        scene: The scene as the hand left it.
         robot: The robot.
-        task: What it was about.
+        task: The task.
         base_pose: x [m], y [m], yaw [rad].
-        q: Where the joints that the arm moves are [rad] or [m].
-        config: How to plan.
-        seed: Same seed, same way.
+        q: Values of the joints that the arm moves [rad] or [m].
+        config: Configuration of the planner.
+        seed: Same seed, same path.
+
+    Returns:
+        Densely interpolated states; None if there is no path.
     """
     try:
         motion = task_motion(scene, robot, task, config.motion)
-    except TaskError:  # what is left of the way is too short to be planned
+    except TaskError:  # the remaining opening is too short to plan
         return None
     world = collision_world(robot, motion, replace(config, arm_clearance=0.0))
     chain = robot.chain
@@ -155,13 +162,13 @@ def arm_way_home(
     begin = _free_state(q, chain.lower, chain.upper, checker(), np.random.default_rng(seed))
     if begin is None:
         return None
-    way = plan_with_room(
+    path = plan_with_clearance(
         begin, robot.home, chain.lower, chain.upper, checker,
         config=config.arm_planner, seed=seed,
     )  # fmt: skip
-    if way is None:
+    if path is None:
         return None
-    return chain.joint_values(interpolate(np.concatenate([q[None], way])))
+    return chain.joint_values(interpolate(np.concatenate([q[None], path])))
 
 
 def _free_state(
@@ -171,8 +178,8 @@ def _free_state(
     free: CheckMotion,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " n"] | None:
-    """A free state near one that may be too near to something: spheres hold more than the arm."""
-    away = rng.uniform(-_NEAR, _NEAR, (_SAMPLES, len(q)))
+    """Return the nearest sampled state without a collision: spheres enclose more than the arm."""
+    away = rng.uniform(-_START_RANGE, _START_RANGE, (_START_SAMPLES, len(q)))
     away = away[np.argsort(np.abs(away).max(1))]
     states = np.clip(q + np.concatenate([np.zeros((1, len(q))), away]), lower, upper)
     return next((state for state in states if free(state, state)), None)

@@ -1,4 +1,4 @@
-"""The drives of a run, and what the robot believes on its way from one try to the next."""
+"""Replan during a run: drive, plan arm motions, and update the belief after failures."""
 
 from __future__ import annotations
 
@@ -12,46 +12,46 @@ from momapos.core import SceneError, Stopwatch, TaskError
 from momapos.core.geometry import wrap_angle
 from momapos.model.records import Attempt, Motion, PlacementPlan, ReachScorer, Task
 from momapos.model.scene import Scene
-from momapos.planning import PipelineConfig, check_base_pose
-from momapos.planning.baselines import plan_by_method
+from momapos.planning import PipelineConfig, PlacementQuery, check_pose
+from momapos.planning.baselines import plan_with_method
 from momapos.planning.grasps import GraspFilter, slides
 from momapos.planning.navigation import DriveRecord, NavigationMap, build_navigation_map, gaps
-from momapos.simulation import Learned, Outcome, Pose, TrueWorld, Visit, WayHome
+from momapos.simulation import AttemptOutcome, LearnedPart, PlanHomePath, Pose, TrueWorld, Visit
 
 from .joint_belief import JointBelief, JointBeliefs
 from .recovery import (
-    arm_way_home,
+    arm_home_path,
     believed_scene,
-    falls_shut,
+    falls_closed,
     grasp_in_part,
     other_grasps,
-    taken_as_felt,
+    with_estimated_joint,
     without_pushes,
 )
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-APART = 0.15
-"""A base pose is another one when it is this far from those that failed [m]."""
-TURN = 0.3
-"""A radian of turning counts as this distance [m]."""
-DOCKED = 0.005
-"""A drive that ends nearer to its goal than this is not repeated [m]."""
-NONE_LEFT = "no other base pose is left"
+MIN_POSE_DISTANCE = 0.15
+"""Minimum distance of a new base pose from the failed ones [m]."""
+YAW_WEIGHT = 0.3
+"""Distance that counts as much as a rotation by one radian [m]."""
+DOCKING_TOLERANCE = 0.005
+"""A drive that ends nearer to its goal is not repeated [m]."""
+NO_POSE_LEFT = "no other base pose is left"
 
 Drive: TypeAlias = (
     "Callable[[NavigationMap, Float[np.ndarray, '3'], Float[np.ndarray, '3'],"
     " np.random.Generator], DriveRecord]"
 )
-"""Drives from a pose to a pose: x [m], y [m], yaw [rad]."""
-Trace: TypeAlias = "Callable[[Float[np.ndarray, ' t'], Float[np.ndarray, 't 3']], None]"
+"""BasePaths from a pose to a pose: x [m], y [m], yaw [rad]."""
+OnDrive: TypeAlias = "Callable[[Float[np.ndarray, ' t'], Float[np.ndarray, 't 3']], None]"
 """Called after every drive with its times [s] and true poses."""
 
 
-@dataclass
-class Trip:
-    """Drives to base poses until the arm finds a motion at one; anew where that motion fails."""
+@dataclass(eq=False)
+class Replanner:
+    """BasePaths to base poses until the arm finds a motion, and replans after failures."""
 
     ground: NavigationMap
     scene: Scene
@@ -59,50 +59,48 @@ class Trip:
     reach: ReachScorer
     drive: Drive
     config: PipelineConfig
-    trace: Trace
+    trace: OnDrive
     stopwatch: Stopwatch
     rng: np.random.Generator
     visits: list[Visit] = field(default_factory=list)
     failed: list[Float[np.ndarray, "3"]] = field(default_factory=list)
-    """Base poses that were no good."""
+    """Base poses that failed."""
     grasps: list[Float[np.ndarray, "4 4"]] = field(default_factory=list)
-    """Grasps that did not hold, see `grasp_in_part`."""
+    """Grasps that failed, see `grasp_in_part`."""
     _: KW_ONLY
-    whole: Scene
-    """The room as the run began, the part as it is believed to move."""
+    initial: Scene
+    """The scene at the start of the run, with the joint of the part as now believed."""
     beliefs: JointBeliefs
-    """How the part may move."""
-    first: TrueWorld = field(init=False)
-    """The room and the task as they were given."""
-    otherwise: Scene | None = None
-    """Where the part may be too, if it is not where it is believed to be."""
-    before: tuple[Scene, Scene, Task] | None = None
-    """`whole`, `scene` and the task as they would be if the hand had not felt where the joint is;
-    None where it has not."""
+    """Hypotheses of the part's joint."""
+    given: TrueWorld = field(init=False)
+    """The given scene and task."""
+    alternative: Scene | None = None
+    """The scene with the part at its next most probable value."""
+    unmeasured: tuple[Scene, Scene, Task] | None = None
+    """`initial`, `scene` and the task without the measured joint; None if it was not measured."""
 
     def __post_init__(self) -> None:
-        """Keep what was given."""
-        self.first = TrueWorld(self.whole, self.plan.task)
+        self.given = TrueWorld(self.initial, self.plan.task)
 
     def true_world(self, there: TrueWorld | None) -> TrueWorld | None:
-        """What is really there, where that differs from what the robot believes.
+        """Return the true world if it differs from the robot's belief.
 
         Args:
-            there: As it was given; None for the scene that the run began with.
+            there: The true world as given; None for the scene at the start of the run.
         """
-        return there or (None if self.whole is self.first.scene else self.first)
+        return there or (None if self.initial is self.given.scene else self.given)
 
-    def learn(self, motion: Motion, outcome: Outcome) -> bool:
-        """Take in how a motion failed: its grasp, where the hand left the part, how that moves.
+    def learn(self, motion: Motion, outcome: AttemptOutcome) -> bool:
+        """Update the belief after a failed motion: failed grasps, state and joint of the part.
 
         Args:
-            motion: What was executed.
-            outcome: What came of it.
+            motion: The executed motion.
+            outcome: Its outcome.
 
         Returns:
-            Whether the part is still taken for the same kind.
+            Whether the hypothesis of the part's joint stays the same.
         """
-        # A hand that does not find a part again that it has moved is led by a wrong belief, too.
+        # A hand that does not find a part that it moved before also indicates a wrong hypothesis.
         if outcome.learned is not None or self.beliefs.moved:
             other = self.beliefs.fail(() if outcome.learned is None else outcome.learned.way)
             if other is not None:
@@ -111,44 +109,44 @@ class Trip:
         task = self.plan.task
         self.grasps.append(grasp_in_part(self.scene, task, motion))
         if outcome.learned is not None:
-            falls = falls_shut(self.scene, task, outcome.learned)
+            falls = falls_closed(self.scene, task, outcome.learned)
             if falls or outcome.ran_away:
                 self.config = without_pushes(self.config)
-            self._feel(outcome.learned, falls=falls)
-        elif outcome.nothing_there:  # it moved on alone, or did not
-            self._believe(self.otherwise or self.whole)
+            self._use_measured(outcome.learned, falls=falls)
+        elif outcome.nothing_there:  # the part is not at its believed value
+            self._believe(self.alternative or self.initial)
         return True
 
-    def _feel(self, learned: Learned, *, falls: bool) -> None:
-        """Take the part's joint to be where the hand found it, and the part where it left it.
+    def _use_measured(self, learned: LearnedPart, *, falls: bool) -> None:
+        """Use the measured joint, and the value at which the hand left the part.
 
         Args:
-            learned: What the hand found.
-            falls: Whether the part falls shut where it is let go.
+            learned: The measurements of the hand.
+            falls: Whether the released part falls closed.
         """
-        task, whole = self.plan.task, self.whole
+        task, initial = self.plan.task, self.initial
         known, first = (
-            scene.object(task.object).T_world_object[:3, 3] for scene in (self.scene, whole)
+            scene.object(task.object).T_world_object[:3, 3] for scene in (self.scene, initial)
         )
         offset = learned.offset + known - first
-        left = believed_scene(whole, task, learned.value, offset)
-        self.before = whole, whole if falls else left, task
+        left = believed_scene(initial, task, learned.value, offset)
+        self.unmeasured = initial, initial if falls else left, task
         try:
-            self.whole, task, value = taken_as_felt(
-                whole, task, learned.axis.shifted(first - known), learned.value
+            self.initial, task, value = with_estimated_joint(
+                initial, task, learned.axis.shifted(first - known), learned.value
             )
-        except SceneError:  # it moves together with others, as its file says
-            self.before = None
+        except SceneError:  # its file couples the joint with others
+            self.unmeasured = None
         else:
             self.plan = replace(self.plan, task=task)
-            left = believed_scene(self.whole, task, value, offset)
-        self.otherwise = left if falls else self.whole
-        self._believe(self.whole if falls else left)
+            left = believed_scene(self.initial, task, value, offset)
+        self.alternative = left if falls else self.initial
+        self._believe(self.initial if falls else left)
 
     def _switch(self, belief: JointBelief) -> None:
-        """Take the part for another kind; no grasp and no base pose has failed for that yet."""
-        self.whole, self.grasps, self.failed = belief.scene, [], []
-        self.before, self.otherwise = None, None
+        """Use another hypothesis, and forget the failed grasps and base poses."""
+        self.initial, self.grasps, self.failed = belief.scene, [], []
+        self.unmeasured, self.alternative = None, None
         self.plan = replace(self.plan, task=belief.task)
         self._believe(belief.as_left()[0])
 
@@ -158,91 +156,95 @@ class Trip:
             with self.stopwatch.stage("drive"):
                 self.ground = build_navigation_map(scene, self.ground.robot)
 
-    def try_anew(
-        self, here: Float[np.ndarray, "3"], attempts: int, *, elsewhere: bool
+    def retry(
+        self, here: Float[np.ndarray, "3"], attempts: int, *, leave: bool
     ) -> tuple[Float[np.ndarray, "3"], Motion | None]:
-        """Another grasp at the same base pose, else another base pose, else another belief.
+        """Try another grasp at this base pose, then another base pose, then another hypothesis.
 
         Args:
-            here: Where the base stands: x [m], y [m], yaw [rad].
-            attempts: Base poses that are driven to at most [-].
-            elsewhere: Whether something was in the arm's way, so that this pose is no good.
+            here: Current base pose x [m], y [m], yaw [rad].
+            attempts: Maximum number of base poses [-].
+            leave: Whether to leave this base pose because the arm was blocked.
 
         Returns:
-            The pose reached last, and the motion found there, if any.
+            The last base pose, and the motion found there, if any.
         """
-        while (found := self._next(here, elsewhere)) is None:
-            if self.before is not None:  # no base pose serves the joint as felt
-                (self.whole, scene, task), self.before = self.before, None
-                self.otherwise = None
+        while (found := self._next(here, leave)) is None:
+            if self.unmeasured is not None:  # no base pose works for the measured joint
+                (self.initial, scene, task), self.unmeasured = self.unmeasured, None
+                self.alternative = None
                 self.plan = replace(self.plan, task=task)
                 self._believe(scene)
                 continue
-            other = self.beliefs.give_up()
+            other = self.beliefs.drop_current()
             if other is None:
                 return here, None
             self._switch(other)
-            elsewhere = False
-        return self.go(here, found, attempts) if isinstance(found, PlacementPlan) else (here, found)
+            leave = False
+        if isinstance(found, PlacementPlan):
+            return self.drive_and_plan(here, found, attempts)
+        return here, found
 
-    def _next(self, here: Float[np.ndarray, "3"], elsewhere: bool) -> Motion | PlacementPlan | None:
-        """A motion at a base pose, else the plan of another one, for the part as it is believed.
+    def _next(self, here: Float[np.ndarray, "3"], leave: bool) -> Motion | PlacementPlan | None:
+        """Plan a motion at this base pose, or else a plan with another one.
 
-        A second hold comes past the edge of a part that was let go, by less than what is known of
-        it after a failure: one hold from elsewhere is tried before two from here.
+        A regrasp passes the edge of the released part more closely than its value is known after a
+        failure. So one grasp from another base pose is tried before two grasps from this one.
         """
         task = self.plan.task
         configs = [self.config]
-        once = without_pushes(self.config)
-        if task.verb == "open" and not slides(self.scene, task) and once != self.config:
-            configs.insert(0, once)
+        one_grasp = without_pushes(self.config)
+        if task.verb == "open" and not slides(self.scene, task) and one_grasp != self.config:
+            configs.insert(0, one_grasp)
         try:
             with self.stopwatch.stage("plan"):
                 others = other_grasps(self.scene, task, self.grasps)
                 for config in configs:
-                    found = None if elsewhere else self._motion(here, config, others).motion
+                    found = None if leave else self._motion(here, config, others).motion
                     if found is not None:
                         return found
                     self.failed.append(here)
-                    other = self._another(here, config)
+                    other = self._other_pose(here, config)
                     if other is not None:
                         return other
-        except TaskError:  # no hand holds a part of that kind
+        except TaskError:  # the hand has no grasp for a part of this kind
             return None
         return None
 
-    def way_home(self, base: Float[np.ndarray, "3"]) -> WayHome:
-        """Plans the arm's way home at a base pose, with the part where the hand left it.
+    def home_path_planner(self, base: Float[np.ndarray, "3"]) -> PlanHomePath:
+        """Return a planner of the arm's path home, with the part where the hand left it.
 
-        Asked again, it has the part where the next likely way to move has left it.
+        Each further call assumes the next most probable hypothesis of the joint.
         """
-        asked = 0
+        calls = 0
 
-        def plan(q: Float[np.ndarray, " n"], learned: Learned) -> Float[np.ndarray, "k n"] | None:
-            nonlocal asked
-            ways, task = self.beliefs.ranked(learned.way)[asked:], self.plan.task
-            asked += 1
-            if not ways:
+        def plan(
+            q: Float[np.ndarray, " n"], learned: LearnedPart
+        ) -> Float[np.ndarray, "k n"] | None:
+            nonlocal calls
+            beliefs, task = self.beliefs.ranked(learned.way)[calls:], self.plan.task
+            calls += 1
+            if not beliefs:
                 return None
             scene = believed_scene(self.scene, task, learned.value, learned.offset)
-            if ways[0] is not None:
-                scene, task = ways[0].as_left()
-            return arm_way_home(
+            if beliefs[0] is not None:
+                scene, task = beliefs[0].as_left()
+            return arm_home_path(
                 scene, self.ground.robot, task, base, q, config=self.config, seed=self.plan.seed
             )
 
         return plan
 
-    def go(
+    def drive_and_plan(
         self, here: Float[np.ndarray, "3"], plan: PlacementPlan | None, attempts: int
     ) -> tuple[Float[np.ndarray, "3"], Motion | None]:
-        """Drive, plan anew, and ask for the next base pose where that fails.
+        """Drive to the plan's base pose and replan the arm; on failure try other base poses.
 
         Returns:
-            The pose reached last, and the motion found there, if any.
+            The last base pose, and the motion found there, if any.
         """
-        motion, most = None, len(self.visits) + attempts
-        while plan is not None and len(self.visits) < most:
+        motion, max_visits = None, len(self.visits) + attempts
+        while plan is not None and len(self.visits) < max_visits:
             assert plan.base_pose is not None
             goal = np.array(plan.base_pose)
             with self.stopwatch.stage("drive"):
@@ -256,14 +258,14 @@ class Trip:
                 self.failed.append(here)
             self.failed.append(goal)
             self.visits.append(_visit(goal, driven, reason))
-            # A base that touched something is not driven on: that is an accident, no detour.
-            if motion is None and not driven.hit and len(self.visits) < most:
+            # After a collision the run ends: the base must not drive on.
+            if motion is None and not driven.hit and len(self.visits) < max_visits:
                 with self.stopwatch.stage("plan"):
-                    plan = self._another(here, self.config)
+                    plan = self._other_pose(here, self.config)
                 if plan is None:
-                    reason = f"{reason}; {NONE_LEFT}"
+                    reason = f"{reason}; {NO_POSE_LEFT}"
                     self.visits[-1] = replace(self.visits[-1], reason=reason)
-                    plan = now if driven.arrived and _beside(goal, here) else None
+                    plan = now if driven.arrived and _missed(goal, here) else None
         return here, motion
 
     def _motion(
@@ -272,37 +274,39 @@ class Trip:
         config: PipelineConfig,
         grasps: GraspFilter | None = None,
     ) -> Attempt:
-        return check_base_pose(
-            self.scene, self.ground.robot, self.plan.task, pose, self.reach,
-            how_far=False, grasp_filter=grasps, config=config, seed=self.plan.seed,
-        )  # fmt: skip
+        query = replace(self._query(config), keep_grasps=grasps)
+        return check_pose(query, pose, how_far=False)
 
-    def _another(
+    def _other_pose(
         self, pose: Float[np.ndarray, "3"], config: PipelineConfig
     ) -> PlacementPlan | None:
-        """The cheapest base pose seen from where the robot is, those that failed ruled out."""
+        """Plan with the cheapest base pose from here that is not near a failed one."""
         try:
-            result = plan_by_method(
-                self.scene, self.ground.robot, self.plan.task, self.reach, start=pose,
-                pose_filter=self._ruled_out, region=self.plan.region, config=config,
-                seed=self.plan.seed,
-            )  # fmt: skip
-        except SceneError:  # boxes hold more than the outlines that were driven by
+            query = replace(self._query(config), start=pose, keep_poses=self._untried)
+            result = plan_with_method(query)
+        except SceneError:  # the planner's boxes enclose more than the outlines for driving
             return None
         return result.plan if result.plan.status == "solved" else None
 
-    def _ruled_out(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Poses near one that failed, and those where the base cannot dock with its arm at home."""
+    def _query(self, config: PipelineConfig) -> PlacementQuery:
+        plan = self.plan
+        return PlacementQuery(
+            self.scene, self.ground.robot, plan.task, self.reach, config=config,
+            region=plan.region, seed=plan.seed,
+        )  # fmt: skip
+
+    def _untried(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return which poses are away from the failed ones and let the base dock."""
         away = poses[:, None] - np.array(self.failed)
-        apart = np.hypot(away[..., 0], away[..., 1]) + TURN * np.abs(wrap_angle(away[..., 2]))
+        apart = np.hypot(away[..., 0], away[..., 1]) + YAW_WEIGHT * np.abs(wrap_angle(away[..., 2]))
         fits = gaps(poses, self.ground.prisms, self.ground.planning_obstacles) > 0.0
-        return np.asarray((apart < APART).any(1) | ~fits)
+        return np.asarray((apart >= MIN_POSE_DISTANCE).all(1) & fits)
 
 
-def _beside(goal: Float[np.ndarray, "3"], pose: Float[np.ndarray, "3"]) -> bool:
-    """Whether a drive has ended so far from its goal that another one may do better."""
-    off = float(np.hypot(*(pose - goal)[:2])) + TURN * abs(float(wrap_angle(pose[2] - goal[2])))
-    return off > DOCKED
+def _missed(goal: Float[np.ndarray, "3"], pose: Float[np.ndarray, "3"]) -> bool:
+    """Check that a drive ended so far from its goal that another drive may end nearer."""
+    turn = abs(float(wrap_angle(pose[2] - goal[2])))
+    return float(np.hypot(*(pose - goal)[:2])) + YAW_WEIGHT * turn > DOCKING_TOLERANCE
 
 
 def _visit(goal: Float[np.ndarray, "3"], driven: DriveRecord, reason: str) -> Visit:

@@ -1,8 +1,8 @@
-"""Drive there and do it: a plan, carried out in physics.
+"""Execute a plan in physics.
 
-The base drives from its start to the base pose. On arrival the arm motion is planned anew from the
-pose really reached; where the drive ends elsewhere, or the arm finds no motion, the next cheapest
-base pose is driven to, from there.
+The base drives from its start to the base pose. The arm motion is replanned at the pose that it
+reached. If the base does not arrive or the arm finds no motion, the base drives to the next
+cheapest base pose.
 """
 
 from __future__ import annotations
@@ -15,24 +15,22 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.core import Clock, InputError, SceneError, Stopwatch, version_of
-from momapos.model.records import Motion, PlacementPlan, ReachScorer, Task
+from momapos.model.records import Motion, PlacementPlan, ReachScorer
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning import PipelineConfig, start_pose
 from momapos.planning.grasps import task_motion
 from momapos.planning.navigation import (
     DriveConfig,
-    DriveRecord,
-    NavigationMap,
     NoiseConfig,
     build_navigation_map,
     drive,
 )
 from momapos.simulation import (
-    Again,
+    AttemptOutcome,
     Execution,
     ExecutionConfig,
-    Outcome,
+    RetryState,
     RunRecord,
     Watch,
     attempt,
@@ -40,7 +38,7 @@ from momapos.simulation import (
 )
 
 from .joint_belief import JointBeliefs, joint_beliefs
-from .replanning import Drive, Trace, Trip, base_triple
+from .replanning import Drive, OnDrive, Replanner, base_triple
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -48,13 +46,16 @@ if TYPE_CHECKING:
 DEFAULT = PipelineConfig()
 PHYSICS = ExecutionConfig()
 DRIVING = DriveConfig()
-QUIET = NoiseConfig(position=0.0, heading=0.0, odometry=0.0)
+NO_NOISE = NoiseConfig(position=0.0, heading=0.0, odometry=0.0)
 """Sensors without errors."""
 STAGES = ("drive", "plan", "execute")
-_Execute: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion, Again | None, bool], Outcome]"
-"""Executes a motion from a base pose, after what earlier tries left, as the last one or not."""
-TRIES = 3
-"""Motions that are executed at most, where the scene knows how the part moves [-]."""
+_Execute: TypeAlias = (
+    "Callable[[Float[np.ndarray, '3'], Motion, RetryState | None, bool], AttemptOutcome]"
+)
+"""Executes a motion; takes the base pose, the motion, the state after earlier tries, and whether it
+is the last try."""
+MAX_TRIES = 3
+"""Maximum number of executed motions for a part with one hypothesis [-]."""
 
 
 def run_plan(
@@ -71,46 +72,44 @@ def run_plan(
     driving: DriveConfig = DRIVING,
     physics: ExecutionConfig = PHYSICS,
     seed: int = 0,
-    go: Drive | None = None,
-    trace: Trace | None = None,
+    driver: Drive | None = None,
+    trace: OnDrive | None = None,
     watch: Watch | None = None,
     clock: Clock = time.perf_counter,
 ) -> RunRecord:
-    """Carry out a plan.
+    """Execute a plan in physics.
 
     Args:
         plan: A solved plan for this scene and robot.
-        scene: The room.
+        scene: The scene, as the robot believes it.
         robot: The robot.
-        reach: The robot's reachability map, for planning anew.
-        start: Where the base is at first; as the plan says by default, else as for `place`.
-        world: What is really there, in the frame of `scene`, which is then what the robot
-            believes: it plans and drives by the scene, its hand meets the world. The part nearest
-            to where the plan takes hold is the one to open. As the scene says by default. Where
-            the scene has several `hypotheses` of how that part moves, each motion is planned for
-            the one that is the most probable after what the hand has felt.
-        attempts: Base poses that are driven to for one motion at most [-].
-        tries: Motions that are executed at most, one after the other, each after one that failed
-            and after which the arm came home [-]; by default three, and one more for each further
-            way in which the part may move.
-        config: How to plan anew.
-        driving: How the base drives, and how wrong its sensors are.
-        physics: How to model and judge.
-        seed: Same seed, same run. The furniture is drawn from a stream of its own, so that it is
-            the same for every plan, however far it has to be driven.
-        go: Drives in the place of `navigation.drive`.
-        trace: Sees the drives.
-        watch: Sees the physics, see `execute`.
+        reach: The robot's reachability map, for replanning.
+        start: Initial base pose; by default the plan's, else the scene's.
+        world: The true world, in the frame of `scene`; the scene by default. The robot plans and
+            drives in the scene, and its hand acts in the world, on the part nearest to the planned
+            grasp. If the scene has several `hypotheses` for that part, each motion is planned for
+            the most probable one after the measurements of the hand.
+        attempts: Maximum number of base poses for one motion [-].
+        tries: Maximum number of executed motions [-]. A retry needs the arm back at home. Default:
+            three, and one more for each further hypothesis.
+        config: Configuration for replanning.
+        driving: Configuration of the drives and of the sensor errors.
+        physics: Configuration of the simulation.
+        seed: Same seed, same run. The furniture has its own random stream, so that it does not
+            depend on the drives.
+        driver: Replaces `navigation.drive`.
+        trace: Called after every drive.
+        watch: Called during the simulation, see `attempt`.
         clock: Measures the stages.
 
     Raises:
-        InputError: The plan is not solved, or nothing in the world opens where it takes hold.
-        SceneError: The robot stands in something at the start.
-        TaskError, RobotError: They do not fit together.
+        InputError: The plan is not solved, or no part of the world opens at the planned grasp.
+        SceneError: The robot collides at the start.
+        TaskError, RobotError: Plan, scene and robot don't match.
     """
     if plan.status != "solved" or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
-    # Planned anew from another pose, it must go as far as planned, no farther and no less far.
+    # A replanned motion must open the part exactly as far as planned.
     plan = replace(plan, task=replace(plan.task, farthest=False))
     there = None
     if world is not None:
@@ -118,109 +117,87 @@ def run_plan(
         there = true_world(world, scene, plan.task, plan.motion.Ts_world_tool[0, :3, 3])
     of_drive, of_world = np.random.SeedSequence(seed).spawn(2)
     stopwatch = Stopwatch(clock, dict.fromkeys(STAGES, 0.0))
-
-    def by_window(
-        ground: NavigationMap,
-        here: Float[np.ndarray, "3"],
-        goal: Float[np.ndarray, "3"],
-        rng: np.random.Generator,
-    ) -> DriveRecord:
-        return drive(ground, here, goal, rng=rng, config=driving, clock=clock)
-
+    driver = driver or (
+        lambda ground, here, goal, rng: drive(
+            ground, here, goal, rng=rng, config=driving, clock=clock
+        )
+    )
     with stopwatch.stage("drive"):
         ground = build_navigation_map(scene, robot)
     if start is None and plan.start is not None:
         start = np.array(plan.start)
-    begin = _begin(ground, scene, plan.task, start, config)
-    trip = Trip(
-        ground, scene, plan, reach, go or by_window, config, trace or _unseen, stopwatch,
-        np.random.default_rng(of_drive), whole=scene,
+    begin = start_pose(
+        scene, robot, task_motion(scene, robot, plan.task, config.motion), start, ground
+    )
+    replanner = Replanner(
+        ground, scene, plan, reach, driver, config, trace or (lambda _, __: None), stopwatch,
+        np.random.default_rng(of_drive), initial=scene,
         beliefs=JointBeliefs(
             () if world is None else joint_beliefs(scene, plan.task), physics.compliance
         ),
     )  # fmt: skip
-    most = tries or TRIES + max(len(trip.beliefs.beliefs) - 1, 0)
+    max_tries = tries or MAX_TRIES + max(len(replanner.beliefs.beliefs) - 1, 0)
 
     def execute(
-        here: Float[np.ndarray, "3"], motion: Motion, again: Again | None, last: bool
-    ) -> Outcome:
+        here: Float[np.ndarray, "3"], motion: Motion, again: RetryState | None, last: bool
+    ) -> AttemptOutcome:
         return attempt(
-            trip.whole, robot, base_triple(here), motion, trip.plan.task, physics,
-            np.random.default_rng(of_world), true_world=trip.true_world(there), again=again,
-            way_home=None if last else trip.way_home(here),
-            doubt=None if last else trip.beliefs.speaks_against,
+            replanner.initial, robot, base_triple(here), motion, replanner.plan.task, physics,
+            np.random.default_rng(of_world), true_world=replanner.true_world(there), again=again,
+            way_home=None if last else replanner.home_path_planner(here),
+            doubt=None if last else replanner.beliefs.contradicts,
             watch=watch, clock=clock,
         )  # fmt: skip
 
-    executions, kinds = _carry_out(trip, execute, begin, attempts, most)
+    executions, kinds = _execute_until_done(replanner, execute, begin, attempts, max_tries)
     return RunRecord(
         scene=plan.scene,
         robot=robot.name,
         task=plan.task,
-        visits=tuple(trip.visits),
+        visits=tuple(replanner.visits),
         execution=executions[-1] if executions else None,
         failed=tuple(executions[:-1]),
         kinds=tuple(filter(None, kinds)),
         seed=seed,
-        noise=driving.noise != QUIET,
+        noise=driving.noise != NO_NOISE,
         time=stopwatch.seconds,
         versions={name: version_of(name) for name in ("momapos", "mujoco", "toppra")},
         true_task=None if there is None else there.task,
     )
 
 
-def _carry_out(
-    trip: Trip, execute: _Execute, begin: Float[np.ndarray, "3"], attempts: int, most: int
-) -> tuple[list[Execution], list[str]]:
-    """Execute motions, each after one that failed and after which the arm came home.
+def _execute_until_done(
+    replanner: Replanner, execute: _Execute, begin: Float[np.ndarray, "3"], attempts: int,
+    max_tries: int,
+) -> tuple[list[Execution], list[str]]:  # fmt: skip
+    """Execute motions until one succeeds, the arm can't return home, or no motion is left.
 
     Args:
-        trip: The drives, and what the robot believes.
+        replanner: BasePaths and replans.
         execute: Executes a motion.
-        begin: Where the base is at first: x [m], y [m], yaw [rad].
-        attempts: Base poses that are driven to for one motion at most [-].
-        most: Motions that are executed at most [-].
+        begin: Initial base pose x [m], y [m], yaw [rad].
+        attempts: Maximum number of base poses for one motion [-].
+        max_tries: Maximum number of executed motions [-].
 
     Returns:
-        What came of each, and as which kind it took the part.
+        The executions, and the kind of part that each assumed.
     """
     executions: list[Execution] = []
     kinds: list[str] = []
-    again: Again | None = None
-    here, motion = trip.go(begin, trip.plan, attempts)
+    again: RetryState | None = None
+    here, motion = replanner.drive_and_plan(begin, replanner.plan, attempts)
     while motion is not None:
         try:
-            with trip.stopwatch.stage("execute"):
-                outcome = execute(here, motion, again, len(executions) + 1 >= most)
-        except SceneError as error:  # by the exact shapes of the physics, which nothing before uses
-            trip.visits[-1] = replace(trip.visits[-1], reason=str(error))
+            with replanner.stopwatch.stage("execute"):
+                outcome = execute(here, motion, again, len(executions) + 1 >= max_tries)
+        except SceneError as error:  # a collision at the start, which only exact shapes show
+            replanner.visits[-1] = replace(replanner.visits[-1], reason=str(error))
             break
         executions.append(outcome.execution)
-        kinds.append(trip.beliefs.kind)
+        kinds.append(replanner.beliefs.kind)
         if not outcome.at_home:
             break
-        same = trip.learn(motion, outcome)
-        here, motion = trip.try_anew(here, attempts, elsewhere=same and outcome.in_the_way)
-        again = Again(trip.scene, outcome.value, outcome.collisions)
+        same = replanner.learn(motion, outcome)
+        here, motion = replanner.retry(here, attempts, leave=same and outcome.in_the_way)
+        again = RetryState(replanner.scene, outcome.value, outcome.collisions)
     return executions, kinds
-
-
-def _unseen(_: Float[np.ndarray, " t"], __: Float[np.ndarray, "t 3"]) -> None:
-    """Nobody looks."""
-
-
-def _begin(
-    ground: NavigationMap,
-    scene: Scene,
-    task: Task,
-    start: Float[np.ndarray, "3"] | None,
-    config: PipelineConfig,
-) -> Float[np.ndarray, "3"]:
-    """Where the base is at first.
-
-    Raises:
-        SceneError: The base cannot stand there, or not with its arm at home.
-    """
-    robot = ground.robot
-    motion = task_motion(scene, robot, task, config.motion)
-    return start_pose(scene, robot, motion, start, ground)

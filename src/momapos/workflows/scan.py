@@ -1,4 +1,4 @@
-"""From a scan to a scene whose doors and drawers open: perception, joined with importance."""
+"""Build a scene with opening doors and drawers from a scan: perception plus importance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core import Clock
+from momapos.core import Clock, as_path, expect
 from momapos.core.geometry import pose, rotation_about
 from momapos.model.records import Detection, Scan
 from momapos.model.scene import Scene, SceneObject
@@ -35,7 +35,7 @@ from momapos.planning.importance import Importance, ImportanceConfig, rank
 
 def scan_to_scene(
     scan: Scan,
-    out: Path,
+    out: str | Path,
     tools: Tools | None = None,
     *,
     target: Target | None = None,
@@ -48,29 +48,30 @@ def scan_to_scene(
     progress: Progress | None = None,
     clock: Clock = time.perf_counter,
 ) -> Modeled:
-    """Make a scene whose doors and drawers open from a scan of a room.
+    """Build a scene with opening doors and drawers from a scan of a room.
 
     Args:
         scan: Posed images, a cloud, or both.
-        out: The scene file to write; URDF files go into a folder beside it.
-        tools: Segmenter and predictors; `default_tools` by default.
-        target: Object that the task will be about, by its name or pointed at: only what matters
-            for it is modeled. By default everything is that has a front.
-        after: The same room after doors or drawers were opened, which are shut in `scan`: how these
-            move is then seen, and the scene has them as open as they are here.
-        found: What a 2-D detector found in the images; projected boxes by default.
-        labels: What things are, by the names that they have without this; names follow labels.
-        given: URDF files for objects by name or label, which need no prediction.
-        config: How every stage works.
-        importance: How objects are ranked against the target, and below which importance they stay
-            boxes.
-        progress: Told what goes on.
+        out: Scene file to write; URDF files go into a folder next to it.
+        tools: Segmenter and predictors; `default_tools()` if None.
+        target: Object of the task, by name or by a point on it. Only objects that matter for it
+            are modeled. If None, every object with a front is modeled.
+        after: A second scan of the room with some doors or drawers open that are closed in `scan`.
+            It gives the motion of these parts, and the scene has them open as in this scan.
+        found: 2-D detections in the images; if None, boxes are projected into the images.
+        labels: Labels of objects, by their default names. Names follow labels.
+        given: URDF files of objects, by name or label; these objects need no prediction.
+        config: Configuration of all stages.
+        importance: How objects are ranked against the target, and the importance below which
+            they stay boxes.
+        progress: Called with the current step and the completed share.
         clock: Measures the stages.
 
     Raises:
-        InputError: The scan holds nothing, no object has the target's name or is there, or
-            `after` is of another room.
+        InputError: The scan is empty, the target does not exist, or `after` shows another room.
     """
+    expect("scan", scan, Scan, "read_scan reads one")
+    out = as_path("out", out)
     tools, config, progress = tools or default_tools(), config or ScanConfig(), progress or silent
     importance = importance or ImportanceConfig()
     seen = survey(
@@ -87,7 +88,7 @@ def scan_to_scene(
 
 
 def rank_survey(seen: Survey, target: str, config: ImportanceConfig, seed: int = 0) -> Importance:
-    """Rank all objects of a survey against the target, from their boxes alone.
+    """Rank all objects of a survey against the target, using only their boxes.
 
     Raises:
         UnknownNameError: No object has that name.

@@ -1,7 +1,7 @@
-"""From a scan of a room to a motion: the method as a whole (MoMa-Pos, section III).
+"""Plan a motion from a scan of a room: the whole method (MoMa-Pos, section III).
 
-The scan is surveyed once. What matters for the task is modeled; where no base pose is found, alpha
-falls and more of the scan is modeled, until the task is solved or all is modeled.
+The scan is surveyed once, and the objects that matter for the task are modeled. If no base pose is
+found, alpha is lowered and more objects are modeled, until the task is solved or all are modeled.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from momapos.core import Clock, Stopwatch, TaskError
+from momapos.core import Clock, Stopwatch, TaskError, as_path, expect
 from momapos.model.records import ReachScorer, Scan, Task, Verb
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, load_scene
@@ -28,12 +28,11 @@ from momapos.perception import (
     survey,
 )
 from momapos.perception.reconstruction import GivenModel
-from momapos.planning import PipelineConfig, PlacementResult, cheapest
-from momapos.planning.baselines import plan_by_method
+from momapos.planning import PipelineConfig, PlacementResult, cheapest, plan_by_method
 from momapos.planning.grasps import make_task
 from momapos.planning.importance import start_of
 
-from .joint_belief import ask_in_turn
+from .joint_belief import plan_by_hypothesis
 from .scan import rank_survey
 
 JOINTED = ("open", "close")
@@ -41,34 +40,34 @@ JOINTED = ("open", "close")
 
 @dataclass(frozen=True)
 class ScanTask:
-    """What is to be done in a room whose joints are not known yet."""
+    """A task in a room whose joints are not known yet."""
 
     verb: Verb
     object: str
     joint: str | None = None
-    """May be left out where only one part has a handle."""
+    """May be omitted if only one part has a handle."""
     to: float | str | None = None
     """As for `make_task`."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScanAnswer:
-    """Where to stand and how to move in a scanned room."""
+    """The base pose and motion in a scanned room."""
 
     modeled: Modeled
-    """The room as it was modeled last."""
+    """The room as modeled last."""
     result: PlacementResult
     alphas: tuple[float, ...]
-    """Thresholds of importance at which the room was modeled, one after the other [-]."""
+    """Importance thresholds at which the room was modeled, in order [-]."""
     timing: Mapping[str, float]
-    """Seconds by stage: those of the scan, "importance", "place", and "total"."""
+    """Seconds by stage: the stages of the scan, "importance", "place", and "total"."""
 
 
 def solve_scan(
     scan: Scan,
     arms: Sequence[tuple[Robot, ReachScorer]],
     task: ScanTask,
-    out: Path,
+    out: str | Path,
     *,
     tools: Tools | None = None,
     found: Found | None = None,
@@ -80,32 +79,32 @@ def solve_scan(
     progress: Progress | None = None,
     clock: Clock = time.perf_counter,
 ) -> ScanAnswer:
-    """Answer where the robot must stand, and how it moves, in a room that was scanned.
+    """Find where the robot must stand, and how it moves, in a scanned room.
 
     Args:
         scan: Posed images, a cloud, or both.
-        arms: The robot once for each arm that may do it, with its reachability map.
-        task: What is to be done.
-        out: The scene file to write, see `scan_to_scene`.
-        tools: As for `scan_to_scene`, as are the next three.
-        found: What a 2-D detector found in the images; projected boxes by default.
-        labels: What things are, by the names that they have without this.
-        given: URDF files for objects by name or label, which need no prediction.
+        arms: The robot once per arm that may do the task, with the arm's reachability map.
+        task: The task.
+        out: Scene file to write, see `scan_to_scene`.
+        tools, found, labels, given: As for `scan_to_scene`.
         scanning: How the scan becomes a scene; importance is configured by `config`.
-        config: How to rank and to search.
-        seed: Same seed, same answer.
-        progress: Told what goes on.
+        config: How to rank and search.
+        seed: The same seed gives the same answer.
+        progress: Called with the current step and the completed share.
         clock: Measures the stages.
 
     Raises:
-        InputError: The scan holds nothing.
-        UnknownNameError: Nothing in the scan has the object's name.
-        TaskError: The object has no such part, or none was seen on it.
+        InputError: The scan is empty.
+        UnknownNameError: No object in the scan has the task's object name.
+        TaskError: The object has no such part, or the scan shows none on it.
     """
+    expect("scan", scan, Scan, "read_scan reads one")
+    expect("task", task, ScanTask)
+    out = as_path("out", out)
     scanning, config = scanning or ScanConfig(), config or PipelineConfig()
-    tools, told, watch = tools or default_tools(), progress or silent, Stopwatch(clock)
+    tools, report, watch = tools or default_tools(), progress or silent, Stopwatch(clock)
     seen = survey(
-        scan, tools, found=found, labels=labels, config=scanning, progress=told, clock=clock
+        scan, tools, found=found, labels=labels, config=scanning, progress=report, clock=clock
     )
     with watch.stage("importance"):
         selection = start_of(rank_survey(seen, task.object, config.ranking, seed))
@@ -115,13 +114,13 @@ def solve_scan(
         modeled = model_room(
             seen, out, tools, scores=scores, alpha=selection.alpha,
             known={one.detection.name: one for one in before}, given=given,
-            config=scanning, progress=told, clock=clock,
+            config=scanning, progress=report, clock=clock,
         )  # fmt: skip
         for name in set(modeled.timing) - set(seen.timing) - {"total"}:
             spent[name] = spent.get(name, 0.0) + modeled.timing[name]
         alphas.append(selection.alpha)
         if not before or _moving(modeled.decisions) != _moving(before):
-            told("placing", 1.0)
+            report("placing", 1.0)
             with watch.stage("place"):
                 result = _placed(modeled, arms, task, config, seed, clock)
         if result.plan.status != "infeasible" or not selection.boxes:
@@ -133,15 +132,15 @@ def solve_scan(
 def _placed(
     modeled: Modeled,
     arms: Sequence[tuple[Robot, ReachScorer]],
-    asked: ScanTask,
+    query: ScanTask,
     config: PipelineConfig,
     seed: int,
     clock: Clock,
 ) -> PlacementResult:
-    """The cheapest answer of all arms in the room as it is modeled."""
-    _check_moves(modeled, asked)
+    """Return the cheapest answer of all arms in the modeled room."""
+    _check_moves(modeled, query)
     scene = load_scene(modeled.scene)
-    task = make_task(scene, asked.verb, asked.object, asked.joint, asked.to)
+    task = make_task(scene, query.verb, query.object, query.joint, query.to)
 
     def ask(scene: Scene, task: Task) -> list[PlacementResult]:
         return [
@@ -149,24 +148,24 @@ def _placed(
             for robot, reach in arms
         ]
 
-    _, task, answers = ask_in_turn(scene, task, ask)
+    _, task, answers = plan_by_hypothesis(scene, task, ask)
     return cheapest(answers, farthest=task.farthest)
 
 
-def _check_moves(modeled: Modeled, asked: ScanTask) -> None:
-    """Refuse to open what has no doors or drawers as far as was seen.
+def _check_moves(modeled: Modeled, query: ScanTask) -> None:
+    """Check that the target has doors or drawers if the task moves a joint.
 
     Raises:
-        TaskError: It says why none was seen.
+        TaskError: The scan shows none; the message says why.
     """
-    (target,) = (one for one in modeled.decisions if one.detection.name == asked.object)
-    if asked.verb in JOINTED and target.model is None:
+    (target,) = (one for one in modeled.decisions if one.detection.name == query.object)
+    if query.verb in JOINTED and target.model is None:
         raise TaskError(
-            f"{asked.object!r} has no door or drawer as far as the scan shows: {target.reason}; "
-            f"scan its front from nearer, or name its URDF"
+            f"no door or drawer was found on {query.object!r} ({target.reason}); "
+            f"scan its front from closer, or give its URDF"
         )
 
 
 def _moving(decisions: Iterable[Decision]) -> set[str]:
-    """Names of the objects that are no boxes."""
+    """Return the names of the objects that are not plain boxes."""
     return {one.detection.name for one in decisions if one.model is not None}

@@ -1,4 +1,4 @@
-"""A worker whose jobs say what shall go wrong with them."""
+"""A worker that fails in the way that the job's object names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 import threading
 
 from momapos.apps.bench.bench_records import Job, Row
-from momapos.apps.bench.runner import failed
+from momapos.apps.bench.runner import failed_row
 from momapos.apps.bench.worker import serve
 
 
@@ -23,9 +23,8 @@ def answer(job: Job) -> Row:
     if what == "leaves":
         print("the last words", file=sys.stderr, flush=True)
         os._exit(7)
-    print("what a library says on the standard output")
-    # Which process answered, where a real row says why it failed.
-    return failed(job, f"pid {os.getpid()}")
+    print("output of a library")
+    return failed_row(job, f"pid {os.getpid()}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Jobs and rows that need no robot."""
+"""Jobs and rows without a robot."""
 
 from __future__ import annotations
 

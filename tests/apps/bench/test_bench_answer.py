@@ -1,4 +1,4 @@
-"""Jobs answered in earnest: by the methods, in the built-in kitchens."""
+"""Laws of jobs, run with the real methods in the built-in kitchens."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.rooms import corridor_room
@@ -27,18 +26,19 @@ from momapos.apps.cli.main import main
 from momapos.core.errors import SceneError
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import find_scene
-from momapos.planning.baselines.by_method import plan_by_method
 from momapos.planning.grasps import handle_shapes, handles, part_grasps, resistance
+from momapos.planning.query import PlacementQuery
+from momapos.planning.result import PlacementResult
 
 CUP = SuiteTask("cup", "pick", "kitchen_small", "segway_ur5e", "pick", "cup")
 
 
-def ask(task: SuiteTask, method: str, folder: Path = Path("unused")) -> BenchRow:
+def run_job(task: SuiteTask, method: str, folder: Path = Path("unused")) -> BenchRow:
     return answer_job(Job("key", str(folder), task, method, Settings(timeout=10.0)))
 
 
-def test_a_row_says_what_came_of_a_job() -> None:
-    solved = ask(CUP, "ours")
+def test_the_row_of_a_solved_job_has_its_plan_and_its_times() -> None:
+    solved = run_job(CUP, "ours")
     assert (solved.outcome, solved.verified, solved.reason) == ("solved", True, "")
     assert len(solved.bases) == 1
     assert solved.driving is not None
@@ -46,55 +46,57 @@ def test_a_row_says_what_came_of_a_job() -> None:
     assert from_plain(json.loads(json.dumps(to_plain(solved))), BenchRow, "here") == solved
 
 
-def test_only_a_method_that_searches_to_the_end_says_infeasible() -> None:
+def test_only_a_method_with_a_complete_search_reports_infeasible() -> None:
     floor = SuiteTask("d", "door", "kitchen_small", "segway_ur5e", "open", "dishwasher")
-    ours, other = ask(floor, "ours"), ask(floor, "habitat")
+    ours, other = run_job(floor, "ours"), run_job(floor, "habitat")
     assert (ours.outcome, other.outcome) == ("infeasible", "gave up")
     assert ours.reason == other.reason == "the hand hits the floor in every grasp"
     assert ours.driving is None
     assert ours.verified is None
 
 
-def test_what_cannot_be_asked_is_a_row_that_failed() -> None:
-    row = ask(replace(CUP, object="cupp"), "ours")
+def test_an_invalid_task_yields_a_failed_row() -> None:
+    row = run_job(replace(CUP, object="cupp"), "ours")
     assert row.outcome == "failed"
     assert "did you mean cup" in row.reason
 
 
 @pytest.mark.parametrize("method", ["ours", "m3"])
-def test_what_a_process_keeps_of_a_task_is_made_before_the_clock_starts(
+def test_cached_data_of_a_task_is_computed_before_the_measurement(
     method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else whoever is asked first pays for it."""
-    kept = [
+    """Otherwise it would count only for the first method."""
+    caches = [
         one
         for module in (handle_shapes, handles, part_grasps, resistance)
         for one in vars(module).values()
         if hasattr(one, "cache_info")
     ]
-    assert len(kept) > 5
+    assert len(caches) > 5
     drawer = SuiteTask(
         "d", "", "kitchen_small", "segway_ur5e", "open", "cabinet_left", "drawer_slide"
     )
-    ask(CUP, method)  # what is loaded once
-    for one in kept:
+    run_job(CUP, method)  # loads the kernels
+    for one in caches:
         one.cache_clear()
-    made: list[int] = []
+    misses: list[int] = []
 
-    def watched(*args: Any, **kwargs: Any) -> Any:
-        before = sum(one.cache_info().misses for one in kept)
+    plan = steps.plan_with_method
+
+    def watched(query: PlacementQuery) -> PlacementResult:
+        before = sum(one.cache_info().misses for one in caches)
         assert before > 0
-        result = plan_by_method(*args, **kwargs)
-        made.append(sum(one.cache_info().misses for one in kept) - before)
+        result = plan(query)
+        misses.append(sum(one.cache_info().misses for one in caches) - before)
         return result
 
-    monkeypatch.setattr(steps, "plan_by_method", watched)
-    assert ask(drawer, method).outcome == "solved"
-    assert made == [0]
+    monkeypatch.setattr(steps, "plan_with_method", watched)
+    assert run_job(drawer, method).outcome == "solved"
+    assert misses == [0]
 
 
 def with_egg(folder: Path) -> SuiteTask:
-    """A built-in kitchen with an egg in a drawer, 15 cm behind its front."""
+    """Write a built-in kitchen with an egg in a drawer, 15 cm behind its front."""
     source = find_scene("kitchen_small")
     shutil.copytree(source.parent / "kitchen_small_urdf", folder / "kitchen_small_urdf")
     cabinet = load_scene("kitchen_small").object("cabinet_left")
@@ -111,39 +113,39 @@ def with_egg(folder: Path) -> SuiteTask:
     )  # fmt: skip
 
 
-def test_a_thing_in_a_drawer_is_taken_after_the_drawer_was_opened(tmp_path: Path) -> None:
+def test_an_object_in_a_drawer_is_picked_after_opening_the_drawer(tmp_path: Path) -> None:
     task = with_egg(tmp_path)
-    row = ask(task, "ours", tmp_path)
+    row = run_job(task, "ours", tmp_path)
     assert (row.outcome, row.reason) == ("solved", "")
     assert len(row.bases) == 2
-    shut = ask(replace(task, inside=None, carried=()), "ours", tmp_path)
-    assert shut.outcome == "infeasible"
+    closed = run_job(replace(task, inside=None, carried=()), "ours", tmp_path)
+    assert closed.outcome == "infeasible"
 
 
-def test_who_stands_where_it_cannot_go_on_from_gave_up(
+def test_a_job_gives_up_if_the_second_step_cannot_start_at_the_first_base_pose(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    task, plan = with_egg(tmp_path), steps.plan_by_method
+    task, plan = with_egg(tmp_path), steps.plan_with_method
 
-    def in_the_way(*args: Any, **named: Any) -> Any:
-        if named["start"] is not None:
+    def blocked(query: PlacementQuery) -> PlacementResult:
+        if query.start is not None:
             raise SceneError("start (1.00, 2.00, 0 deg): its arm would touch a; give another")
-        return plan(*args, **named)
+        return plan(query)
 
-    monkeypatch.setattr(steps, "plan_by_method", in_the_way)
-    row = ask(task, "ours", tmp_path)
+    monkeypatch.setattr(steps, "plan_with_method", blocked)
+    row = run_job(task, "ours", tmp_path)
     assert row.outcome == "gave up"
-    assert row.reason == "where it opened cabinet_left: its arm would touch a"
+    assert row.reason == "after opening cabinet_left: its arm would touch a"
     assert len(row.bases) == 1
-    alone = ask(replace(CUP, start=(0.0, 0.0, 0.0)), "ours")
+    alone = run_job(replace(CUP, start=(0.0, 0.0, 0.0)), "ours")
     assert alone.outcome == "failed"
 
 
-@pytest.mark.parametrize("asked", [True, False])
-def test_where_the_thing_cannot_be_taken_the_door_is_opened_from_its_other_side(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: bool
+@pytest.mark.parametrize("enabled", [True, False])
+def test_if_the_object_is_out_of_reach_the_door_is_opened_from_its_other_side(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, enabled: bool
 ) -> None:
-    """The mug is in a dead end that the open door parts from the side that the robot prefers."""
+    """The open door separates the dead end with the mug from the side that the robot prefers."""
     scene = corridor_room(tmp_path, end=4.0)
     urdf = (tmp_path / "cabinet.urdf").read_text()
     (tmp_path / "cabinet.urdf").write_text(urdf.replace('upper="1.9"', 'upper="1.2"'))
@@ -159,24 +161,24 @@ def test_where_the_thing_cannot_be_taken_the_door_is_opened_from_its_other_side(
         "mug", "in cabinet", "room.json", "segway_ur5e", "pick", "mug",
         inside=Container("cabinet", "hinge"),
     )  # fmt: skip
-    if not asked:
-        monkeypatch.setattr(steps, "base_poses_elsewhere", lambda *_: None)
-    row = ask(task, "ours:place.grid=false", tmp_path)
-    assert (row.outcome, row.verified) == ("solved" if asked else "infeasible", True)
-    assert (row.bases[0][0] > 0.3) == asked
-    assert steps.ELSEWHERE in row.stages
+    if not enabled:
+        monkeypatch.setattr(steps, "poses_in_other_regions", lambda *_: None)
+    row = run_job(task, "ours:place.grid=false", tmp_path)
+    assert (row.outcome, row.verified) == ("solved" if enabled else "infeasible", True)
+    assert (row.bases[0][0] > 0.3) == enabled
+    assert steps.OTHER_POSES in row.stages
     assert row.seconds == pytest.approx(sum(row.stages.values()), abs=0.1)
 
 
-def test_a_drawer_that_cannot_be_opened_ends_the_job(tmp_path: Path) -> None:
-    row = ask(replace(with_egg(tmp_path), carried=()), "ours", tmp_path)
+def test_an_infeasible_opening_ends_the_job(tmp_path: Path) -> None:
+    row = run_job(replace(with_egg(tmp_path), carried=()), "ours", tmp_path)
     assert row.outcome == "infeasible"
     assert "egg" in row.reason
     assert row.bases == ()
 
 
 @pytest.mark.timeout(300)
-def test_a_suite_is_run_once_and_then_only_read(
+def test_a_second_run_of_a_suite_adds_no_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -185,7 +187,7 @@ def test_a_suite_is_run_once_and_then_only_read(
     first = json.loads(capsys.readouterr().out)
     assert (first["jobs"], first["new"]) == (2, 2)
     assert main([*command, "--limit", "2"]) == 0
-    assert "2 answers, 0 of them new" in capsys.readouterr().out
+    assert "2 results, 0 of them new" in capsys.readouterr().out
     rows = all_rows(out)
     assert {row.method for row in rows} == {"habitat"}
     assert all(row.outcome in ("solved", "gave up") for row in rows)

@@ -1,4 +1,4 @@
-"""Success under base errors: the arm asked again where the base stands a little off."""
+"""Laws of success under base pose errors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.apps.bench.bench_records import Job, Settings, SuiteTask
-from momapos.apps.bench.disturbances import LEVELS, disturbed_poses, still_does
+from momapos.apps.bench.disturbances import LEVELS, disturbed_poses, works_disturbed
 from momapos.apps.bench.job import answer_job
 from momapos.apps.bench.methods import method_config
 from momapos.core.geometry.transforms import wrap_angle
@@ -14,8 +14,8 @@ from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.protocols import ReachScorer
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.baselines.by_method import plan_by_method
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.reachability.map_store import load_reach
 
 CONFIG = method_config("ours", 10.0)
@@ -38,7 +38,7 @@ def plan(machine: tuple[Robot, ReachScorer]) -> PlacementPlan:
 
 @pytest.mark.parametrize("count", [1, 3, 8])
 @pytest.mark.parametrize(("off", "turn"), LEVELS)
-def test_poses_are_as_far_off_as_the_level_says_all_round(
+def test_disturbed_poses_have_the_distance_and_rotation_of_their_level_in_all_directions(
     off: float, turn: float, count: int
 ) -> None:
     base = np.array([1.0, -2.0, 3.14])
@@ -51,22 +51,24 @@ def test_poses_are_as_far_off_as_the_level_says_all_round(
     np.testing.assert_allclose(np.diff(around), 2 * np.pi / count)
 
 
-def test_a_robot_that_stands_where_it_planned_does_it_and_one_in_the_counter_does_not(
+def test_replanning_succeeds_at_the_planned_pose_and_fails_far_away(
     machine: tuple[Robot, ReachScorer], plan: PlacementPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot, reach = machine
-    for off, does in ((0.0, True), (5.0, False)):
+    for off, expected in ((0.0, True), (5.0, False)):
         levels = ((off, 0.0), (off, 0.0))
         monkeypatch.setattr("momapos.apps.bench.disturbances.LEVELS", levels)
-        found = still_does(plan, SCENE, robot, reach, count=3, config=CONFIG, seed=0)
+        found = works_disturbed(plan, SCENE, robot, reach, count=3, config=CONFIG, seed=0)
         assert found.shape == (2, 3)
-        assert (found == does).all()
+        assert (found == expected).all()
 
 
-def test_a_row_says_what_survives_and_nothing_where_nothing_was_asked() -> None:
-    asked = answer_job(Job("key", "unused", CUP, "ours", Settings(timeout=10.0, disturbances=2)))
-    assert asked.at_2cm in (0.0, 0.5, 1.0)
-    assert asked.at_5cm in (0.0, 0.5, 1.0)
+def test_a_row_has_shares_of_disturbed_poses_only_if_requested() -> None:
+    disturbed = answer_job(
+        Job("key", "unused", CUP, "ours", Settings(timeout=10.0, disturbances=2))
+    )
+    assert disturbed.at_2cm in (0.0, 0.5, 1.0)
+    assert disturbed.at_5cm in (0.0, 0.5, 1.0)
     plain = answer_job(Job("key", "unused", CUP, "ours", Settings(timeout=10.0)))
     assert (plain.at_2cm, plain.at_5cm) == (None, None)
-    assert plain.bases == asked.bases
+    assert plain.bases == disturbed.bases

@@ -1,4 +1,4 @@
-"""Reports: numbers that are right, and pages that stand alone."""
+"""Laws of reports: correct numbers and self-contained pages."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ import pytest
 from tests import optional
 from tests.apps.bench.fakes import row, suite, task
 
-from momapos.apps.bench.answer_maps import chosen_rows, pictures
+from momapos.apps.bench.answer_maps import chosen_rows, draw_maps
 from momapos.apps.bench.bench_records import Container, Row, Settings, SuiteTask, from_plain
 from momapos.apps.bench.cells import Table
 from momapos.apps.bench.figures import pie_figure, scatter_figure, success_figure
 from momapos.apps.bench.folder import Contents
-from momapos.apps.bench.html_report import Picture, page
+from momapos.apps.bench.html_report import AnswerMap, page
 from momapos.apps.bench.markdown_report import markdown
 from momapos.apps.bench.metrics import in_order, paired_p_value, share
 from momapos.apps.bench.parquet import write_parquet
@@ -34,18 +34,18 @@ HOSTILE = "</td><script>alert(\"1\")</script> | & 'quoted'"
 
 
 def results() -> list[Row]:
-    """Two methods on four tasks: ours solves three, the other one two, one of them alone."""
+    """Return rows of two methods on four tasks: `ours` solves three of them, `m3` two."""
     found = []
     for k, (ours, other) in enumerate([(True, True), (True, False), (True, False), (False, True)]):
         group = "door" if k < 2 else "drawer"
-        for method, solved, seconds, way in (("ours", ours, 0.1, 1.0), ("m3", other, 0.2, 1.5)):
+        for method, solved, seconds, driving in (("ours", ours, 0.1, 1.0), ("m3", other, 0.2, 1.5)):
             found.append(
                 row(
                     f"{method} {k}", task=f"task {k}", group=group, method=method,
                     seconds=seconds * (k + 1),
                     outcome="solved" if solved else "infeasible" if method == "ours" else "gave up",
                     reason="" if solved else HOSTILE if k == 1 else "out of reach",
-                    driving=way + k if solved else None,
+                    driving=driving + k if solved else None,
                 )
             )  # fmt: skip
     return found
@@ -68,39 +68,39 @@ def test_the_interval_is_wilsons(count: int, of: int) -> None:
     assert (found.low, found.high) == pytest.approx((middle - half, middle + half), abs=1e-9)
 
 
-def test_a_share_of_nothing_says_nothing() -> None:
+def test_the_interval_of_no_rows_is_zero_to_one() -> None:
     assert (share(0, 0).low, share(0, 0).high) == (0.0, 1.0)
 
 
-def test_one_line_a_method_sums_up_its_rows() -> None:
+def test_the_line_of_a_method_summarizes_its_rows() -> None:
     table = by_title(all_tables(suite(), results()))["Methods"]
     ours, other = cells(table, 0), cells(table, 1)
     assert (ours["solved"], other["solved"]) == ("3 of 4", "2 of 4")
     assert ours["time, median"] == "0.25 s"
     assert ours["driving, median"] == "2.00 m"
-    assert (ours["over the least known"], other["over the least known"]) == (
+    assert (ours["above shortest known"], other["above shortest known"]) == (
         "+0.00 m, +0 %",
         "+0.25 m, +9 %",
     )
-    assert (ours["wrong no"], other["wrong no"]) == ("1", "0")
+    assert (ours["false infeasible"], other["false infeasible"]) == ("1", "0")
 
 
-def test_what_fails_counts_in_the_time_for_a_task_that_is_done() -> None:
+def test_the_time_per_solved_task_includes_failures() -> None:
     doors = [task("task 0"), task("task 1")]
     inside = replace(task("task 2"), verb="pick", inside=Container("fridge", "door_hinge"))
     loose = replace(task("task 3"), verb="pick")
     grid = [replace(one, key=f"grid {one.key}", method="exhaustive") for one in results()[:1]]
     rows = [*results(), *grid]
-    table = by_title(all_tables(suite(*doors, inside, loose), rows))["Time for what is done"]
+    table = by_title(all_tables(suite(*doors, inside, loose), rows))["Time per solved task"]
     ours, other, whole = ([cell.text for cell in line] for line in table.lines)
     assert ours == ["ours", "3 of 4", "0.10 s", "0.33 s", "3 of 3", "0.10 s", "0.20 s"]
     assert other == ["m3", "2 of 4", "0.20 s", "1.00 s", "1 of 3", "0.20 s", "1.20 s"]
     assert whole == ["exhaustive", "1 of 1", "0.10 s", "0.10 s", "1 of 1", "0.10 s", "0.10 s"]
-    none = by_title(all_tables(suite(loose), results()))["Time for what is done"]
+    none = by_title(all_tables(suite(loose), results()))["Time per solved task"]
     assert [cell.text for cell in none.lines[0]][4:] == ["0 of 0", "-", "-"]
 
 
-def test_numbers_know_the_rows_that_they_count() -> None:
+def test_a_number_refers_to_the_rows_that_it_counts() -> None:
     tables = by_title(all_tables(suite(), results()))
     solved = tables["Methods"].lines[0][2]
     assert solved.keys == ("ours 0", "ours 1", "ours 2")
@@ -109,20 +109,20 @@ def test_numbers_know_the_rows_that_they_count() -> None:
     assert sum(int(cell.text or 0) for line in reasons.lines for cell in line[2:]) == 3
 
 
-def test_the_time_of_a_class_is_that_of_what_is_solved() -> None:
-    table = by_title(all_tables(suite(), results()))["Time by class, of what is solved"]
+def test_the_time_of_a_class_counts_its_solved_tasks() -> None:
+    table = by_title(all_tables(suite(), results()))["Time by class, solved tasks"]
     assert cells(table, 0) == {"method": "ours", "door": "150 ms", "drawer": "300 ms"}
     assert cells(table, 1) == {"method": "m3", "door": "200 ms", "drawer": "800 ms"}
     none = by_title(all_tables(suite(), [row("a", outcome="gave up")]))
-    assert cells(none["Time by class, of what is solved"])["door"] == "-"
+    assert cells(none["Time by class, solved tasks"])["door"] == "-"
 
 
-def test_what_physics_did_not_do_is_no_success() -> None:
+def test_a_failure_in_physics_is_no_success() -> None:
     rows = [row("a", done=True), row("b", done=False, reason="slipped"), row("c", done=None)]
     tables = by_title(all_tables(suite(), rows))
-    assert cells(tables["Methods"])["done in physics"] == "1 of 3"
+    assert cells(tables["Methods"])["success in physics"] == "1 of 3"
     assert cells(tables["Success by class"])["door"].startswith("2 of 3")
-    assert cells(tables["Failures by reason"])["outcome"] == "not done in physics"
+    assert cells(tables["Failures by reason"])["outcome"] == "failed in physics"
 
 
 def test_success_under_base_errors_counts_a_task_by_the_share_of_poses_that_work() -> None:
@@ -139,7 +139,7 @@ def test_success_under_base_errors_counts_a_task_by_the_share_of_poses_that_work
     assert "by 5 cm, 5 deg" not in plain.columns
 
 
-def test_a_method_is_held_against_what_the_grid_solves() -> None:
+def test_methods_are_compared_on_the_grid_solvable_tasks() -> None:
     rows = [
         row(f"{method} {k}", task=f"task {k}", method=method, done=done,
             outcome="solved" if solved else "gave up")
@@ -150,37 +150,37 @@ def test_a_method_is_held_against_what_the_grid_solves() -> None:
         for k, (solved, done) in enumerate(answers)
     ]  # fmt: skip
     table = by_title(all_tables(suite(), rows))["Methods"]
-    assert cells(table, 1)["of what the grid solves"] == "1 of 3, 33.3 %"
-    assert cells(table, 0)["of what the grid solves"] == "3 of 3, 100.0 %"
+    assert cells(table, 1)["of grid-solvable"] == "1 of 3, 33.3 %"
+    assert cells(table, 0)["of grid-solvable"] == "3 of 3, 100.0 %"
 
 
-def test_stages_tell_their_share_their_median_and_their_95th_percentile() -> None:
+def test_a_stage_has_its_share_its_median_and_its_95th_percentile() -> None:
     rows = [row(str(k), stages={"search": 0.001 * k, "model": 0.05}) for k in range(101)]
     found = cells(by_title(all_tables(suite(), rows))["Time by stage"])
     assert found["search"] == "50.0 %; 50, 95 ms"
     assert found["model"] == "50.0 %; 50, 50 ms"
 
 
-def test_the_papers_rows_stand_marked_beneath_ours() -> None:
+def test_the_papers_rows_follow_ours_and_are_marked() -> None:
     made = replace(suite(), name="paper-real")
     rows = [
         row("a", group="open fridge", seconds=1.0), row("b", group="open fridge", seconds=3.0),
         row("c", group="open fridge", outcome="gave up"),
     ]  # fmt: skip
-    table = by_title(all_tables(made, rows))["The paper's table, ours beside it"]
+    table = by_title(all_tables(made, rows))["The paper's table and ours"]
     lines = [[cell.text for cell in line] for line in table.lines if line[0].text == "open fridge"]
     assert lines[0] == ["open fridge", "ours", "2.00 +- 1.00 s", "2.00 +- 0.00 m", "67 % of 3"]
     assert all("as printed" in line[1] for line in lines[1:])
     assert len(table.lines) == 1 + len(PRINTED)
 
 
-def test_from_a_scan_the_shares_are_those_of_the_papers_stages() -> None:
+def test_with_a_scan_the_report_has_the_shares_of_the_papers_stages() -> None:
     rows = [row("a", stages={"modeling": 6.0, "importance": 1.0, "search": 2.0, "way": 1.0})]
-    table = by_title(all_tables(suite(), rows))["From the scan to the motion"]
+    table = by_title(all_tables(suite(), rows))["From scan to motion"]
     assert [cell.text for cell in table.lines[0]] == ["ours", "60.0 %", "10.0 %", "30.0 %"]
     assert table.lines[1][0].text == "MoMa-Pos, as printed"
     known = by_title(all_tables(suite(), [row("a")]))
-    assert "From the scan to the motion" not in known
+    assert "From scan to motion" not in known
     assert set(pies(rows)) == {"ours", "MoMa-Pos, as printed"}
 
 
@@ -199,15 +199,15 @@ def test_the_sectors_of_a_pie_have_the_areas_of_their_shares(shares: dict[str, f
         assert large == (turn > 0.5)
 
 
-def test_pictures_lie_in_the_page_and_lead_to_their_rows() -> None:
+def test_the_page_embeds_maps() -> None:
     rows = results()
-    shown = Picture(HOSTILE, rows[1].key, b"\x89PNG")
+    shown = AnswerMap(HOSTILE, rows[1].key, b"\x89PNG")
     made = _Page(page(["title"], all_tables(suite(), rows), rows, [shown]))
     assert made.loaded == ["data:image/png;base64,iVBORw=="]
     assert {"script", "img"} & made.tags == {"img"}
 
 
-def test_tasks_of_every_class_are_drawn_in_turn() -> None:
+def test_maps_take_the_classes_in_turn() -> None:
     box = Container("cabinet", "drawer")
     tasks = [task(f"task {k}") for k in range(4)] + [replace(task("two"), inside=box)]
     rows = [*results(), row("two", task="two")]
@@ -216,10 +216,10 @@ def test_tasks_of_every_class_are_drawn_in_turn() -> None:
     assert chosen_rows(tasks, rows, 0) == []
 
 
-def test_a_task_is_asked_again_and_drawn(tmp_path: Path) -> None:
+def test_a_map_solves_its_task_again(tmp_path: Path) -> None:
     one = SuiteTask("cup", "pick", "kitchen_small", "segway_ur5e", "pick", "cup")
     found = Contents(suite(one), Settings(), {}, "")
-    (shown,) = pictures(tmp_path, found, [row("key", task="cup")], 3)
+    (shown,) = draw_maps(tmp_path, found, [row("key", task="cup")], 3)
     assert (shown.title, shown.key) == ("cup by ours", "key")
     assert shown.png.startswith(b"\x89PNG")
 
@@ -237,15 +237,15 @@ def test_parquet_holds_the_rows(tmp_path: Path) -> None:
         write_parquet(rows, path / "below.parquet")
 
 
-def test_without_pyarrow_the_message_says_how_to_get_it(
+def test_without_pyarrow_the_message_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'momapos\[parquet\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install pyarrow"):
         write_parquet([row("a")], tmp_path / "rows.parquet")
 
 
-def test_rows_stand_in_the_order_of_the_suite() -> None:
+def test_rows_have_the_order_of_the_suite() -> None:
     made = suite(*(task(f"task {k}") for k in range(4)))
     rows = in_order(made, reversed(results()))
     assert [one.task for one in rows] == sorted(one.task for one in rows)
@@ -272,7 +272,7 @@ class _Page(HTMLParser):
                 self.loaded.append(str(value))
 
 
-def test_every_link_of_the_page_leads_to_a_place_in_it() -> None:
+def test_every_link_of_the_page_has_a_target_in_it() -> None:
     rows = results()
     made = _Page(page(["title"], all_tables(suite(), rows), rows))
     assert len(set(made.ids)) == len(made.ids)
@@ -281,7 +281,7 @@ def test_every_link_of_the_page_leads_to_a_place_in_it() -> None:
     assert {f"r{k}" for k in range(len(rows))} <= set(made.ids)
 
 
-def test_the_page_loads_nothing_and_runs_nothing_that_a_row_says() -> None:
+def test_the_page_loads_nothing_and_runs_no_text_of_a_row() -> None:
     rows = results()
     text = page([HOSTILE], all_tables(suite(), rows), rows)
     made = _Page(text)
@@ -311,19 +311,19 @@ def test_markdown_tables_are_rectangles() -> None:
             assert len(columns) == 1
 
 
-def test_two_results_are_compared_task_by_task() -> None:
+def test_two_results_are_compared_by_task() -> None:
     first = results()
     second = [row(r.key, task=r.task, method=r.method, outcome="gave up", seconds=1.0,
                   driving=None) for r in first[:4]]  # fmt: skip
     summary, changed = compared_tables(first, second)
     line = cells(summary)
-    assert (line["method"], line["tasks of both"]) == ("ours", "2")
+    assert (line["method"], line["common tasks"]) == ("ours", "2")
     assert (line["gained"], line["lost"]) == ("+2", "-0")
     assert line["time, median ratio"] == "0.15 times"
     assert {one[0].text for one in changed.lines} == {"task 0", "task 1"}
     assert not compared_tables(first, [row("x", task="of another suite")])[0].lines
 
 
-def test_one_task_that_changed_proves_nothing_and_ten_that_did_alike_do() -> None:
+def test_the_p_value_is_one_for_one_change_and_small_for_ten_equal_changes() -> None:
     assert paired_p_value(0, 0) == paired_p_value(1, 0) == paired_p_value(5, 5) == 1.0
     assert paired_p_value(10, 0) == pytest.approx(2 / 2**10)

@@ -1,4 +1,4 @@
-"""Jobs that hang, raise or end their process, and those that come after them."""
+"""Laws of the runner for jobs that hang, raise or end their process, and for later jobs."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from tests.apps.bench.fakes import WORKER, job, row, suite, task
 from momapos.apps.bench import guard
 from momapos.apps.bench.bench_records import Job, Row, Settings, to_plain
 from momapos.apps.bench.guard import JobFailed, local_workers, run_job
-from momapos.apps.bench.row_store import Store, read_rows
+from momapos.apps.bench.row_store import RowStore, read_rows
 from momapos.apps.bench.runner import jobs_of, run_jobs
-from momapos.apps.cli.bench import _left
+from momapos.apps.cli.bench import _progress_of
 from momapos.core.errors import InputError
 
 FAKE: Callable[[dict[str, Any]], dict[str, Any]] = partial(run_job, command=WORKER)
@@ -31,16 +31,16 @@ VERSIONS = {"momapos": "1"}
 
 
 def run(jobs: list[Job], folder: Path, workers: int = 1, **more: Any) -> dict[str, Row]:
-    store, told = Store(folder / "rows-x.sqlite"), []
+    store, reported = RowStore(folder / "rows-x.sqlite"), []
     with local_workers(workers) as executor:
-        run_jobs(jobs, store, executor, FAKE, width=workers, tell=told.append, **more)
+        run_jobs(jobs, store, executor, FAKE, width=workers, on_row=reported.append, **more)
     store.close()
-    assert read_rows(store.path) == told
-    return {one.key: one for one in told}
+    assert read_rows(store.path) == reported
+    return {one.key: one for one in reported}
 
 
 def gone(pid: int) -> bool:
-    """Whether a process ends within a time that is long for a killed one."""
+    """Check that a process ends within 30 s."""
     try:
         watched = os.pidfd_open(pid)
     except ProcessLookupError:
@@ -49,7 +49,7 @@ def gone(pid: int) -> bool:
         return bool(select.select([ended], [], [], 30.0)[0])
 
 
-def test_what_goes_wrong_with_a_job_is_its_row_and_the_others_are_answered(tmp_path: Path) -> None:
+def test_a_failing_job_gets_a_failed_row_and_the_others_are_answered(tmp_path: Path) -> None:
     wrong = {
         "hangs": "hung: no answer in 1 s",
         "raises": "ValueError: of two lines",
@@ -66,7 +66,7 @@ def test_what_goes_wrong_with_a_job_is_its_row_and_the_others_are_answered(tmp_p
     assert list(rows) == [one.key for one in jobs]
 
 
-def test_a_job_that_goes_wrong_takes_none_beside_it_along(tmp_path: Path) -> None:
+def test_a_failing_job_harms_no_parallel_job(tmp_path: Path) -> None:
     jobs = [job(f"{what} {k}", what, 60.0) for k in range(4) for what in ("dies", "answers")]
     rows = run(jobs, tmp_path, workers=2)
     assert len(rows) == len(jobs)
@@ -78,7 +78,7 @@ def test_no_worker_outlives_the_run(tmp_path: Path) -> None:
     assert all(gone(int(one.reason.split()[1])) for one in rows.values())
 
 
-def test_an_interrupted_run_ends_its_workers_though_they_hang() -> None:
+def test_an_interrupted_run_ends_hanging_workers() -> None:
     started: list[int] = []
 
     def interrupted() -> None:
@@ -117,22 +117,22 @@ def test_finished_jobs_are_not_run_again(tmp_path: Path) -> None:
     assert set(run(jobs, tmp_path, finished={"key 1", "key 3"})) == {"key 0", "key 2"}
 
 
-def test_a_row_that_cannot_be_kept_ends_the_run(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows-x.sqlite")
+def test_a_row_that_cannot_be_stored_ends_the_run(tmp_path: Path) -> None:
+    store = RowStore(tmp_path / "rows-x.sqlite")
     store.connection.execute("PRAGMA query_only = 1")
     do = lambda plain: to_plain(row(plain["key"]))  # noqa: E731
     with ThreadPoolExecutor(1) as executor, pytest.raises(InputError, match="cannot be written"):
-        run_jobs([job("one")], store, executor, do, width=1, tell=lambda _: None)
+        run_jobs([job("one")], store, executor, do, width=1, on_row=lambda _: None)
 
 
 class _Gone(Executor):
-    """Cancels what it is given, or takes nothing."""
+    """Cancels every job, or accepts none."""
 
-    def __init__(self, takes: bool) -> None:
-        self.takes = takes
+    def __init__(self, accepts: bool) -> None:
+        self.accepts = accepts
 
     def submit(self, *_: Any, **__: Any) -> Future[Any]:
-        if not self.takes:
+        if not self.accepts:
             raise RuntimeError("cannot schedule new futures after shutdown")
         future: Future[Any] = Future()
         future.cancel()
@@ -140,32 +140,32 @@ class _Gone(Executor):
         return future
 
 
-@pytest.mark.parametrize("takes", [True, False])
-def test_an_executor_that_is_gone_ends_the_run(takes: bool, tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows-x.sqlite")
+@pytest.mark.parametrize("accepts", [True, False])
+def test_an_executor_that_is_gone_ends_the_run(accepts: bool, tmp_path: Path) -> None:
+    store = RowStore(tmp_path / "rows-x.sqlite")
     store.add(row("finished before"))
-    with pytest.raises(InputError, match="the same command goes on from there"):
-        run_jobs([job("one")], store, _Gone(takes), FAKE, width=1, tell=lambda _: None)
+    with pytest.raises(InputError, match="the same command resumes the run"):
+        run_jobs([job("one")], store, _Gone(accepts), FAKE, width=1, on_row=lambda _: None)
     assert [one.key for one in read_rows(store.path)] == ["finished before"]
 
 
-def test_what_an_executor_says_of_a_job_is_its_row(tmp_path: Path) -> None:
+def test_an_error_of_the_executor_becomes_the_row_of_the_job(tmp_path: Path) -> None:
     def die(_: dict[str, Any]) -> dict[str, Any]:
         raise RuntimeError("three workers died of it")
 
-    store, told = Store(tmp_path / "rows-x.sqlite"), []
+    store, reported = RowStore(tmp_path / "rows-x.sqlite"), []
     with ThreadPoolExecutor(1) as executor:
-        run_jobs([job("one")], store, executor, die, width=1, tell=told.append)
-    assert [one.reason for one in told] == ["RuntimeError: three workers died of it"]
+        run_jobs([job("one")], store, executor, die, width=1, on_row=reported.append)
+    assert [one.reason for one in reported] == ["RuntimeError: three workers died of it"]
 
 
-def test_a_worker_that_cannot_start_is_told() -> None:
+def test_a_worker_that_cannot_start_is_reported() -> None:
     code = "import sys; sys.stderr.write('no way'); sys.exit(3)"
     with pytest.raises(JobFailed, match="ended with status 3: no way"):
         run_job(to_plain(job("one")), (sys.executable, "-c", code))
 
 
-def test_more_of_a_suite_holds_less_of_it() -> None:
+def test_a_larger_limit_includes_the_tasks_of_a_smaller_one() -> None:
     whole = suite(*(task(f"task {k}") for k in range(50)))
     keys = [
         {one.key for one in jobs_of(whole, ["ours", "m3"], Path("x"), Settings(), VERSIONS, n)}
@@ -175,7 +175,7 @@ def test_more_of_a_suite_holds_less_of_it() -> None:
     assert keys[0] < keys[1] < keys[2]
 
 
-def test_a_key_tells_apart_what_decides_a_row() -> None:
+def test_a_key_differs_for_everything_that_determines_a_row() -> None:
     base = suite(task("task"))
     changed = [
         (base, "ours", Settings(), VERSIONS),
@@ -196,7 +196,7 @@ def test_a_key_tells_apart_what_decides_a_row() -> None:
     assert again == keys[0]
 
 
-def test_progress_says_how_much_came_and_how_long_the_rest_takes(
+def test_progress_shows_the_number_of_rows_and_the_time_left(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shown: list[tuple[float, str]] = []
@@ -208,7 +208,7 @@ def test_progress_says_how_much_came_and_how_long_the_rest_takes(
     clock = iter([0.0, 10.0, 40.0, 30_000.0])
     monkeypatch.setattr("momapos.apps.cli.bench.progress", progress)
     monkeypatch.setattr("momapos.apps.cli.bench.time.monotonic", lambda: next(clock))
-    with _left("made", 4) as tell:
+    with _progress_of("made", 4) as tell:
         for key in ("one", "two", "three"):
             tell(row(key))
     assert shown == [

@@ -1,4 +1,4 @@
-"""Rooms that are known by a scan: made once, and asked what the true room is asked."""
+"""Laws of scanned rooms: they are modeled once, and their tasks match the true room."""
 
 from __future__ import annotations
 
@@ -43,26 +43,26 @@ def test_a_room_is_scanned_once(
     assert [path.name for path in (folder / "scans").iterdir()] == [NAME]
 
 
-def test_a_scan_that_is_cut_short_leaves_nothing_that_is_taken_for_one(
+def test_an_incomplete_scan_is_not_used(
     room: ScannedRoom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    half = tmp_path / "scans" / NAME
-    half.mkdir(parents=True)
-    (half / scans.SCENE).write_text("{}")
+    incomplete = tmp_path / "scans" / NAME
+    incomplete.mkdir(parents=True)
+    (incomplete / scans.SCENE).write_text("{}")
     monkeypatch.setattr(scans, "_modeled", full)
     with pytest.raises(InputError, match=r"scans/kitchen_small: cannot be written \(No space"):
         scanned_room(tmp_path, NAME, load_scene(NAME), 1, 0)
     assert [path.name for path in (tmp_path / "scans").iterdir()] == [NAME]
-    assert not (half / scans.RECORD).exists()
+    assert not (incomplete / scans.RECORD).exists()
     monkeypatch.setattr(scans, "_modeled", lambda *_: room.record)
     monkeypatch.setattr(scans, "load_scene", lambda *_, **__: room.scene)
     assert scanned_room(tmp_path, NAME, load_scene(NAME), 1, 0).record == room.record
 
 
-def test_a_task_means_what_stands_in_the_scan_where_it_is_in_the_room(room: ScannedRoom) -> None:
+def test_a_task_refers_to_the_object_at_the_same_place_in_the_scan(room: ScannedRoom) -> None:
     opening = room.task("open", "fridge", "door_hinge", 1.0)
     assert opening is not None
     assert opening.joint is not None
@@ -74,13 +74,13 @@ def test_a_task_means_what_stands_in_the_scan_where_it_is_in_the_room(room: Scan
     assert abs(float(opening.to or 0.0) - value) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_what_the_scan_does_not_show_is_no_task(room: ScannedRoom) -> None:
+def test_an_object_that_the_scan_lacks_has_no_task(room: ScannedRoom) -> None:
     bare = replace(room, scene=Scene("bare", ()))
     assert bare.task("open", "fridge", "door_hinge", None) is None
     assert bare.task("pick", "cup", None, None) is None
 
 
-def test_poses_go_from_the_room_to_the_scan_and_back(room: ScannedRoom) -> None:
+def test_poses_are_transformed_to_the_scan_and_back(room: ScannedRoom) -> None:
     turned = replace(room, record=replace(room.record, room=(1.0, -2.0, 2.5)))
     pose = np.array([0.3, 0.7, -3.0])
     there = turned.start(pose)
@@ -90,7 +90,7 @@ def test_poses_go_from_the_room_to_the_scan_and_back(room: ScannedRoom) -> None:
     assert turned.start(None) is None
 
 
-def test_modeling_counts_what_was_modeled(room: ScannedRoom) -> None:
+def test_the_modeling_time_counts_the_modeled_objects(room: ScannedRoom) -> None:
     names = list(room.record.models)
     everything, nothing = room.modeling(None), room.modeling(())
     assert everything == pytest.approx(nothing + sum(room.record.models.values()))
@@ -98,7 +98,7 @@ def test_modeling_counts_what_was_modeled(room: ScannedRoom) -> None:
     assert nothing == pytest.approx(sum(room.record.survey.values()))
 
 
-def test_a_room_without_walls_does_not_end_where_the_scan_does(
+def test_a_room_without_walls_is_not_limited_to_the_scanned_floor(
     room: ScannedRoom, folder: Path
 ) -> None:
     open_room = replace(load_scene(NAME), floor_polygon=None)
@@ -106,7 +106,7 @@ def test_a_room_without_walls_does_not_end_where_the_scan_does(
     assert room.scene.floor_polygon is not None
 
 
-def test_a_row_from_a_scan_counts_its_modeling(
+def test_the_time_of_a_row_from_a_scan_includes_modeling(
     folder: Path, room: ScannedRoom, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = Job("key", str(folder), FRIDGE, "ours", Settings(timeout=10.0, scan=FRAMES))
@@ -121,16 +121,16 @@ def test_a_row_from_a_scan_counts_its_modeling(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["paper-sim", "--scan", "60"], "no scan shows what is in the drawers of paper-sim"),
         (["smoke", "--scan", "-1"], "--scan must be between 0 and 1000, not -1"),
         (["smoke", "--disturbances", "1001"], "--disturbances must be between 0 and 1000"),
     ],
 )
-def test_what_cannot_be_scanned_is_told_in_one_line(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_wrong_scan_options_are_reported_in_one_line(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bench", "run", *words, "--out", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Rows on the disk: whole, once, and kept whatever happens."""
+"""Laws of the row store: rows are complete, unique, and survive crashes."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ import pytest
 from tests.apps.bench.fakes import row
 
 from momapos.apps.bench.folder import all_rows, rows_file
-from momapos.apps.bench.row_store import ADDED, Store, read_rows
+from momapos.apps.bench.row_store import ADDED, RowStore, read_rows
 from momapos.core.errors import FileFormatError, InputError
 
 KILLS, JOBS = 20, 2500
 RUNNER = str(Path(__file__).parent / "killed_runner.py")
 
 
-def test_a_row_comes_back_as_it_was_kept(tmp_path: Path) -> None:
+def test_a_row_is_read_as_it_was_stored(tmp_path: Path) -> None:
     rows = [
         row("full"),
         row("other", done=False, reason="the hold broke; 'quoted' \"words\" \n é", bases=()),
         row("empty", outcome="failed", verified=None, seconds=None, driving=None, checked=None,
             stages={}, clearance=None),
     ]  # fmt: skip
-    store = Store(tmp_path / "rows.sqlite")
+    store = RowStore(tmp_path / "rows.sqlite")
     assert all(store.add(one) for one in rows)
     assert read_rows(store.path) == rows  # while it is open for writing
     store.close()
@@ -39,7 +39,7 @@ def test_a_row_comes_back_as_it_was_kept(tmp_path: Path) -> None:
 
 
 def test_files_from_before_a_column_was_added_are_read(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows.sqlite")
+    store = RowStore(tmp_path / "rows.sqlite")
     store.add(row("one", at_2cm=1.0, at_5cm=0.5))
     for name in ADDED:
         store.connection.execute(f"ALTER TABLE rows DROP COLUMN {name}")
@@ -47,18 +47,18 @@ def test_files_from_before_a_column_was_added_are_read(tmp_path: Path) -> None:
     assert read_rows(store.path) == [row("one")]
 
 
-def test_a_runner_that_was_killed_before_its_first_row_is_in_nobodys_way(tmp_path: Path) -> None:
+def test_an_empty_file_of_a_killed_runner_can_be_used(tmp_path: Path) -> None:
     path = tmp_path / "rows.sqlite"
     path.touch()
     assert read_rows(path) == []
-    store = Store(path)
+    store = RowStore(path)
     assert store.add(row("one"))
     store.close()
     assert read_rows(path) == [row("one")]
 
 
-def test_files_that_lack_another_column_are_refused(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows.sqlite")
+def test_a_file_without_a_required_column_is_refused(tmp_path: Path) -> None:
+    store = RowStore(tmp_path / "rows.sqlite")
     store.connection.execute("ALTER TABLE rows DROP COLUMN outcome")
     store.close()
     with pytest.raises(FileFormatError, match="no column outcome"):
@@ -66,14 +66,14 @@ def test_files_that_lack_another_column_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_job_keeps_its_first_row(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows.sqlite")
+    store = RowStore(tmp_path / "rows.sqlite")
     assert store.add(row("one", reason="first"))
     assert not store.add(row("one", reason="second"))
     assert [kept.reason for kept in read_rows(store.path)] == ["first"]
 
 
-def test_a_full_disk_is_told_in_one_line_and_loses_nothing(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows.sqlite")
+def test_a_full_disk_is_reported_and_loses_no_row(tmp_path: Path) -> None:
+    store = RowStore(tmp_path / "rows.sqlite")
     (pages,) = store.connection.execute("PRAGMA page_count").fetchone()
     store.connection.execute(f"PRAGMA max_page_count = {pages + 10}")
     added: list[bool] = []
@@ -88,44 +88,46 @@ def test_a_full_disk_is_told_in_one_line_and_loses_nothing(tmp_path: Path) -> No
     assert len(read_rows(store.path)) == len(added)
 
 
-def test_what_is_no_results_file_of_this_version_is_refused(tmp_path: Path) -> None:
+def test_files_of_another_format_or_version_are_refused(tmp_path: Path) -> None:
     text, other = tmp_path / "text.sqlite", tmp_path / "other.sqlite"
-    text.write_text("this is no database, and longer than the head of one " * 10)
+    text.write_text("this is no database, but longer than the header of one " * 10)
     connection = sqlite3.connect(other)
     connection.execute("PRAGMA user_version = 99")
     connection.close()
     with pytest.raises(FileFormatError, match=r"text.sqlite: not a usable results file"):
         read_rows(text)
     with pytest.raises(InputError, match=r"text.sqlite: cannot be written"):
-        Store(text)
-    for use in (read_rows, Store):
-        with pytest.raises(FileFormatError, match=r"other.sqlite: version 99 .* reads version 1"):
+        RowStore(text)
+    for use in (read_rows, RowStore):
+        with pytest.raises(
+            FileFormatError, match=r"other.sqlite: results format version 99; .* reads version 1"
+        ):
             use(other)
 
 
-def test_a_damaged_row_is_told(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows.sqlite")
+def test_a_damaged_row_is_reported(tmp_path: Path) -> None:
+    store = RowStore(tmp_path / "rows.sqlite")
     store.add(row("one"))
-    for change, said in (("stages = '{'", "damaged JSON"), ("outcome = 'won'", "outcome")):
+    for change, message in (("stages = '{'", "damaged JSON"), ("outcome = 'won'", "outcome")):
         store.connection.execute(f"UPDATE rows SET {change}")
-        with pytest.raises(FileFormatError, match=said):
+        with pytest.raises(FileFormatError, match=message):
             read_rows(store.path)
         store.connection.execute("UPDATE rows SET stages = '{}', outcome = 'solved'")
 
 
-def test_of_two_nodes_the_row_that_was_finished_first_counts(tmp_path: Path) -> None:
+def test_of_two_nodes_the_first_finished_row_counts(tmp_path: Path) -> None:
     for host, finished in (("a", 5.0), ("b", 3.0)):
-        store = Store(tmp_path / f"rows-{host}.sqlite")
+        store = RowStore(tmp_path / f"rows-{host}.sqlite")
         store.add(row("one", host=host, finished=finished))
         store.close()
     assert [kept.host for kept in all_rows(tmp_path)] == ["b"]
 
 
 @pytest.mark.timeout(300)
-def test_killed_at_random_moments_a_run_loses_nothing_and_does_nothing_twice(
+def test_a_run_killed_at_random_moments_loses_no_row_and_repeats_none(
     tmp_path: Path,
 ) -> None:
-    rng, told = random.Random(0), []
+    rng, printed = random.Random(0), []
     path = [*sys.path, str(Path(__file__).parents[3])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path)}
     for kill in range(KILLS + 1):
@@ -137,10 +139,10 @@ def test_killed_at_random_moments_a_run_loses_nothing_and_does_nothing_twice(
                 with os.fdopen(os.pidfd_open(runner.pid)) as ended:
                     select.select([ended], [], [], rng.uniform(0.0, 0.2))
                 runner.send_signal(signal.SIGKILL)
-            told += re.findall(r"(key \d+)\n", runner.stdout.read().decode())
-        reported = {one.key for one in read_rows(rows_file(tmp_path))} if told else set()
-        assert set(told) <= reported
+            printed += re.findall(r"(key \d+)\n", runner.stdout.read().decode())
+        reported = {one.key for one in read_rows(rows_file(tmp_path))} if printed else set()
+        assert set(printed) <= reported
     assert runner.returncode == 0
-    assert max(Counter(told).values()) == 1
+    assert max(Counter(printed).values()) == 1
     kept = [one.key for one in all_rows(tmp_path)]
     assert sorted(kept) == sorted(f"key {k}" for k in range(JOBS))

@@ -1,4 +1,4 @@
-"""Suites: the same tasks from the same seed, each of them one that can be asked."""
+"""Laws of suites: equal seeds give equal tasks, and every task is valid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.real import DATA
 from momapos.apps.bench import laboratory, suites
 from momapos.apps.bench.bench_records import Container, SuiteTask
 from momapos.apps.bench.containers import opened, without
-from momapos.apps.bench.dining_rooms import PLACES, THINGS, Room, make_room
+from momapos.apps.bench.dining_rooms import OBJECT_SIZES, PLACES, DiningRoom, make_room
 from momapos.apps.bench.laboratory import TASKS, laboratory_tasks, shared_data
 from momapos.apps.bench.suites import (
     SMOKE_TASKS,
@@ -34,7 +34,7 @@ from momapos.planning.grasps.tasks import make_task, openable
 from momapos.verification.exact_check import PlanVerifier
 
 
-def test_the_kitchens_tasks_are_all_doors_and_drawers_and_what_fits_the_hand(
+def test_kitchen_tasks_are_all_doors_drawers_and_graspable_objects(
     robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tasks = kitchen_tasks(["segway_ur5e"], 3)
@@ -64,7 +64,7 @@ def test_the_kitchens_tasks_are_all_doors_and_drawers_and_what_fits_the_hand(
     assert {task.group for task in smoke} == {"door", "drawer", "pick"}
 
 
-def test_tasks_are_spread_over_groups_as_evenly_as_these_allow() -> None:
+def test_tasks_are_spread_over_groups_as_evenly_as_possible() -> None:
     groups = {
         name: [SuiteTask(f"{name} {k}", name, "", "", "open", "x") for k in range(count)]
         for name, count in (("many", 90), ("few", 4), ("some", 30))
@@ -76,70 +76,69 @@ def test_tasks_are_spread_over_groups_as_evenly_as_these_allow() -> None:
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Room:
-    """A room with all that the suite asks for."""
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> DiningRoom:
     out = tmp_path_factory.mktemp("room") / "room.json"
     return make_room("single_wall", np.random.default_rng([0, 0]), out)
 
 
 def boxes_overlap(one: SceneObject, other: SceneObject) -> bool:
-    """Whether the boxes around two things overlap, by more than a millimeter each way."""
+    """Check that two bounding boxes overlap by more than 1 mm in every direction."""
     low = np.maximum(one.bounds[0], other.bounds[0])
     high = np.minimum(one.bounds[1], other.bounds[1])
     return bool((high - low > 1e-3).all())
 
 
-def test_a_room_has_things_in_every_place_and_none_in_another(
-    drawn: Room, robots: Callable[[str], Robot]
+def test_a_room_has_objects_in_every_place_and_none_overlap(
+    drawn: DiningRoom, robots: Callable[[str], Robot]
 ) -> None:
     scene = load_scene(drawn.file)
-    assert set(Counter(thing.place for thing in drawn.things)) == set(PLACES)
-    things = [scene.object(thing.name) for thing in drawn.things]
-    for one, other in combinations(things, 2):
+    assert set(Counter(item.place for item in drawn.objects)) == set(PLACES)
+    items = [scene.object(item.name) for item in drawn.objects]
+    for one, other in combinations(items, 2):
         assert not boxes_overlap(one, other), (one, other)
-    for thing in things:  # by the exact check, which knows the furniture's shapes
-        task = make_task(scene, "pick", thing.name)
+    for item in items:  # the exact check uses the furniture's shapes
+        task = make_task(scene, "pick", item.name)
         assert PlanVerifier(scene, robots("segway_ur5e"), task).blocked(0.0) is None
 
 
-def test_things_stand_inside_what_they_are_said_to_be_in(drawn: Room) -> None:
+def test_objects_are_inside_their_containers(drawn: DiningRoom) -> None:
     scene = load_scene(drawn.file)
-    for thing in drawn.things:
-        low, high = scene.object(thing.name).bounds
-        kind = thing.name.rpartition("_")[0]
-        assert sorted(THINGS[kind])[2] >= high[2] - low[2] - 1e-9
-        if thing.inside is not None:
-            around = scene.object(thing.inside.object).bounds
+    for item in drawn.objects:
+        low, high = scene.object(item.name).bounds
+        kind = item.name.rpartition("_")[0]
+        assert sorted(OBJECT_SIZES[kind])[2] >= high[2] - low[2] - 1e-9
+        if item.inside is not None:
+            around = scene.object(item.inside.object).bounds
             assert (around[0] < low).all()
             assert (high < around[1]).all()
 
 
-def test_what_is_in_a_drawer_moves_with_it_and_all_else_stays(drawn: Room) -> None:
+def test_objects_in_a_drawer_move_with_it_and_no_other_objects_do(drawn: DiningRoom) -> None:
     scene = load_scene(drawn.file)
-    in_drawer = [thing for thing in drawn.things if thing.place == "in drawer"]
+    in_drawer = [item for item in drawn.objects if item.place == "in drawer"]
     box = in_drawer[0].inside
     assert box is not None
     carried = drawn.carried(box)
     assert in_drawer[0].name in carried
     after = opened(scene, box, 0.2, carried)
     for before, now in zip(scene.objects, after.objects, strict=True):
-        way = np.linalg.norm((now.T_world_object - before.T_world_object)[:3, 3])
-        assert way == pytest.approx(0.2 if before.name in carried else 0.0)
-    assert _touching(after, box, carried) == _touching(scene, box, carried)
+        distance = np.linalg.norm((now.T_world_object - before.T_world_object)[:3, 3])
+        assert distance == pytest.approx(0.2 if before.name in carried else 0.0)
+    assert _positions_in(after, box, carried) == _positions_in(scene, box, carried)
     assert {item.name for item in without(scene, carried).objects} == (
         {item.name for item in scene.objects} - set(carried)
     )
 
 
-def _touching(scene: Scene, box: Container, carried: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Where things are in the frame of the drawer, to 0.1 mm."""
+def _positions_in(scene: Scene, box: Container, carried: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Return positions in the frame of the drawer, rounded to 0.1 mm."""
     holder = scene.object(box.object)
     T = np.linalg.inv(holder.link_poses()[holder.model.joint(box.joint).child])
-    places = {name: (T @ scene.object(name).T_world_object)[:3, 3] for name in carried}
-    return {name: tuple(np.round(place, 4)) for name, place in places.items()}  # type: ignore[misc]
+    positions = {name: (T @ scene.object(name).T_world_object)[:3, 3] for name in carried}
+    return {name: tuple(np.round(position, 4)) for name, position in positions.items()}  # type: ignore[misc]
 
 
-def test_every_task_of_a_room_can_be_asked(drawn: Room) -> None:
+def test_every_task_of_a_room_is_valid(drawn: DiningRoom) -> None:
     scene = load_scene(drawn.file)
     tasks = list(_tasks_of_room(drawn, "room.json", "00"))
     assert {task.group for task in tasks} == {
@@ -153,13 +152,13 @@ def test_every_task_of_a_room_can_be_asked(drawn: Room) -> None:
         assert {item.name for item in room.objects} >= set(task.carried)
 
 
-def test_the_same_seed_draws_the_same_room(drawn: Room, tmp_path: Path) -> None:
+def test_the_same_seed_draws_the_same_room(drawn: DiningRoom, tmp_path: Path) -> None:
     again = make_room("single_wall", np.random.default_rng([0, 0]), tmp_path / "room.json")
-    assert (again.things, again.openings) == (drawn.things, drawn.openings)
+    assert (again.objects, again.parts) == (drawn.objects, drawn.parts)
     assert again.file.read_bytes() == drawn.file.read_bytes()
 
 
-def test_trials_differ_by_where_the_table_is_and_nothing_overlaps(
+def test_trials_differ_in_the_pose_of_the_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     optional.there(DATA / laboratory.ROOM)
@@ -174,9 +173,9 @@ def test_trials_differ_by_where_the_table_is_and_nothing_overlaps(
         make_task(load_scene(tmp_path / task.scene), task.verb, task.object, task.joint)
 
 
-def test_without_the_authors_data_the_message_says_where_they_were_looked_for(
+def test_without_the_authors_data_the_message_states_the_searched_paths(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(laboratory.SHARED, str(tmp_path / "nowhere"))
-    with pytest.raises(FileFormatError, match=r"looked for .*nowhere/data.* and .*MOMAPOS_SHARED"):
+    with pytest.raises(FileFormatError, match=r"no file .*nowhere/data.* or .*MOMAPOS_SHARED"):
         shared_data()

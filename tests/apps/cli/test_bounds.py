@@ -1,4 +1,4 @@
-"""Work on files from strangers ends in one line."""
+"""Work on untrusted files is limited in time and memory."""
 
 from __future__ import annotations
 
@@ -41,28 +41,28 @@ def in_destructors():
     Deaf()
     endless()
 """
-"""In a process of its own: the bounds are of processes, and work without end hangs no test."""
+"""Runs in its own process: limits apply to processes, and endless work must not hang the tests."""
 
 
 @pytest.mark.parametrize("work", ["endless", "in_destructors"])
-def test_work_without_end_is_stopped_even_where_its_errors_are_lost(work: str) -> None:
+def test_endless_work_is_stopped_even_if_it_suppresses_errors(work: str) -> None:
     assert said(f"report({work}, seconds=0.05)") == (
-        "robot.urdf takes more than 0.05 s of processor time; give simpler shapes\n"
+        "robot.urdf takes more than 0.05 s of processor time; use simpler shapes\n"
     )
 
 
-def test_work_without_end_is_stopped_where_signals_are_blocked() -> None:
+def test_endless_work_is_stopped_even_if_signals_are_blocked() -> None:
     blocked = "signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())"
     assert "more than 0.05 s" in said(f"{blocked}; report(endless, seconds=0.05)")
 
 
-def test_work_on_much_memory_is_stopped() -> None:
+def test_work_that_needs_too_much_memory_is_stopped() -> None:
     assert said("report(lambda: np.ones(400_000_000), memory=1_000_000_000)") == (
-        "robot.urdf takes more than 1 GB of memory; give simpler shapes\n"
+        "robot.urdf takes more than 1 GB of memory; use simpler shapes\n"
     )
 
 
-def test_what_a_process_has_already_counts_for_nothing() -> None:
+def test_memory_that_the_process_already_has_does_not_count() -> None:
     code = "a = np.ones(200_000_000); report(lambda: np.ones(50_000_000), memory=1_000_000_000)"
     assert said(code) == ""
 
@@ -75,7 +75,7 @@ def said(code: str) -> str:
     return done.stdout
 
 
-def test_what_ends_in_time_changes_nothing() -> None:
+def test_work_that_ends_in_time_leaves_no_trace() -> None:
     handler, limits = signal.getsignal(signal.SIGPROF), resource.getrlimit(resource.RLIMIT_DATA)
     threads = threading.active_count()
     with within_bounds("robot.urdf"):

@@ -14,7 +14,7 @@ from momapos.core.compiled.code_store import Store
 from momapos.core.compiled.entries import ENTRIES
 
 
-def test_what_an_answer_needs_is_compiled_once_with_one_line(
+def test_kernels_are_compiled_once_with_one_line_of_output(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store = Store(tmp_path, tmp_path / "no pack")
@@ -29,20 +29,20 @@ def test_what_an_answer_needs_is_compiled_once_with_one_line(
     monkeypatch.setattr("momapos.core.compiled.code_store.store", store)
     compile_once(short)
     assert capsys.readouterr().err.splitlines() == [
-        "momapos: compiling, once after installation: 0 of 2 kernels"
+        "momapos: compiling kernels, once after installation: 0 of 2"
     ]
     compile_once(short)
     assert capsys.readouterr().err == ""
     assert all(store.find(ENTRIES[name]) is not None for name in short)
 
 
-def test_every_kernel_of_an_answer_is_an_entry() -> None:
+def test_every_kernel_for_planning_is_an_entry() -> None:
     compile_once()
     assert set(ANSWER) <= set(ENTRIES)
 
 
 @pytest.mark.parametrize("command", ["rank", "walks", "verify"])
-def test_checking_and_ranking_compile_nothing_but_what_they_announce(
+def test_verifying_and_ranking_compile_only_the_announced_kernels(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = tmp_path / "plan.json"

@@ -1,4 +1,4 @@
-"""The command line: exit statuses, one line for what cannot be used, one object for --json."""
+"""The command line: exit status, one line for unusable input, one object for --json."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_every_shell_completes_every_command(
     assert all(name in shown for name in COMMANDS)
     assert all(sub in shown for group in GROUPS.values() for sub in group)
     assert "--method" in shown
-    assert "RRTConnect" in shown
+    assert "habitat" in shown
 
 
 @pytest.mark.parametrize(
@@ -57,14 +57,14 @@ def test_every_shell_completes_every_command(
     [
         (["plaec"], "did you mean place"),
         (["place", "opne"], "did you mean open"),
-        (["--tyro-print-completion"], "followed by one of bash, zsh"),
-        (["--tyro-print-completion", "basch"], "followed by one of bash, zsh"),
+        (["--tyro-print-completion"], "needs one of bash, zsh"),
+        (["--tyro-print-completion", "basch"], "needs one of bash, zsh"),
         (["place", "open", "kitchen_smal", "fridge"], "kitchen_small"),
         (["place", "open", "kitchen_small", "fridg"], "did you mean fridge"),
         (["place", "open", "kitchen_small", "fridge"], "several moving parts"),
         (["place", "open", "kitchen_small", "microwave", "--robot", "fetsh"], "fetch"),
         (["place", "open", "kitchen_small", "microwave", "--to", "500deg"], "outside its limits"),
-        (["place", "open", "kitchen_small", "microwave", "--to", "wide"], "no value"),
+        (["place", "open", "kitchen_small", "microwave", "--to", "wide"], "not a value"),
         (["place", "open", "kitchen_small", "microwave", "--start", "1,2"], "X,Y,YAW"),
         (
             ["place", "open", "kitchen_small", "microwave", "--at", "1,2"],
@@ -81,14 +81,14 @@ def test_every_shell_completes_every_command(
                 "--to",
                 "max",
             ],
-            "close shuts it all the way",
+            "close always closes a part completely",
         ),
         (["place", "pick", "kitchen_small", "cup", "--at", "1,2,90"], "did you mean 90deg"),
         (["place", "open", "kitchen_small", "microwave", "--timeout", "0"], "timeout"),
         (["verify", "no_such_plan.json"], "no_such_plan.json"),
     ],
 )
-def test_what_cannot_be_used_is_one_line_and_status_2(
+def test_unusable_input_is_one_line_and_status_2(
     words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 2
@@ -98,7 +98,7 @@ def test_what_cannot_be_used_is_one_line_and_status_2(
     assert "Traceback" not in shown.err
 
 
-def test_an_input_that_memory_cannot_hold_is_one_line_and_status_2(
+def test_a_lack_of_memory_is_one_line_and_status_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def too_large(**_: object) -> int:
@@ -106,12 +106,12 @@ def test_an_input_that_memory_cannot_hold_is_one_line_and_status_2(
 
     monkeypatch.setattr("momapos.apps.cli.robot.robot_list", too_large)
     assert main(["robot", "list"]) == 2
-    said = capsys.readouterr().err
-    assert "not enough memory" in said
-    assert said.count("\n") == 1
+    shown = capsys.readouterr().err
+    assert "not enough memory" in shown
+    assert shown.count("\n") == 1
 
 
-def test_a_solved_question_is_status_0_and_verifies(
+def test_a_solved_task_is_status_0_and_its_plan_is_valid(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = tmp_path / "plan.json"
@@ -126,7 +126,7 @@ def test_a_solved_question_is_status_0_and_verifies(
     assert "VALID" in capsys.readouterr().out
 
 
-def test_an_infeasible_question_is_status_3_with_reasons(
+def test_an_infeasible_task_is_status_3_with_reasons(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ["place", "open", "kitchen_small", "cabinet_right/drawer_bottom_slide"]
@@ -136,7 +136,7 @@ def test_an_infeasible_question_is_status_3_with_reasons(
     assert "out of reach" in shown
 
 
-def test_values_and_starts_take_units() -> None:
+def test_values_and_start_poses_have_units() -> None:
     assert parse_quantity("90deg").angle("a") == pytest.approx(math.pi / 2)
     assert parse_quantity("30cm").length("a") == pytest.approx(0.3)
     assert parse_quantity("-1.2").angle("a") == parse_quantity("-1.2").length("a") == -1.2
@@ -151,10 +151,10 @@ def test_values_and_starts_take_units() -> None:
     [
         ("1,2", "not X,Y,YAW"),
         ("1,2,90", "did you mean 90deg?"),
-        ("1deg,2,0", "start: X 1deg is no length"),
-        ("1,2,30cm", "start: YAW 30cm is no angle"),
+        ("1deg,2,0", "start: X 1deg is not a length"),
+        ("1,2,30cm", "start: YAW 30cm is not an angle"),
     ],
 )
-def test_a_start_in_the_wrong_units_is_refused(start: str, words: str) -> None:
+def test_a_start_pose_in_wrong_units_is_refused(start: str, words: str) -> None:
     with pytest.raises(TaskError, match=re.escape(words)):
         parse_pose(start, "start")

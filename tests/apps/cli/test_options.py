@@ -1,87 +1,188 @@
-"""The options of a question are the fields of the pipeline's configuration, from one definition."""
+"""Commands have few options; --config and --set reach every other field."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from momapos import ImportanceConfig, PipelineConfig, PlaceConfig
 from momapos.apps.cli.main import main
-from momapos.apps.cli.scan import ScanOptions
 from momapos.core.errors import InputError
+from momapos.planning.settings import list_fields
+
+PLACE = ("place", "open", "kitchen_small", "fridge/door_hinge")
+RANK = ("rank", "kitchen_small", "fridge")
 
 
-def options(config: object) -> Iterator[str]:
-    """Names of the options that a configuration stands for."""
-    for item in fields(config):  # type: ignore[arg-type]
-        value = getattr(config, item.name)
-        if is_dataclass(value):
-            yield from options(value)
-        else:
-            yield f"--{item.name.replace('_', '-')}"
+@pytest.fixture
+def read_config(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Callable[[str, str], PipelineConfig]:
+    """Return the configuration that a file and options result in."""
+    seen: list[PipelineConfig] = []
+
+    def answer(*args: object) -> int:
+        seen.append(args[4].read_config())  # type: ignore[attr-defined]
+        return 0
+
+    monkeypatch.setattr("momapos.apps.cli.place._answer", answer)
+
+    def read(toml: str, options: str) -> PipelineConfig:
+        file = tmp_path / "my.toml"
+        file.write_text(toml)
+        assert main([*PLACE, *options.split(), "--config", str(file)]) == 0
+        return seen.pop()
+
+    return read
 
 
-def test_no_two_fields_share_an_option() -> None:
-    names = list(options(PipelineConfig()))
-    assert len(names) == len(set(names)) > 40
-
-
-@pytest.mark.parametrize("verb", ["open", "pick"])
-def test_every_field_is_an_option_of_place(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["place", verb, "--help"]) == 0
-    shown = capsys.readouterr().out
-    names = list(options(PipelineConfig()))
-    assert [name for name in names if not re.search(rf"{name}[ ,]", shown)] == []
-
-
-def test_solve_has_the_options_of_a_question_and_those_of_a_scan_by_its_name(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["solve", "--help"]) == 0
-    shown = capsys.readouterr().out
-    names = list(options(PipelineConfig()))
-    names += [f"--scan.{item.name.replace('_', '-')}" for item in fields(ScanOptions)]
-    assert [name for name in names if not re.search(rf"{re.escape(name)}[ ,]", shown)] == []
-
-
-@pytest.mark.parametrize("more", [(), ("--timeout", "3")])
-def test_solve_reads_the_options_of_a_scan(
-    more: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With an option of a question and without one, which tyro is told in two ways."""
-    words = ["solve", str(tmp_path / "none"), "open", "fridge", "--out", str(tmp_path / "out")]
-    assert main([*words, *more, "--scan.voxel", "0.02"]) == 2
-    assert "no such scan" in capsys.readouterr().err
-    assert main([*words, *more, "--scan.voxel", "2"]) == 2
-    assert "voxel" in capsys.readouterr().err
+def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Check that a command exits with status 2, and return its line on stderr."""
+    assert main(words) == 2
+    shown = capsys.readouterr()
+    assert shown.err.count("\n") == 1
+    assert "Traceback" not in shown.err
+    assert shown.out == ""
+    return shown.err
 
 
 @pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("--count", "0"), ("--grid-cell", "0"), ("--k0", "2"), ("--timeout", "nan"),
-        ("--waypoints", "1"), ("--checks", "0"), ("--clearance", "inf"), ("--substeps", "0"),
-    ],
-)  # fmt: skip
-def test_a_value_without_meaning_is_one_line_that_names_the_option(
-    option: str, value: str, capsys: pytest.CaptureFixture[str]
+    ("command", "most"), [("place open", 30), ("place pick", 30), ("rank", 15), ("solve", 30)]
+)
+def test_a_help_text_has_few_options(
+    command: str, most: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert main(["place", "open", "kitchen_small", "fridge/door_hinge", option, value]) == 2
-    said = capsys.readouterr().err
-    assert option.strip("-") in said
-    assert said.count("\n") == 1
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([*command.split(), "--help"]) == 0
+    names = re.findall(r"^\W{0,4}(--[a-z-]+)", capsys.readouterr().out, re.MULTILINE)
+    assert {"--json", "--config", "--set", "--help-all"} <= set(names)
+    assert len(set(names)) <= most
 
 
-def test_the_scorer_is_the_methods_own_unless_one_is_asked_for() -> None:
+@pytest.mark.parametrize("command", ["place open", "place pick kitchen_small cup", "solve"])
+def test_help_all_lists_every_field_with_default_and_meaning(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command.split(), "--help-all"]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"^importance\.k0 = 0\.5  \w", shown, re.MULTILINE)
+    for item in list_fields(PipelineConfig()):
+        assert item.text, item.path
+        assert f"{item.path} = {item.value}  {item.text}\n" in shown
+
+
+def test_help_all_lists_only_what_a_command_uses(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rank", "--help-all"]) == 0
+    lines = capsys.readouterr().out.splitlines()[2:]
+    assert all(line.startswith("importance.") for line in lines)
+    assert main(["scan", "--help-all"]) == 0
+    assert "scan.voxel = 0.015  Voxel size" in capsys.readouterr().out
+
+
+def test_options_take_precedence_over_set_over_file_over_defaults(
+    read_config: Callable[[str, str], PipelineConfig],
+) -> None:
+    toml = "timeout = 30\n[importance]\nalpha = 0.1\nk0 = 0.2\n[importance.graph]\nnear = 2\n"
+    config = read_config(toml, "--set importance.alpha=0.3 --set importance.k0=0.4 --alpha 0.5")
+    assert config.importance.graph.near == 2.0
+    assert config.timeout == 30.0
+    assert (config.importance.alpha, config.importance.k0) == (0.5, 0.4)
+    assert config.place == PlaceConfig()
+
+
+def test_an_option_with_the_default_value_still_overrides_the_file(
+    read_config: Callable[[str, str], PipelineConfig],
+) -> None:
+    assert read_config("timeout = 30", "--timeout 120").timeout == 120.0
+    config = read_config('[place]\nmethod = "paper"', "--method ours")
+    assert config == PipelineConfig()
+
+
+def test_a_file_may_hold_tables_of_other_commands(
+    read_config: Callable[[str, str], PipelineConfig],
+) -> None:
+    assert read_config("[scan]\nvoxel = 0.02", "") == PipelineConfig()
+
+
+def test_robustness_is_a_length_and_an_angle(
+    read_config: Callable[[str, str], PipelineConfig],
+) -> None:
+    place = read_config("", "--robust 5cm,3deg").place
+    assert (place.robust_radius, place.robust_turn) == pytest.approx((0.05, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ((*PLACE, "--timeout", "nan"), "--timeout must be"),
+        ((*PLACE, "--timeout", "0"), "--timeout must be at least 0.001, not 0"),
+        ((*PLACE, "--alpha", "2"), "--alpha must be between 0 and 1, not 2"),
+        ((*PLACE, "--set", "place.count=0"), "--set place.count must be at least 1, not 0"),
+        ((*PLACE, "--set", "place.clearance=inf"), "--set place.clearance must be at least 0"),
+        ((*PLACE, "--set", "motion.waypoints=1"), "--set motion.waypoints must be at least 2"),
+        ((*PLACE, "--set", "place.count=few"), "place.count must be a whole number, not 'few'"),
+        ((*PLACE, "--set", "place.conut=3"), "no setting 'place.conut' in --set; did you mean"),
+        ((*PLACE, "--set", "k0=1"), "did you mean importance.k0?"),
+        ((*PLACE, "--set", "place=1"), "--set place holds several fields"),
+        ((*PLACE, "--set", "place.count"), "write FIELD=VALUE"),
+        ((*PLACE, "--set", "scan.voxel=0.1"), "this command doesn't use it"),
+        ((*RANK, "--set", "place.count=3"), "this command doesn't use it; it uses importance"),
+        ((*RANK, "--set", "importance.graph.near=-1"), "--set importance.graph.near"),
+        ((*PLACE, "--config", "no_such.toml"), "no_such.toml: no such file"),
+        ((*PLACE, "--method", "gess"), "'gess'"),
+    ],
+)
+def test_an_unusable_setting_is_one_line_that_names_it(
+    words: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert line in refused([*words], capsys)
+
+
+@pytest.mark.parametrize(
+    ("toml", "line"),
+    [
+        ("[place]\nconut = 3", "no setting 'place.conut' in {}; did you mean place.count"),
+        ("[plaec]\ncount = 3", "no setting 'plaec' in {}"),
+        ("[place.count]\nx = 1", "{}: place.count must be a whole number, not a table"),
+        ("place = 1", "{}: place must be a table of fields, not 1"),
+        ("[[place]]\ncount = 1", "{}: place must be a table of fields, not a list"),
+        ("[place]\ncount = 'few'", "{}: place.count must be a whole number, not 'few'"),
+        ("[place]\ncount = 0", "{}: place.count must be at least 1, not 0"),
+        ("timeout = true", "{}: timeout must be a number, not True"),
+        ("timeout = nan", "{}: timeout must be a number, not nan"),
+        ("[paper]\nheights = [1, inf]", "{}: paper.heights must be numbers, not a list"),
+        ("[paper\nheights = 1", "{}: not valid TOML"),
+        ("x = " + "[" * 5000, "{}: not valid TOML"),
+    ],
+)
+def test_an_unusable_file_is_one_line_that_names_file_and_field(
+    toml: str, line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "my.toml"
+    file.write_text(toml)
+    shown = refused([*PLACE, "--config", str(file)], capsys)
+    assert line.format(file) in shown
+
+
+def test_solve_takes_the_options_of_a_scan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["solve", str(tmp_path / "none"), "open", "fridge", "--out", str(tmp_path / "out")]
+    assert "no such scan" in refused([*words, "--max-frames", "9", "--timeout", "3"], capsys)
+    assert "no such scan" in refused([*words, "--set", "scan.voxel=0.02"], capsys)
+    assert "--max-frames must be" in refused([*words, "--max-frames", "0"], capsys)
+    assert "--set scan.voxel must be" in refused([*words, "--set", "scan.voxel=2"], capsys)
+
+
+def test_the_scorer_depends_on_the_method_unless_it_is_set() -> None:
     paper = PlaceConfig(method="paper")
     assert PipelineConfig().ranking.scorer == "reach"
     assert PipelineConfig(place=paper).ranking.scorer == "deepwalk"
-    asked = PipelineConfig(place=paper, importance=ImportanceConfig(scorer="size"))
-    assert asked.ranking.scorer == "size"
+    chosen = PipelineConfig(place=paper, importance=ImportanceConfig(scorer="size"))
+    assert chosen.ranking.scorer == "size"
     assert PipelineConfig().ranking.weights == "scaled"
     assert PipelineConfig(place=paper).ranking.weights == "printed"
     scaled = ImportanceConfig(weights="scaled")

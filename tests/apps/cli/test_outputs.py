@@ -1,4 +1,4 @@
-"""Where a result cannot go, and options that mean nothing, are refused before the work."""
+"""Unwritable outputs and out-of-range options are refused before the work."""
 
 from __future__ import annotations
 
@@ -33,31 +33,31 @@ FOLDERS = {
 def refused(args: list[str], where: Path, capsys: pytest.CaptureFixture[str], *words: str) -> None:
     before = sorted(where.rglob("*"))
     assert main(args) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.count("\n") == 1
     for word in words:
-        assert word in said.err
+        assert word in shown.err
     assert sorted(where.rglob("*")) == before
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_file_is_not_written_over_a_folder_nor_below_a_file(
+def test_an_output_file_is_not_written_over_a_folder_or_below_a_file(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
-    for place, word in ((tmp_path, "is a folder"), (tmp_path / "file" / "x", "is no folder")):
+    for place, word in ((tmp_path, "is a folder"), (tmp_path / "file" / "x", "is not a folder")):
         args = [arg.format(place) for arg in COMMANDS[command]]
         refused(args, tmp_path, capsys, str(place), word)
 
 
 @pytest.mark.parametrize("command", FOLDERS)
-def test_files_are_not_written_below_a_file(
+def test_an_output_folder_is_not_created_below_a_file(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
     args = [arg.format(tmp_path / "file") for arg in FOLDERS[command]]
-    refused(args, tmp_path, capsys, str(tmp_path / "file"), "no folder")
+    refused(args, tmp_path, capsys, str(tmp_path / "file"), "is not a folder")
 
 
 @pytest.mark.parametrize(
@@ -71,20 +71,20 @@ def test_files_are_not_written_below_a_file(
         ["scene", "new", "galley", "--seed", "-1", "--out", "{}/a.json"],
         ["scene", "scan", "kitchen_small", "--seed", "-1", "--out", "{}/a"],
         ["scene", "scan", "kitchen_small", "--frames", "0", "--out", "{}/a"],
-        ["scan", "scans", "--voxel", "nan", "--out", "{}/a.json"],
-        ["scan", "scans", "--voxel", "0", "--out", "{}/a.json"],
+        ["scan", "scans", "--set", "scan.voxel=nan", "--out", "{}/a.json"],
+        ["scan", "scans", "--set", "scan.voxel=0", "--out", "{}/a.json"],
         ["scan", "scans", "--depth-scale", "inf", "--out", "{}/a.json"],
         ["scan", "scans", "--max-frames", "-5", "--out", "{}/a.json"],
     ],
 )
-def test_an_option_without_meaning_is_refused(
+def test_an_option_out_of_range_is_refused(
     args: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     option = next(arg for arg in args if arg.startswith("--") and arg != "--out")
     refused([arg.format(tmp_path) for arg in args], tmp_path, capsys, option)
 
 
-def test_what_is_no_regular_file_is_refused_as_input(
+def test_an_input_that_is_not_a_regular_file_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for args in (

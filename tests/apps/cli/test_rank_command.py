@@ -1,4 +1,4 @@
-"""momapos rank: a table for people, one object for programs, one line for what cannot be used."""
+"""momapos rank: a table, one JSON object, and one line for unusable input."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from momapos.apps.cli.main import main
 
 
-def test_the_table_has_every_object_with_its_score_its_relation_and_s(
+def test_the_table_shows_the_score_and_relation_of_every_object(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["rank", "kitchen_small", "counter"]) == 0
@@ -39,24 +39,24 @@ def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str])
     ).items()
 
 
-def test_long_work_says_that_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = []
+def test_long_work_shows_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles = []
 
     @contextmanager
     def note(title: str) -> Iterator[None]:
-        said.append(title)
+        titles.append(title)
         yield
 
     for module in ("rank", "scene"):
-        monkeypatch.setattr(f"momapos.cli.{module}.busy", note)
+        monkeypatch.setattr(f"momapos.apps.cli.{module}.busy", note)
     path = tmp_path / "graph.png"
     assert main(["rank", "kitchen_small", "cup", "--scorer", "size", "--plot", str(path)]) == 0
-    assert said == ["kitchen_small: scoring 17 objects", "drawing graph.png"]
+    assert titles == ["kitchen_small: scoring 17 objects", "drawing graph.png"]
     assert main(["scene", "show", "kitchen_small", "--plot", str(path)]) == 0
-    assert said[2:] == ["drawing graph.png"]
+    assert titles[2:] == ["drawing graph.png"]
 
 
-def test_the_picture_is_written_where_it_is_asked_for(tmp_path: Path) -> None:
+def test_the_figure_is_written_to_the_given_file(tmp_path: Path) -> None:
     path = tmp_path / "graph.png"
     assert main(["rank", "kitchen_small", "cup", "--scorer", "size", "--plot", str(path)]) == 0
     assert path.read_bytes()[:4] == b"\x89PNG"
@@ -67,14 +67,14 @@ def test_the_picture_is_written_where_it_is_asked_for(tmp_path: Path) -> None:
     [
         (["fridg"], "did you mean fridge"),
         (["fridge", "--alpha", "1.5"], "alpha must be between 0 and 1"),
-        (["fridge", "--k0", "-0.1"], "k0 must be between 0 and 1"),
-        (["fridge", "--k0", "nan"], "k0 must be between 0 and 1"),
+        (["fridge", "--set", "importance.k0=-0.1"], "k0 must be between 0 and 1"),
+        (["fridge", "--set", "importance.k0=nan"], "k0 must be a number"),
         (["fridge", "--seed", "-1"], "seed must be"),
-        (["fridge", "--walks", "0"], "walks must be between 1"),
-        (["fridge", "--near", "-1"], "must not be negative"),
+        (["fridge", "--set", "importance.walks=0"], "walks must be between 1"),
+        (["fridge", "--set", "importance.graph.near=-1"], "importance.graph.near"),
     ],
 )
-def test_what_cannot_be_used_is_one_line_and_status_2(
+def test_unusable_input_is_one_line_and_status_2(
     words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["rank", "kitchen_small", *words]) == 2
@@ -84,7 +84,7 @@ def test_what_cannot_be_used_is_one_line_and_status_2(
     assert shown.out == ""
 
 
-def test_rank_help_says_what_every_option_does(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rank_help_shows_every_option(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rank", "--help"]) == 0
     shown = capsys.readouterr().out
-    assert all(f"--{name}" in shown for name in ("scorer", "alpha", "k0", "seed", "plot", "json"))
+    assert all(f"--{name}" in shown for name in ("scorer", "alpha", "seed", "plot", "json", "set"))

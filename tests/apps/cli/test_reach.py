@@ -1,4 +1,4 @@
-"""`momapos reach`: of which arm, and against what."""
+"""momapos reach: the chosen arm, and the comparison with inverse kinematics."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import pytest
 from momapos.apps.cli.main import main
 
 
-def test_an_arm_that_can_have_no_map_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_arm_without_a_map_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["reach", "build", "stretch"], ["reach", "eval", "stretch"]):
         assert main(words) == 2
-        said = capsys.readouterr()
-        assert "stretch has no reachability map: its arm has 5 degrees of freedom" in said.err
-        assert said.err.count("\n") == 1
+        shown = capsys.readouterr()
+        assert "stretch has no reachability map: its arm has 5 degrees of freedom" in shown.err
+        assert shown.err.count("\n") == 1
 
 
-def test_a_file_holds_the_map_of_one_arm(
+def test_a_file_contains_the_map_of_one_arm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "two.reach"
     assert main(["reach", "build", "tiago_dual", "--out", str(out)]) == 2
-    assert "holds the map of one arm: give --arm left or right" in capsys.readouterr().err
+    assert "can hold the map of one arm only; give --arm left or right" in capsys.readouterr().err
     assert not out.exists()
     assert main(["reach", "build", "tiago_dual", "--arm", "middle"]) == 2
     assert "no arm 'middle'" in capsys.readouterr().err
 
 
-def test_what_a_map_misses_is_told_near_reach_and_in_the_ball(
+def test_errors_of_a_map_are_reported_near_the_boundary_and_in_the_ball(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["reach", "eval", "segway_ur5e", "--count", "400", "--json"]) == 0

@@ -1,4 +1,4 @@
-"""momapos run: from a plan file to a record, and one line for what cannot be used."""
+"""momapos run: from a plan file to a record, and one line for unusable input."""
 
 from __future__ import annotations
 
@@ -26,24 +26,23 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.navigation.driving import DriveRecord
 from momapos.planning.navigation.footprint_map import NavigationMap
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
 from momapos.simulation.run_record import RunRecord, read_run
 from momapos.simulation.true_worlds import moved
 from momapos.verification.exact_check import PlanVerifier
-from momapos.workflows.replanning import APART, NONE_LEFT, TURN, Drive
+from momapos.workflows.replanning import MIN_POSE_DISTANCE, NO_POSE_LEFT, YAW_WEIGHT, Drive
 from momapos.workflows.run import run_plan
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
 Pose3 = Float[np.ndarray, "3"]
 START = np.array([1.9, -1.6, 1.5708])
-"""Of the small kitchen."""
+"""Start pose in the small kitchen."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +52,7 @@ def kitchen() -> Scene:
 
 @pytest.fixture(scope="module")
 def plan(kitchen: Scene) -> PlacementPlan:
-    """How the Segway opens the fridge of the small kitchen."""
+    """Plan to open the fridge of the small kitchen with the Segway."""
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     plan = plan_base_placement(
         kitchen, load_robot("segway_ur5e"), task, Everywhere(), config=CONFIG
@@ -63,14 +62,14 @@ def plan(kitchen: Scene) -> PlacementPlan:
 
 
 def refused(words: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command ends with status 2 and one line that holds the hint."""
+    """Check that the command exits with status 2 and one line that contains the hint."""
     assert main(["run", *words]) == 2
     shown = capsys.readouterr().err
     assert hint in shown
     assert shown.count("\n") == 1
 
 
-def test_a_plan_for_the_small_kitchen_opens_its_fridge_and_the_record_says_so(
+def test_a_plan_opens_the_fridge_and_the_record_reports_it(
     plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, out = tmp_path / "plan.json", tmp_path / "run.json"
@@ -92,14 +91,14 @@ def test_a_plan_for_the_small_kitchen_opens_its_fridge_and_the_record_says_so(
     assert "open fridge/door_hinge: done" in summary(record)
 
 
-def test_no_tries_at_all_are_refused(
+def test_zero_tries_are_refused(
     plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries 0", capsys)
+    refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries must be at least 1", capsys)
 
 
-def test_a_world_that_is_not_there_or_lies_nowhere_is_refused(
+def test_a_missing_world_or_a_pose_without_world_is_refused(
     plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_plan(plan, tmp_path / "plan.json")
@@ -114,7 +113,7 @@ def test_a_world_that_is_not_there_or_lies_nowhere_is_refused(
         run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), world=far, config=CONFIG)
 
 
-def test_with_noise_the_arm_is_planned_anew_where_the_base_really_stands(
+def test_with_noise_the_arm_motion_is_replanned_from_the_reached_pose(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:
     traces: list[np.ndarray] = []
@@ -134,14 +133,14 @@ def test_with_noise_the_arm_is_planned_anew_where_the_base_really_stands(
 
 
 @pytest.mark.slow
-def test_the_furniture_is_the_same_however_far_a_plan_drives(
+def test_the_drawn_furniture_does_not_depend_on_the_drive(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:
     def run(go: Drive) -> RunRecord:
         furniture = FurnitureConfig(spread=0.3)
         return run_plan(
-            plan, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG, seed=5, go=go,
-            physics=ExecutionConfig(furniture=furniture),
+            plan, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG, seed=5,
+            driver=go, physics=ExecutionConfig(furniture=furniture),
         )  # fmt: skip
 
     def near(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
@@ -157,7 +156,7 @@ def test_the_furniture_is_the_same_however_far_a_plan_drives(
     assert one.resistance == other.resistance
 
 
-def test_a_motion_for_one_base_pose_holds_the_exact_check(
+def test_a_motion_for_one_base_pose_passes_the_exact_check(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:
     robot = load_robot("segway_ur5e")
@@ -170,12 +169,12 @@ def test_a_motion_for_one_base_pose_holds_the_exact_check(
     np.testing.assert_allclose(tools, found.Ts_world_tool, atol=1e-6)
 
 
-def test_where_the_arm_finds_no_motion_the_next_cheapest_base_pose_is_driven_to(
+def test_without_an_arm_motion_the_base_drives_to_the_next_cheapest_pose(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:
     goals: list[np.ndarray] = []
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first(goals),
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=astray_at_first(goals),
         config=CONFIG,
     )  # fmt: skip
     assert record.success, record.reason
@@ -186,21 +185,21 @@ def test_where_the_arm_finds_no_motion_the_next_cheapest_base_pose_is_driven_to(
     assert apart(goals)
 
 
-def test_where_no_other_base_pose_is_left_the_robot_docks_once_more(
+def test_without_another_base_pose_the_robot_docks_again(
     plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goals: list[np.ndarray] = []
-    monkeypatch.setattr("momapos.workflows.replanning.Trip._another", lambda *_: None)
+    monkeypatch.setattr("momapos.workflows.replanning.Replanner._other_pose", lambda *_: None)
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first(goals),
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=astray_at_first(goals),
         config=CONFIG,
     )  # fmt: skip
     assert record.success, record.reason
-    assert NONE_LEFT in record.visits[0].reason
+    assert NO_POSE_LEFT in record.visits[0].reason
     np.testing.assert_array_equal(goals, [plan.base_pose, plan.base_pose])
 
 
-def test_a_drive_that_does_not_arrive_leads_to_other_base_poses_and_then_to_a_failure(
+def test_after_three_drives_without_arrival_the_run_fails(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:
     goals: list[np.ndarray] = []
@@ -210,7 +209,7 @@ def test_a_drive_that_does_not_arrive_leads_to_other_base_poses_and_then_to_a_fa
         return ended(start, goal, start, "a wheel is stuck")
 
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=stuck, config=CONFIG
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=stuck, config=CONFIG
     )
     assert not record.success
     assert record.reason == "a wheel is stuck"
@@ -220,14 +219,12 @@ def test_a_drive_that_does_not_arrive_leads_to_other_base_poses_and_then_to_a_fa
     assert apart(goals)
 
 
-def test_a_base_that_touched_something_is_driven_no_further(
-    plan: PlacementPlan, kitchen: Scene
-) -> None:
+def test_a_base_that_hit_something_stops(plan: PlacementPlan, kitchen: Scene) -> None:
     def bump(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         return replace(ended(start, goal, start, "it hit a chair"), hit="a chair")
 
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=bump, config=CONFIG
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=bump, config=CONFIG
     )
     assert not record.success
     assert record.reason == "it hit a chair"
@@ -235,7 +232,7 @@ def test_a_base_that_touched_something_is_driven_no_further(
 
 
 def astray_at_first(goals: list[np.ndarray]) -> Drive:
-    """Drives of which the first ends far from its goal; tells the goals."""
+    """BasePaths of which the first ends far from its goal; tells the goals."""
 
     def go(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         goals.append(goal)
@@ -245,26 +242,27 @@ def astray_at_first(goals: list[np.ndarray]) -> Drive:
 
 
 def ended(start: np.ndarray, goal: np.ndarray, pose: np.ndarray, reason: str = "") -> DriveRecord:
-    """A drive in a straight line that ended at a pose."""
+    """Build the record of a straight drive that ended at a pose."""
     length = float(np.hypot(*(pose - start)[:2]))
     return DriveRecord(
-        arrived=not reason, reason=reason, goal=goal, pose=pose, believed=pose, hit="",
-        planned=length, length=length, time=1.0, clearance=0.1, clearance_moving=np.inf, ways=1,
+        arrived=not reason, reason=reason, goal=goal, pose=pose, estimated_pose=pose, hit="",
+        planned=length, length=length, time=1.0, clearance=0.1, clearance_moving=np.inf, paths=1,
         times=np.array([0.0, 1.0]), poses=np.array([start, pose]), velocities=np.zeros((2, 3)),
         step_times=np.zeros(1),
     )  # fmt: skip
 
 
 def apart(goals: list[np.ndarray]) -> bool:
-    """Whether every goal is another one than those before."""
+    """Return whether all goals differ."""
     return all(
-        np.hypot(*(one - other)[:2]) + TURN * abs(wrap_angle(one[2] - other[2])) >= APART
+        np.hypot(*(one - other)[:2]) + YAW_WEIGHT * abs(wrap_angle(one[2] - other[2]))
+        >= MIN_POSE_DISTANCE
         for i, one in enumerate(goals)
         for other in goals[:i]
     )
 
 
-def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
+def test_a_start_in_collision_in_the_simulation_is_a_failure(
     plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def go(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
@@ -272,16 +270,17 @@ def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
 
     motion = plan.motion
     monkeypatch.setattr(
-        "momapos.workflows.replanning.check_base_pose",
+        "momapos.workflows.replanning.check_pose",
         lambda *_, **__: Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE)),
     )
-    record = run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=go, config=CONFIG)
+    robot = load_robot("segway_ur5e")
+    record = run_plan(plan, kitchen, robot, Everywhere(), driver=go, config=CONFIG)
     assert not record.success
     assert record.execution is None
     assert "start in collision" in record.reason
 
 
-def test_a_scene_that_changed_since_is_refused(
+def test_a_scene_that_changed_after_planning_is_refused(
     robots: Callable[[str], Robot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = robots("fetch")
@@ -296,7 +295,7 @@ def test_a_scene_that_changed_since_is_refused(
     refused([str(tmp_path / "plan.json")], "scene.json) has changed since", capsys)
 
 
-def test_a_robot_that_changed_since_is_refused(
+def test_a_robot_that_changed_after_planning_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     case = make_case()
@@ -312,7 +311,7 @@ def test_a_robot_that_changed_since_is_refused(
 
 
 def still(robot: Robot) -> Motion:
-    """An arm that stays at home."""
+    """Build a motion in which the arm stays at home."""
     return Motion(robot.home[None], robot.home[None], np.zeros(1), np.eye(4)[None])
 
 
@@ -333,7 +332,7 @@ def test_a_plan_that_cannot_be_executed_is_refused(
     refused([str(case.write(tmp_path))], hint, capsys)
 
 
-def test_a_plan_without_a_robot_file_asks_for_one(
+def test_a_plan_without_a_robot_file_needs_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = make_case().write(tmp_path)
@@ -348,7 +347,7 @@ def test_a_start_in_collision_is_refused(
     refused([str(tmp_path / "plan.json"), "--start", "1,0,0"], "would hit", capsys)
 
 
-def test_a_base_pose_in_furniture_is_driven_to_in_vain_and_the_next_one_does_it(
+def test_from_an_unreachable_base_pose_the_run_goes_on_to_the_next_one(
     plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_plan(replace(plan, base_pose=(1.0, 0.0, 1.57)), tmp_path / "plan.json")
@@ -356,7 +355,7 @@ def test_a_base_pose_in_furniture_is_driven_to_in_vain_and_the_next_one_does_it(
     assert "the goal is in collision with" in capsys.readouterr().out
 
 
-def test_a_base_that_is_fenced_in_fails_with_that_reason(
+def test_a_blocked_in_base_fails_with_that_reason(
     plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert kitchen.path is not None
@@ -377,7 +376,7 @@ def test_a_base_that_is_fenced_in_fails_with_that_reason(
     assert main(["run", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 1
     record = read_run(out)
     assert record.execution is None
-    assert record.reason == f"there is no way for the footprint; {NONE_LEFT}"
+    assert record.reason == f"there is no way for the footprint; {NO_POSE_LEFT}"
     assert json.loads(capsys.readouterr().out)["reason"] == record.reason
 
 
@@ -385,4 +384,4 @@ def test_a_film_is_a_png_a_gif_or_an_mp4(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = make_case().write(tmp_path)
-    refused([str(path), "--record", "film.mov"], "PNG", capsys)
+    refused([str(path), "--record", "film.mov"], ".png", capsys)

@@ -1,19 +1,19 @@
-"""`momapos scan`: what cannot be used is refused before the work."""
+"""momapos scan refuses unusable input before the work."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-import momapos.reconstruction
 import pytest
 
+import momapos.perception.reconstruction
 from momapos.apps.cli.main import main
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.model.scene.scene_files import load_scene
 
-FRONT = Path(momapos.reconstruction.__file__).parent / "weights" / "front_face.onnx"
-"""A network that detects nothing."""
+FRONT = Path(momapos.perception.reconstruction.__file__).parent / "weights" / "front_face.onnx"
+"""A network that is no detector."""
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +26,10 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
-        (["--voxel", "nan"], "--voxel must be between 0.001 and 1 m"),
-        (["--voxel", "0"], "--voxel must be between 0.001 and 1 m"),
-        (["--voxel", "-0.01"], "--voxel must be between 0.001 and 1 m"),
-        (["--voxel", "inf"], "--voxel must be between 0.001 and 1 m"),
+        (["--set", "scan.voxel=nan"], "scan.voxel must be a number"),
+        (["--set", "scan.voxel=0"], "scan.voxel must be between 0.001 and 1 m"),
+        (["--set", "scan.voxel=-0.01"], "scan.voxel must be between 0.001 and 1 m"),
+        (["--set", "scan.voxel=inf"], "scan.voxel must be between 0.001 and 1 m"),
         (["--depth-scale", "nan"], "--depth-scale must be between"),
         (["--depth-scale", "0"], "--depth-scale must be between"),
         (["--max-frames", "0"], "--max-frames must be between"),
@@ -49,7 +49,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["--target", "a", "--target-at", "1,2,3"], "exclude each other"),
     ],
 )
-def test_an_option_out_of_its_range_is_one_line_with_the_bounds(
+def test_an_option_out_of_range_is_one_line_with_the_bounds(
     words: list[str],
     hint: str,
     room: Path,
@@ -72,12 +72,12 @@ def test_an_option_out_of_its_range_is_one_line_with_the_bounds(
     ("out", "hint"),
     [
         ("taken", "is a folder"),
-        ("file/scene.json", "is no folder"),
+        ("file/scene.json", "is not a folder"),
         ("report/scene.json", "is a folder"),
-        ("models/scene.json", "is no folder"),
+        ("models/scene.json", "is not a folder"),
     ],
 )
-def test_a_place_where_the_scene_cannot_be_written_is_refused_before_the_scan_is_read(
+def test_an_unwritable_output_is_refused_before_the_scan_is_read(
     out: str,
     hint: str,
     tmp_path: Path,
@@ -97,7 +97,7 @@ def test_a_place_where_the_scene_cannot_be_written_is_refused_before_the_scan_is
     assert shown.err.count("\n") == 1
 
 
-def test_a_scan_that_is_a_fifo_is_refused_and_not_waited_for(
+def test_a_scan_that_is_a_fifo_is_refused_without_waiting(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     os.mkfifo(tmp_path / "scan.ply")

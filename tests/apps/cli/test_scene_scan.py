@@ -1,4 +1,4 @@
-"""`momapos scene scan`: what is written, and what is refused."""
+"""momapos scene scan: its output, and what it refuses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_scan_holds_color_depth_and_pose_of_every_frame(scan: Path) -> None:
+def test_a_scan_has_color_depth_and_pose_of_every_frame(scan: Path) -> None:
     assert np.loadtxt(scan / "camera-intrinsics.txt").shape == (3, 3)
     assert len(list(scan.iterdir())) == 3 * 3 + 2
     for k in range(3):
@@ -36,7 +36,7 @@ def test_a_scan_holds_color_depth_and_pose_of_every_frame(scan: Path) -> None:
         assert np.linalg.det(T[:3, :3]) > 0
 
 
-def test_the_truth_names_every_object_with_its_box_and_joints(scan: Path) -> None:
+def test_the_ground_truth_lists_every_object_with_box_and_joints(scan: Path) -> None:
     facts = json.loads((scan / "truth.json").read_text())
     assert (facts["format"], facts["version"]) == ("momapos-scan-truth", 1)
     fridge = next(item for item in facts["objects"] if item["name"] == "fridge")
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, scan: Path) -> None:
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
 
 
-def test_without_noise_depth_is_nowhere_missing_on_the_furniture(tmp_path: Path) -> None:
+def test_without_noise_no_depth_is_missing_on_the_furniture(tmp_path: Path) -> None:
     out = tmp_path / "exact"
     assert main([*WORDS, "--out", str(out), "--no-noise", "--json"]) == 0
     depths = [np.array(Image.open(out / f"frame-{k:06d}.depth.png")) for k in range(3)]
@@ -81,10 +81,10 @@ def test_without_noise_depth_is_nowhere_missing_on_the_furniture(tmp_path: Path)
         (["kitchen_small", "--out", "new", "--frames", "0"], "between 1 and"),
         (["kitchen_small", "--out", "new", "--seed", "-1"], "between 0 and"),
         (["kitchen_small", "--out", "used"], "is not empty"),
-        (["kitchen_small", "--out", "used/file"], "is no folder"),
+        (["kitchen_small", "--out", "used/file"], "is not a folder"),
     ],
 )
-def test_what_cannot_be_used_is_one_line_and_nothing_is_written(
+def test_unusable_input_is_one_line_and_nothing_is_written(
     words: list[str],
     hint: str,
     tmp_path: Path,

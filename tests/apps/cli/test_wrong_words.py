@@ -1,4 +1,4 @@
-"""Words that make no call of a command: one line that says what, where and where help is."""
+"""Wrong arguments are one line that says what is wrong and where help is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DOOR = ("place", "open", "kitchen_small", "fridge/door_hinge")
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "parts"),
     [
         (
             (*DOOR, "--robto", "fetch"),
@@ -19,28 +19,28 @@ DOOR = ("place", "open", "kitchen_small", "fridge/door_hinge")
         ),
         ((*DOOR, "again"), ["Unrecognized options: again"]),
         ((*DOOR, "--robot"), ["--robot", "Missing value"]),
-        ((*DOOR, "--count", "three"), ["--count", "'three'"]),
+        ((*DOOR, "--timeout", "three"), ["--timeout", "three"]),
         ((*DOOR, "--method", "gess"), ["--method", "'gess'", "habitat"]),
         (("place", "open"), ["Missing", "OBJECT[/JOINT]", "built-in kitchen"]),
         (("rank",), ["Missing", "OBJECT[/JOINT]"]),
     ],
 )
 @pytest.mark.parametrize("columns", ["40", "200"])
-def test_wrong_words_are_told_in_one_line(
+def test_wrong_arguments_are_reported_in_one_line(
     words: tuple[str, ...],
-    told: list[str],
+    parts: list[str],
     columns: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)
     assert main(words) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.count("\n") == 1
     prog = " ".join(["momapos", *words[: 2 if words[0] == "place" else 1]])
-    assert said.err.endswith(f"; see {prog} --help\n")
-    assert [text for text in told if text not in said.err] == []
+    assert shown.err.endswith(f"; see {prog} --help\n")
+    assert [text for text in parts if text not in shown.err] == []
 
 
 @pytest.mark.parametrize(
@@ -51,5 +51,5 @@ def test_wrong_words_are_told_in_one_line(
         ["\x1b[31m╭─\x1b[0m Title", "\x1b[31m│\x1b[0m what is wrong.", "│ ──────── │", "│ more │"],
     ],
 )  # fmt: skip
-def test_neither_frame_nor_color_is_left(lines: list[str]) -> None:
+def test_frames_and_colors_are_removed(lines: list[str]) -> None:
     assert in_one_line("\n".join(lines)) == "what is wrong"

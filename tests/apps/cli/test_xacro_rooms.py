@@ -1,4 +1,4 @@
-"""Furniture that is written as xacro, converted."""
+"""Conversion of furniture in xacro files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def cabinet(tmp_path: Path) -> Path:
 
 
 @needs_xacrodoc
-def test_a_xacro_file_becomes_a_room_with_its_meshes(cabinet: Path, tmp_path: Path) -> None:
+def test_a_xacro_file_becomes_a_scene_with_its_meshes(cabinet: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine" / "room.json"
     out.parent.mkdir()
     assert main(["scene", "convert", str(cabinet), str(out)]) == 0
@@ -50,14 +50,14 @@ def test_a_xacro_file_becomes_a_room_with_its_meshes(cabinet: Path, tmp_path: Pa
 
 
 @needs_xacrodoc
-def test_a_xacro_file_that_cannot_be_expanded_is_said_in_one_line(
+def test_a_xacro_file_that_cannot_be_expanded_is_reported_in_one_line(
     cabinet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cabinet.write_text(CABINET.replace("width / 2}", "height / 2}", 1))
     out = tmp_path / "room.json"
     assert main(["scene", "convert", str(cabinet), str(out)]) == 2
-    said = capsys.readouterr().err
-    assert "height" in said
-    assert said.count("\n") == 1
+    shown = capsys.readouterr().err
+    assert "height" in shown
+    assert shown.count("\n") == 1
     assert not out.exists()
     assert [path.name for path in cabinet.parent.iterdir()] == [cabinet.name]

@@ -1,4 +1,4 @@
-"""What is exported says the same as the plan, in each program's own words."""
+"""Laws of exported plans: every format has the motion of the plan."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
-SAME = 1e-6
+TOLERANCE = 1e-6
 
 
 @pytest.fixture(scope="module")
@@ -64,16 +64,18 @@ def kinds(phases: tuple[Phase, ...]) -> list[str]:
     return [phase.kind.value for phase in phases]
 
 
-def test_a_phase_begins_where_the_one_before_it_ends(phases: tuple[Phase, ...]) -> None:
+def test_a_phase_begins_where_the_previous_one_ends(phases: tuple[Phase, ...]) -> None:
     for before, after in pairwise(phases):
         for key in ("base", "positions", "object_q"):
-            assert np.allclose(getattr(before, key)[-1], getattr(after, key)[0], atol=SAME), key
+            assert np.allclose(getattr(before, key)[-1], getattr(after, key)[0], atol=TOLERANCE), (
+                key
+            )
     for phase in phases:
         assert not phase.velocities[[0, -1]].any()
         assert (np.diff(phase.times) > 0).all()
 
 
-def test_the_base_drives_the_arm_reaches_and_the_hand_holds_while_the_door_moves(
+def test_a_door_moves_only_while_the_gripper_is_closed(
     plan: PlacementPlan, phases: tuple[Phase, ...]
 ) -> None:
     assert plan.motion is not None
@@ -85,17 +87,17 @@ def test_the_base_drives_the_arm_reaches_and_the_hand_holds_while_the_door_moves
     assert np.allclose(phases[-1].positions[-1], plan.motion.q[-1])
 
 
-def test_no_joint_and_no_base_is_faster_than_it_can_be(
+def test_joints_and_base_respect_their_speed_limits(
     phases: tuple[Phase, ...], robot: Robot
 ) -> None:
     speed = np.array([robot.model.joint(name).velocity for name in robot.moved_joints])
     for phase in phases:
-        assert (np.abs(phase.velocities) <= speed + SAME).all()
+        assert (np.abs(phase.velocities) <= speed + TOLERANCE).all()
         moved = np.abs(np.diff(phase.base, axis=0)) / np.diff(phase.times)[:, None]
         assert (moved <= np.array([robot.max_speed] * 2 + [robot.max_yaw_rate]) + 1e-3).all()
 
 
-def test_a_hand_that_takes_hold_twice_opens_in_between(plan: PlacementPlan, robot: Robot) -> None:
+def test_the_gripper_opens_between_two_grasps(plan: PlacementPlan, robot: Robot) -> None:
     motion = plan.motion
     assert motion is not None
     last = len(motion.q) - 1
@@ -116,14 +118,14 @@ def test_a_hand_that_takes_hold_twice_opens_in_between(plan: PlacementPlan, robo
         ("place", ["drive", "close_gripper", "arm", "open_gripper", "arm"]),
     ],
 )
-def test_what_is_picked_is_held_before_it_is_lifted_and_what_is_placed_from_the_start(
+def test_a_picked_object_is_held_before_the_lift_and_a_placed_one_from_the_start(
     verb: Any, expected: list[str], plan: PlacementPlan, robot: Robot
 ) -> None:
     task = replace(plan.task, verb=verb, joint=None, to=None)
     assert kinds(phases_of(replace(plan, task=task), robot)) == expected
 
 
-def test_a_table_holds_what_the_arrays_hold(plan_file: Path, tmp_path: Path) -> None:
+def test_csv_and_npz_have_equal_values(plan_file: Path, tmp_path: Path) -> None:
     table, arrays = tmp_path / "a.csv", tmp_path / "a.npz"
     assert main(["export", str(plan_file), "--to", "csv", "--out", str(table)]) == 0
     assert main(["export", str(plan_file), "--to", "npz", "--out", str(arrays)]) == 0
@@ -138,7 +140,7 @@ def test_a_table_holds_what_the_arrays_hold(plan_file: Path, tmp_path: Path) -> 
         assert [row["phase"].partition("_")[2] for row in rows] == kind
 
 
-def test_ros_goals_are_those_of_the_plan(
+def test_ros_goals_match_the_plan(
     plan: PlacementPlan, plan_file: Path, robot: Robot, tmp_path: Path
 ) -> None:
     out = tmp_path / "goals.json"
@@ -167,7 +169,7 @@ def test_ros_goals_are_those_of_the_plan(
     assert (np.diff([s["sec"] + 1e-9 * s["nanosec"] for s in stamps]) > 0).all()
 
 
-def test_a_recording_shows_an_independent_reader_what_the_plan_does(
+def test_an_independent_reader_finds_the_plan_in_a_recording(
     plan: PlacementPlan, plan_file: Path, phases: tuple[Phase, ...], tmp_path: Path
 ) -> None:
     from mcap.reader import make_reader
@@ -200,7 +202,7 @@ def test_a_recording_shows_an_independent_reader_what_the_plan_does(
 
 
 def parsed_scene(text: str) -> dict[str, tuple[Float[np.ndarray, "4 4"], list[str]]]:
-    """Poses and kinds of shapes of the objects of a `.scene` file, read as MoveIt reads it."""
+    """Return poses and shape kinds of the objects of a `.scene` file, parsed as MoveIt does."""
     lines = iter(text.splitlines()[1:])
     found: dict[str, tuple[Float[np.ndarray, "4 4"], list[str]]] = {}
 
@@ -229,7 +231,7 @@ def parsed_scene(text: str) -> dict[str, tuple[Float[np.ndarray, "4 4"], list[st
     raise AssertionError("the file does not end")
 
 
-def test_a_planning_scene_holds_every_shape_where_it_is(kitchen: Scene, tmp_path: Path) -> None:
+def test_a_planning_scene_has_every_shape_at_its_pose(kitchen: Scene, tmp_path: Path) -> None:
     write_scene(kitchen, np.eye(4), tmp_path / "a.scene")
     found = parsed_scene((tmp_path / "a.scene").read_text())
     count = 0
@@ -244,7 +246,7 @@ def test_a_planning_scene_holds_every_shape_where_it_is(kitchen: Scene, tmp_path
     assert len(found) == count
 
 
-def test_what_is_carried_is_attached_where_the_hand_holds_it(
+def test_a_carried_object_is_attached_at_its_pose_in_the_hand(
     kitchen: Scene, robot: Robot, tmp_path: Path
 ) -> None:
     for verb in ("pick", "place"):
@@ -263,20 +265,20 @@ def test_what_is_carried_is_attached_where_the_hand_holds_it(
         T_tool_object = pose_wxyz(tuple(at[k] for k in "xyz"), tuple(turn[k] for k in "wxyz"))
         assert plan.motion is not None
         T = plan.motion.Ts_world_tool[0] @ T_tool_object
-        assert np.allclose(T, cup.T_world_object, atol=SAME)
+        assert np.allclose(T, cup.T_world_object, atol=TOLERANCE)
         count = sum(len(link.collisions) for link in cup.model.urdf.links.values())
         assert len(held["primitives"]) + len(held["meshes"]) == count > 0
-        # Until it is let go, what is placed is in the hand and not in the room.
+        # An object to place is in the hand, not in the scene.
         assert ("cup" in parsed_scene(room.read_text())) == (verb == "pick")
 
 
-def test_only_what_is_carried_is_attached(plan_file: Path, tmp_path: Path) -> None:
+def test_a_plan_without_a_carried_object_attaches_none(plan_file: Path, tmp_path: Path) -> None:
     room = str(tmp_path / "room.scene")
     assert main(["export", str(plan_file), "--to", "moveit", "--out", room]) == 0
     assert sorted(file.name for file in tmp_path.iterdir()) == ["room.scene", "room.srdf"]
 
 
-def test_an_srdf_disables_what_the_robot_disables(robot: Robot, tmp_path: Path) -> None:
+def test_an_srdf_has_the_disabled_pairs_of_the_robot(robot: Robot, tmp_path: Path) -> None:
     write_srdf(robot, tmp_path / "a.srdf")
     assert read_srdf(tmp_path / "a.srdf") == robot.disabled
     text = (tmp_path / "a.srdf").read_text()
@@ -291,7 +293,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str, because: str) -> No
     assert "\n" not in error
 
 
-def test_what_cannot_be_exported_is_told_in_one_line(
+def test_export_errors_are_one_line(
     plan: PlacementPlan, plan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     unsolved = tmp_path / "no.json"
@@ -299,13 +301,13 @@ def test_what_cannot_be_exported_is_told_in_one_line(
     refused(capsys, str(unsolved), "--to", "csv", because="nothing to export")
     refused(capsys, str(tmp_path / "none.json"), "--to", "csv", because="no such plan file")
     own = ("--to", "ros2", "--out", str(plan_file))
-    refused(capsys, str(plan_file), *own, because="is the plan itself")
+    refused(capsys, str(plan_file), *own, because="is the input file")
     there = ("--to", "mcap", "--out", str(tmp_path))
     refused(capsys, str(plan_file), *there, because="exists already")
     assert not list(tmp_path.glob(".momapos-*"))
 
 
-def test_a_result_without_a_name_lies_beside_its_plan_and_is_not_it(
+def test_the_default_output_is_next_to_the_plan(
     plan_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(plan_file.parent)
@@ -315,7 +317,7 @@ def test_a_result_without_a_name_lies_beside_its_plan_and_is_not_it(
     assert plan_file.read_bytes() == before
 
 
-def test_a_plan_that_begins_at_the_grasp_is_exported(plan: PlacementPlan, robot: Robot) -> None:
+def test_a_plan_that_starts_at_the_grasp_can_be_exported(plan: PlacementPlan, robot: Robot) -> None:
     motion = plan.motion
     assert motion is not None
     there = replace(motion, approach=motion.approach[:0])
@@ -328,5 +330,5 @@ def test_a_scene_does_not_overwrite_an_srdf(
     plan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--to", "moveit", "--out", str(tmp_path / "room.srdf"))
-    refused(capsys, str(plan_file), *out, because="name the scene's with --out")
+    refused(capsys, str(plan_file), *out, because="--out names the scene file")
     assert not (tmp_path / "room.srdf").exists()

@@ -1,4 +1,4 @@
-"""What physics did is exported as its record says it, and a tour plan by plan."""
+"""Laws of exported runs and tours: a run as recorded, a tour plan by plan."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.rooms import Everywhere
 
 from momapos.apps.cli.main import main
 from momapos.apps.export.phases import phases_of
-from momapos.apps.export.timeline import executed, planned
+from momapos.apps.export.timeline import plan_timeline, run_timeline
 from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.plan_files.tour_format import write_tour
@@ -22,8 +22,8 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.simulation.run_motion import RunMotion
 from momapos.simulation.run_record import RunRecord, Visit, with_files, write_run
 
@@ -57,7 +57,7 @@ def plans(kitchen: Scene, robot: Robot) -> dict[str, PlacementPlan]:
 
 @pytest.fixture
 def run_file(plans: dict[str, PlacementPlan], tmp_path: Path) -> Path:
-    """The record of a run that opens the fridge, beside its plan."""
+    """Write the record of a run that opens the fridge, and its plan."""
     plan, path = plans["open"], tmp_path / "run.json"
     write_plan(plan, tmp_path / "plan.json")
     joints = {name: tuple(0.1 * k for k in range(6)) for name in plan.joints}
@@ -71,7 +71,7 @@ def run_file(plans: dict[str, PlacementPlan], tmp_path: Path) -> Path:
 
 
 def decoded(folder: Path) -> dict[str, list[Any]]:
-    """The messages of a bag by topic, as an independent reader has them."""
+    """Return the messages of a bag by topic, from an independent reader."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -83,14 +83,14 @@ def decoded(folder: Path) -> dict[str, list[Any]]:
     return found
 
 
-def test_a_table_of_a_run_holds_each_moment_of_its_record_once(
+def test_a_table_of_a_run_has_each_time_of_its_record_once(
     run_file: Path, plans: dict[str, PlacementPlan], tmp_path: Path
 ) -> None:
     out = tmp_path / "run.csv"
     assert main(["export", str(run_file), "--to", "csv", "--out", str(out)]) == 0
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    kept = [0, 1, 3, 4, 5]  # of moments at one time the last
+    kept = [0, 1, 3, 4, 5]  # of samples at one time, the last
     assert [float(row["time"]) for row in rows] == [TIMES[k] for k in kept]
     assert [row["phase"].partition("_")[2] for row in rows] == [STAGES[k] for k in kept]
     assert [float(row["object_q"]) for row in rows] == [DOOR[k] for k in kept]
@@ -101,7 +101,7 @@ def test_a_table_of_a_run_holds_each_moment_of_its_record_once(
         assert float(rows[-1][f"{name}_velocity"]) == pytest.approx(1.0)
 
 
-def test_a_recording_of_a_run_shows_where_base_arm_and_door_were(
+def test_a_recording_of_a_run_has_the_motion_of_base_arm_and_door(
     run_file: Path, tmp_path: Path
 ) -> None:
     assert main(["export", str(run_file), "--to", "mcap", "--out", str(tmp_path / "bag")]) == 0
@@ -115,11 +115,11 @@ def test_a_recording_of_a_run_shows_where_base_arm_and_door_were(
     assert 2 * np.arctan2(abs(turn.z), abs(turn.w)) == pytest.approx(DOOR[-1], abs=1e-6)
 
 
-def test_what_a_plan_picks_moves_with_the_hand_from_when_it_closes(
+def test_a_picked_object_moves_with_the_hand_after_it_closes(
     plans: dict[str, PlacementPlan], kitchen: Scene, robot: Robot
 ) -> None:
     plan = plans["pick"]
-    timeline = planned(plan, phases_of(plan, robot), kitchen, robot)
+    timeline = plan_timeline(plan, phases_of(plan, robot), kitchen, robot)
     poses, samples = timeline.Ts_world_object, timeline.samples
     assert poses is not None
     assert plan.motion is not None
@@ -136,7 +136,7 @@ def test_what_a_plan_picks_moves_with_the_hand_from_when_it_closes(
     assert np.allclose(poses[-1], lifted, atol=1e-6)
 
 
-def test_a_recording_of_a_pick_has_the_object_in_a_frame_of_its_own(
+def test_a_recording_of_a_pick_has_a_frame_for_the_object(
     plans: dict[str, PlacementPlan], tmp_path: Path
 ) -> None:
     write_plan(plans["pick"], tmp_path / "pick.json")
@@ -155,7 +155,7 @@ def test_a_recording_of_a_pick_has_the_object_in_a_frame_of_its_own(
     assert heights[-1] > heights[0] + 0.02
 
 
-def test_a_loose_object_of_a_run_is_where_physics_had_it(
+def test_a_movable_object_of_a_run_has_its_recorded_poses(
     plans: dict[str, PlacementPlan], robot: Robot
 ) -> None:
     poses = tuple((0.1 * k, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0) for k in range(6))
@@ -165,14 +165,14 @@ def test_a_loose_object_of_a_run_is_where_physics_had_it(
         poses=poses,
     )  # fmt: skip
     record = RunRecord("kitchen_small", robot.name, plans["pick"].task, (), None, motion=motion)
-    found = executed(record, robot).Ts_world_object
+    found = run_timeline(record, robot).Ts_world_object
     assert found is not None
     assert np.allclose(found[:, 0, 3], [0.0, 0.1, 0.3, 0.4, 0.5])
     assert np.allclose(found[:, :3, :3], np.diag([-1.0, -1.0, 1.0]))
 
 
 @pytest.mark.parametrize("to", ["ros2", "moveit"])
-def test_a_run_has_no_goals_and_names_its_plan(
+def test_a_run_has_no_goals_and_the_message_names_its_plan(
     to: str, run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(tmp_path.iterdir())

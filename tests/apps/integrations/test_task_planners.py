@@ -1,4 +1,4 @@
-"""Answers as task planners take them; the planners are stand-ins with the published signatures."""
+"""Laws of the adapters for task planners; stand-ins replace the planners."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.iterate import iter_placements
+from momapos.planning.keyword_forms import iter_placements
 from momapos.planning.placement.config import PlaceConfig
 from momapos.verification.exact_check import PlanVerifier
 
@@ -43,7 +43,7 @@ def robot() -> Robot:
 
 
 def from_gen_fn(gen_fn: Callable[..., Iterator[Any]]) -> Callable[..., Iterator[Sequence[Any]]]:
-    """As PDDLStream's: each value becomes a list of one, None an empty list."""
+    """Mimic PDDLStream: a value becomes a list of one, None an empty list."""
     return lambda *inputs: ([] if out is None else [out] for out in gen_fn(*inputs))
 
 
@@ -61,12 +61,12 @@ def test_a_stream_yields_a_list_of_one_output_tuple_for_the_declared_outputs(
         (values,) = output
         assert isinstance(values, Sequence)
         assert len(values) == len(declared) == 2
-        hash(values)  # PDDLStream looks values up
+        hash(values)  # PDDLStream hashes values
     poses = [output[0][0] for output in outputs]
     assert len(set(poses)) == 3
 
 
-def test_what_a_stream_certifies_holds(kitchen: Scene, robot: Robot) -> None:
+def test_the_exact_check_accepts_what_a_stream_certifies(kitchen: Scene, robot: Robot) -> None:
     task = make_task(kitchen, "open", *DRAWER.split("/"))
     verifier = PlanVerifier(kitchen, robot, task)
     for q, t in islice(stream(kitchen, robot)(DRAWER, None, None), 2):
@@ -77,7 +77,7 @@ def test_what_a_stream_certifies_holds(kitchen: Scene, robot: Robot) -> None:
     assert t.timed is t.timed
 
 
-def test_the_pose_of_a_part_is_where_it_stands(kitchen: Scene, robot: Robot) -> None:
+def test_the_pose_of_a_part_is_its_initial_joint_value(kitchen: Scene, robot: Robot) -> None:
     _, half = next(stream(kitchen, robot)(DRAWER, 0.2, None))
     assert half.plan.motion is not None
     assert half.plan.motion.object_q[0] == pytest.approx(0.2)
@@ -87,7 +87,7 @@ def test_the_pose_of_a_part_is_where_it_stands(kitchen: Scene, robot: Robot) -> 
         next(stream(kitchen, robot)(DRAWER, 7.0, None))
 
 
-def test_the_pose_of_a_thing_is_where_it_is_taken(kitchen: Scene, robot: Robot) -> None:
+def test_a_movable_object_is_picked_at_its_given_pose(kitchen: Scene, robot: Robot) -> None:
     T = kitchen.object("cereal_box").T_world_object.copy()
     T[:3, 3] += 0.05, 0.0, 0.0
     picks = stream(kitchen, robot, "pick")
@@ -110,16 +110,16 @@ def test_the_pose_of_a_thing_is_where_it_is_taken(kitchen: Scene, robot: Robot) 
         next(picks("cereal_box", 2.0 * T, None))
 
 
-def test_a_grasp_is_the_ways_of_holding_that_are_used(kitchen: Scene, robot: Robot) -> None:
+def test_a_grasp_selects_the_grasp_families(kitchen: Scene, robot: Robot) -> None:
     given = stream(kitchen, robot)
     _, pinched = next(given(DRAWER, None, GraspConfig(families=("pinch",))))
     assert pinched.plan.motion is not None
     assert {hold.family for hold in pinched.plan.motion.holds} == {"pinch"}
-    # What this gripper cannot do ends the stream, as any grasp without an answer does.
+    # An infeasible grasp ends the stream.
     assert list(given(DRAWER, None, GraspConfig(families=("suction",)))) == []
 
 
-def test_a_stream_refuses_what_is_no_task(kitchen: Scene, robot: Robot) -> None:
+def test_a_stream_refuses_an_invalid_task(kitchen: Scene, robot: Robot) -> None:
     with pytest.raises(UnknownNameError):
         next(stream(kitchen, robot)("cabinet_rihgt/drawer_middle_slide", None, None))
     with pytest.raises(TaskError):
@@ -140,7 +140,7 @@ class Pose:
 
 @dataclass
 class Location:
-    """As pycram's: poses of a back-end that all validators accept."""
+    """Mimic pycram: poses of a back-end that all validators accept."""
 
     generator: PlacementBackend[Pose]
     validators: Sequence[Callable[[Pose], bool]] = ()

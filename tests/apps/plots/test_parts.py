@@ -1,4 +1,4 @@
-"""What a picture is made of: outlines, outcomes, the potential map, names, the arm."""
+"""Parts of figures: outlines, outcomes, the potential map, names, the arm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from momapos.apps.plots.candidate_markers import KIND_OF, KINDS, outcomes, thin
 from momapos.apps.plots.heat import YAWS, potential_map
 from momapos.apps.plots.outlines import box_bounds, box_outlines
 from momapos.apps.plots.robot_plot import arm_frames
-from momapos.apps.plots.room_plot import name_objects, room, room_bounds
+from momapos.apps.plots.room_plot import draw_room, name_objects, room_bounds
 from momapos.apps.plots.text_panel import wrapped
 from momapos.core.geometry.polygons import signed_area
 from momapos.core.geometry.transforms import pose_planar
@@ -65,7 +65,7 @@ def test_every_candidate_is_counted_once() -> None:
     )
     seen = outcomes(search)
     assert {words: count for (_, words), count in seen.counts.items()} == {
-        "base blocked": 4, "arm hits a/b": 8, "feasible": 1,
+        "base in collision": 4, "arm hits a/b": 8, "feasible": 1,
     }  # fmt: skip
     assert len(seen.poses) == len(seen.kind) == 13
 
@@ -93,26 +93,26 @@ def test_the_potential_is_zero_where_the_base_cannot_stand_and_nowhere_else() ->
     scene, robot = load_scene("kitchen_small"), load_robot("fetch")
     motion = task_motion(scene, robot, make_task(scene, "pick", "cup"), MotionConfig())
     geometry = placement_geometry(scene, robot, motion, clearance=0.01)
-    heat = potential_map(geometry, Always(), cell=0.2)
-    assert heat is not None
-    i, j = np.indices(heat.value.shape).reshape(2, -1)
-    xy = heat.low + 0.2 * (np.stack([j, i], -1) + 0.5)
+    potential = potential_map(geometry, Always(), cell=0.2)
+    assert potential is not None
+    i, j = np.indices(potential.value.shape).reshape(2, -1)
+    xy = potential.low + 0.2 * (np.stack([j, i], -1) + 0.5)
     yaw = np.tile(2 * np.pi / YAWS * np.arange(YAWS), len(xy))
     poses = np.column_stack([np.repeat(xy, YAWS, axis=0), yaw])
     stands = (base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR).reshape(-1, YAWS).any(1)
     assert stands.any()
-    assert ((heat.value.ravel() > 0) == stands).all()
-    assert heat.value.max() <= 1.0
+    assert ((potential.value.ravel() > 0) == stands).all()
+    assert potential.value.max() <= 1.0
 
 
-def test_names_overlap_neither_each_other_nor_what_is_kept_clear() -> None:
+def test_names_overlap_neither_each_other_nor_given_rectangles() -> None:
     scene = load_scene("kitchen_small")
     figure = Figure(figsize=(5, 5), dpi=100)
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.05, 0.05, 0.9, 0.9))
     low, high = room_bounds(scene)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    room(axes, scene, target="fridge")
+    draw_room(axes, scene, target="fridge")
     clear = np.array([[1.0, -0.7], [1.6, -0.2]])
     name_objects(axes, scene, target="fridge", keep_clear=[clear])
     names = {text.get_text(): text.get_window_extent() for text in axes.texts}
@@ -133,8 +133,11 @@ def test_the_arm_is_drawn_to_its_tool() -> None:
     assert_allclose(poses[robot.tool_link], T_world_tool, atol=1e-12)
 
 
-def test_a_long_reason_is_wrapped_and_nothing_of_it_is_lost() -> None:
-    reason = "exact check: arm in the scene: left_finger_link in cabinet_right/drawer_bottom"
+def test_a_long_reason_is_wrapped_completely() -> None:
+    reason = (
+        "exact check: arm collision with the scene: "
+        "left_finger_link and cabinet_right/drawer_bottom"
+    )
     lines = wrapped(reason)
     assert len(lines) > 1
     assert all(len(line) <= 38 for line in lines)

@@ -1,4 +1,4 @@
-"""What the ending of a picture's name says is what is written."""
+"""The file ending of a figure determines its format."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF", "SVG": b"<?xml"}
 
 
 @pytest.mark.parametrize("ending", HEADS)
-def test_a_picture_is_what_its_name_says(ending: str, tmp_path: Path) -> None:
+def test_the_file_ending_determines_the_format(ending: str, tmp_path: Path) -> None:
     path = tmp_path / "new" / f"a.{ending}"
     save_figure(Figure(), path, dpi=50)
     assert path.read_bytes().startswith(HEADS[ending])
@@ -37,7 +37,7 @@ def test_the_same_figure_gives_the_same_file(ending: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a", "a.png.txt", "a.svgz"])
-def test_another_ending_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
+def test_an_unknown_format_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.png, \.svg, \.pdf"):
         save_figure(Figure(), tmp_path / name, dpi=50)
     assert not list(tmp_path.iterdir())
@@ -52,16 +52,16 @@ def test_another_ending_is_refused_and_nothing_is_written(name: str, tmp_path: P
         ["robot", "check", "no_such_robot.urdf"],
     ],
 )
-def test_every_command_refuses_a_strange_ending_before_it_works(
+def test_every_command_refuses_an_unknown_format_before_it_works(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*words, "--plot", "a.jpg"]) == 2
     said = capsys.readouterr().err
-    assert "a.jpg: a picture ends in .png, .svg, .pdf" in said
+    assert "a.jpg: unsupported figure format; use .png, .svg, .pdf" in said
     assert said.count("\n") == 1
 
 
-def test_a_picture_is_written_whoever_reads_what_is_printed(
+def test_a_figure_is_written_even_if_printing_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The reader of the pipe is gone when the answer is printed."""
@@ -79,7 +79,7 @@ def test_a_picture_is_written_whoever_reads_what_is_printed(
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
-def test_every_picture_is_what_its_name_says(ending: str, tmp_path: Path) -> None:
+def test_every_figure_has_the_format_of_its_file_ending(ending: str, tmp_path: Path) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     fridge = rank(scene, "fridge", path=hand_path(scene, "fridge", "door_hinge"))
     scene_file, robot_file, graph_file = (tmp_path / f"{i}.{ending}" for i in range(3))

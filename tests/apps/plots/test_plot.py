@@ -1,4 +1,4 @@
-"""Pictures of answers."""
+"""Figures of answers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NOWHERE = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE)
 
 
 class Near:
-    """A map on which the arm reaches whatever is near."""
+    """A map on which the arm reaches everything nearby."""
 
     def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
@@ -47,7 +47,7 @@ class Near:
 
 
 class Broken:
-    """A map that cannot be asked."""
+    """A map that raises when queried."""
 
     def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
         raise RuntimeError(f"no map for {len(bases)} bases, {len(Ts_world_tool)} grasps")
@@ -66,7 +66,7 @@ def fetch() -> Robot:
 def answer_of(
     scene: Scene, robot: Robot, verb: str, name: str, joint: str | None
 ) -> PlacementResult:
-    """An answer that is only good for being drawn: the arm stays at home."""
+    """Return an answer for drawing only: the arm stays at home."""
     task = make_task(scene, verb, name, joint)
     motion = task_motion(scene, robot, task, MotionConfig())
     tools = motion.Ts_world_tool[0, motion.grasp_step :]
@@ -96,7 +96,7 @@ def unsolved(answer: PlacementResult, search: Search) -> PlacementResult:
 
 
 def size_of(path: Path) -> tuple[int, int]:
-    """Width and height of a PNG file, as its header has them."""
+    """Return the width and height in the header of a PNG file."""
     head = path.read_bytes()[:24]
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
     return struct.unpack(">II", head[16:24])
@@ -119,9 +119,7 @@ def test_an_answer_becomes_a_png_of_1600_by_1200(
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_the_same_answer_gives_the_same_picture(
-    kitchen: Scene, fetch: Robot, tmp_path: Path
-) -> None:
+def test_equal_answers_give_equal_figures(kitchen: Scene, fetch: Robot, tmp_path: Path) -> None:
     answer = answer_of(kitchen, fetch, "open", "fridge", "door_hinge")
     for name in ("a.png", "b.png"):
         draw_answer(kitchen, answer, Near(), tmp_path / name)
@@ -156,7 +154,7 @@ def test_a_room_without_a_floor_is_drawn_too(kitchen: Scene, fetch: Robot, tmp_p
     assert size_of(tmp_path / "plan.png") == (1600, 1200)
 
 
-def test_a_failed_picture_leaves_the_old_file_alone(
+def test_a_failed_figure_leaves_the_old_file_unchanged(
     kitchen: Scene, fetch: Robot, tmp_path: Path
 ) -> None:
     path = tmp_path / "plan.png"
@@ -168,7 +166,7 @@ def test_a_failed_picture_leaves_the_old_file_alone(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_place_that_cannot_be_written_is_named_and_left_as_it_is(
+def test_an_unwritable_path_is_reported_and_left_unchanged(
     kitchen: Scene, fetch: Robot, tmp_path: Path
 ) -> None:
     answer = unsolved(answer_of(kitchen, fetch, "pick", "cup", None), Search())

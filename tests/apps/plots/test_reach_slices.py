@@ -1,4 +1,4 @@
-"""Slices of a reachability map say from how many directions a place is reached."""
+"""Slices of a reachability map show the share of directions from which a place is reached."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.reachability.reach_map import ReachMap
 
 
-def test_the_reach_is_a_share_that_falls_to_nothing(robots: Callable[[str], Robot]) -> None:
+def test_the_reachability_is_a_share_that_falls_to_zero(robots: Callable[[str], Robot]) -> None:
     robot = robots("segway_ur5e")
     axes = tool_axes(robot.approach_axis, robot.closing_axis)
     share, half = reach_slice(load_reach(robot), axes, robot.reach + 0.4, 0.9, cell=0.2)
@@ -26,20 +26,20 @@ def test_the_reach_is_a_share_that_falls_to_nothing(robots: Callable[[str], Robo
     assert half >= robot.reach
 
 
-def test_a_share_is_that_of_tool_poses_that_are_reached(robots: Callable[[str], Robot]) -> None:
+def test_a_share_is_the_share_of_reachable_tool_poses(robots: Callable[[str], Robot]) -> None:
     robot = robots("segway_ur5e")
     reach = load_reach(robot)
     axes = tool_axes(robot.approach_axis, robot.closing_axis)
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-9)
-    asked: list[np.ndarray] = []
+    queries: list[np.ndarray] = []
 
-    class Heard:
+    class Recorder:
         def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
-            asked.append(Ts_world_tool)
+            queries.append(Ts_world_tool)
             return reach.min_score(bases, Ts_world_tool)
 
-    share, half = reach_slice(Heard(), axes, 1.0, 0.9, cell=0.25, directions=20)
-    (Ts,) = asked
+    share, half = reach_slice(Recorder(), axes, 1.0, 0.9, cell=0.25, directions=20)
+    (Ts,) = queries
     along = Ts[:20, 0, :3, :3] @ robot.approach_axis
     assert np.abs(along.mean(0)).max() < 0.05  # spread over the sphere
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
@@ -51,7 +51,7 @@ def test_a_share_is_that_of_tool_poses_that_are_reached(robots: Callable[[str], 
     assert share[row, column] == pytest.approx((reached > 0).mean())
 
 
-def test_a_map_shows_itself_and_is_drawn_by_a_command(
+def test_a_map_displays_itself_and_a_command_draws_it(
     robots: Callable[[str], Robot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     reach = load_reach(robots("segway_ur5e"))
@@ -60,6 +60,6 @@ def test_a_map_shows_itself_and_is_drawn_by_a_command(
     path = tmp_path / "reach.png"
     assert main(["reach", "build", "segway_ur5e", "--plot", str(path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["robot"] == "segway_ur5e"
-    with Image.open(path) as picture:
-        assert len(picture.convert("RGB").getcolors(1_000_000) or ()) > 50
+    with Image.open(path) as image:
+        assert len(image.convert("RGB").getcolors(1_000_000) or ()) > 50
     assert main(["reach", "build", "segway_ur5e", "--plot", str(tmp_path / "reach.txt")]) == 2

@@ -1,4 +1,4 @@
-"""The picture of the scene graph: it is drawn for every room, and its nodes keep apart."""
+"""The figure of the scene graph is drawn for every room, and its nodes do not overlap."""
 
 from __future__ import annotations
 
@@ -51,22 +51,22 @@ def test_one_object_and_three_hundred_at_one_place_are_drawn_too(tmp_path: Path)
         assert drawn(scene, rank(scene, "b0", FAST), tmp_path / "a.png") == (1600, 1200)
 
 
-def test_the_same_ranking_gives_the_same_picture(tmp_path: Path) -> None:
+def test_equal_rankings_give_equal_figures(tmp_path: Path) -> None:
     scene = load_scene("kitchen_small")
     for name in "ab":
         draw_importance(scene, rank(scene, "fridge"), tmp_path / f"{name}.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_nodes_are_pushed_apart_and_those_that_are_stay() -> None:
-    crowd = np.zeros((6, 2))
+def test_close_nodes_are_pushed_apart_and_distant_ones_do_not_move() -> None:
+    coincident = np.zeros((6, 2))
     apart = np.array([[5.0, 0.0], [0.0, 5.0]])
-    moved = spread(np.concatenate([crowd, apart]), 0.2)
+    moved = spread(np.concatenate([coincident, apart]), 0.2)
     assert pdist(moved).min() > 0.17
     assert np.abs(moved[6:] - apart).max() < 1e-3
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
     scene = load_scene("kitchen_small")
     (tmp_path / "graph.png").mkdir()
     with pytest.raises(InputError, match="cannot be written"):

@@ -1,4 +1,4 @@
-"""Synthetic scans: exact images agree with geometry, noise is as stated, routes are walkable."""
+"""Laws of synthetic scans: exact images match the geometry, noise is as stated, routes are free."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_slanted_box_has_the_depth_of_its_rays() -> None:
     enter, leave = slabs.min(0).max(1), slabs.max(0).min(1)
     expected = np.where(enter < leave, enter, 0.0).reshape(480, 640)
     differs = np.abs(frame.depth - expected) > 1e-4
-    # pixels whose ray runs along an edge may fall on either side
+    # rays along an edge may hit either side
     assert differs.sum() <= 2
     assert (expected > 0).sum() > 20_000
 
@@ -103,7 +103,7 @@ def test_points_of_exact_frames_lie_on_the_surfaces_of_the_scene(
     assert distance.max() < 1e-4
 
 
-def test_what_is_nearer_hides_what_is_behind() -> None:
+def test_nearer_surfaces_occlude_farther_ones() -> None:
     scene = a_room(
         a_box("near", (0.2, 0.4, 0.4), (1.1, 0, 0)), a_box("far", (0.2, 8, 8), (3.1, 0, 0))
     )
@@ -114,7 +114,7 @@ def test_what_is_nearer_hides_what_is_behind() -> None:
     assert frame.depth[20, 20] == pytest.approx(3.0, abs=1e-4)
 
 
-def test_joint_values_move_what_is_drawn(kitchen: Scene) -> None:
+def test_joint_values_move_the_rendered_parts(kitchen: Scene) -> None:
     joint = next(iter(kitchen.object("fridge").model.joints))
     opened = kitchen.with_joint("fridge", joint, kitchen.object("fridge").model.joint(joint).upper)
     boxes = [
@@ -169,7 +169,7 @@ def test_depth_noise_on_a_plane_has_the_stated_deviation() -> None:
     assert alike > 0.3
 
 
-def test_depth_is_missing_left_of_what_stands_in_front_and_beyond_the_range() -> None:
+def test_depth_is_missing_left_of_nearer_surfaces_and_beyond_the_range() -> None:
     scene = a_room(
         a_box("near", (0.2, 0.4, 0.4), (1.1, 0, 0)), a_box("far", (0.2, 8, 8), (3.1, 0, 0))
     )
@@ -220,7 +220,7 @@ def test_poses_drift_slowly_and_stay_rigid() -> None:
 # ------------------------------------------------------------------------------------------- route
 
 
-def test_the_camera_stands_on_free_floor_and_sees_every_large_thing(kitchen: Scene) -> None:
+def test_the_camera_is_above_free_floor_and_sees_every_object(kitchen: Scene) -> None:
     scan = synthetic_scan(kitchen, frames=60, seed=3)
     assert len(scan.Ts_world_camera) == 60
     eyes = scan.Ts_world_camera[:, :3, 3]
@@ -239,7 +239,7 @@ def test_the_camera_stands_on_free_floor_and_sees_every_large_thing(kitchen: Sce
     assert (pixels[1:] > 0).all()
 
 
-def test_the_fridge_is_seen_straight_on_and_whole(kitchen: Scene) -> None:
+def test_the_whole_fridge_is_seen_frontally(kitchen: Scene) -> None:
     scan = synthetic_scan(kitchen, frames=60, seed=0)
     item = kitchen.object("fridge")
     index = kitchen.objects.index(item)
@@ -278,8 +278,8 @@ def test_a_table_is_seen_from_above_more_than_once(kitchen: Scene) -> None:
     assert np.mean(views >= 2) > 0.9
 
 
-def straight_views(scan_poses: np.ndarray, middle: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Poses that look at a place from within 20 degrees of a normal, the place in the image."""
+def frontal_views(scan_poses: np.ndarray, middle: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return poses within 20 degrees of a normal whose images contain a point."""
     toward = scan_poses[:, :3, 3] - middle
     cosine = toward @ normal / np.linalg.norm(toward, axis=1)
     local = np.stack([apply(invert(T), middle[None])[0] for T in scan_poses])
@@ -289,18 +289,18 @@ def straight_views(scan_poses: np.ndarray, middle: np.ndarray, normal: np.ndarra
     return scan_poses[inside & (cosine > np.cos(np.radians(20)))]
 
 
-def test_a_long_row_is_looked_at_from_end_to_end() -> None:
+def test_a_long_row_is_seen_frontally_from_end_to_end() -> None:
     row = a_box("cabinet", (3.6, 0.6, 0.9), (0.0, 0.3, 0.45))
     scan = synthetic_scan(a_room(row), frames=20, seed=0)
     for x in (-1.6, 0.0, 1.6):
         place = np.array([x, 0.0, 0.45])
-        assert len(straight_views(scan.Ts_world_camera, place, np.array([0.0, -1.0, 0.0]))) >= 1
+        assert len(frontal_views(scan.Ts_world_camera, place, np.array([0.0, -1.0, 0.0]))) >= 1
 
 
-def test_the_camera_is_turned_on_its_side_before_a_tall_thing_in_a_narrow_place() -> None:
+def test_the_camera_is_on_its_side_in_front_of_a_tall_object_in_a_narrow_place() -> None:
     fridge = a_box("fridge", (0.7, 0.7, 1.8), (0.0, 0.35, 0.9))
     counter = a_box("cabinet", (4.0, 0.6, 0.9), (0.0, -1.9, 0.45))
     scan = synthetic_scan(a_room(fridge, counter), frames=40, seed=0)
-    views = straight_views(scan.Ts_world_camera, np.array([0.0, 0.0, 0.9]), np.array([0, -1, 0]))
+    views = frontal_views(scan.Ts_world_camera, np.array([0.0, 0.0, 0.9]), np.array([0, -1, 0]))
     on_its_side = np.abs(views[:, 2, 0]) > 0.9  # the image's long side points up
     assert on_its_side.sum() >= 2

@@ -1,4 +1,4 @@
-"""What is drawn: triangles that show their outer sides."""
+"""Surfaces that are drawn: their triangles face outward."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.apps.web.bodies import facing, joined, looks, standing
+from momapos.apps.web.bodies import facing, joined, link_surfaces, world_surface
 from momapos.apps.web.cameras import viewpoint
 from momapos.apps.web.room_view import triangulated
 from momapos.model.robots.robot import Robot
@@ -32,37 +32,37 @@ f 2 3 4
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Of what triangles enclose that show their outer sides [m^3]."""
+    """Return the volume that triangles enclose, positive if they face outward [m^3]."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.einsum("fi,fi->f", a, np.cross(b, c)).sum() / 6)
 
 
-def test_all_links_show_their_outer_sides(robots: Callable[[str], Robot]) -> None:
-    for look in looks(robots("segway_ur5e").model):
-        surface = joined((look.body, look.handle))
-        assert volume(surface.vertices, surface.faces) > 0, look.link
+def test_triangles_of_all_links_face_outward(robots: Callable[[str], Robot]) -> None:
+    for link in link_surfaces(robots("segway_ur5e").model):
+        surface = joined((link.body, link.handle))
+        assert volume(surface.vertices, surface.faces) > 0, link.link
 
 
 @pytest.mark.parametrize("scale", ["1 1 1", "2 1 1", "-1 1 1"])
-def test_a_mesh_is_drawn_by_its_own_triangles(tmp_path: Path, scale: str) -> None:
+def test_a_mesh_is_drawn_with_its_own_triangles(tmp_path: Path, scale: str) -> None:
     (tmp_path / "half.obj").write_text(TETRAHEDRON)
     (tmp_path / "thing.urdf").write_text(URDF.format(scale=scale))
-    (look,) = looks(Articulated(read_urdf(tmp_path / "thing.urdf")))
-    assert len(look.body.faces) == len(look.body.vertices) == 4  # what corners share is sent once
+    (link,) = link_surfaces(Articulated(read_urdf(tmp_path / "thing.urdf")))
+    assert len(link.body.faces) == len(link.body.vertices) == 4  # shared corners are sent once
     stretched = abs(np.prod([float(s) for s in scale.split()]))
-    assert volume(look.body.vertices, look.body.faces) == pytest.approx(stretched / 6)
+    assert volume(link.body.vertices, link.body.faces) == pytest.approx(stretched / 6)
 
 
-def test_what_is_checked_is_drawn_on_request(tmp_path: Path) -> None:
+def test_collision_shapes_are_drawn_on_request(tmp_path: Path) -> None:
     (tmp_path / "half.obj").write_text(TETRAHEDRON)
     (tmp_path / "thing.urdf").write_text(URDF.format(scale="1 1 1"))
-    (look,) = looks(Articulated(read_urdf(tmp_path / "thing.urdf")), collision=True)
-    assert volume(look.body.vertices, look.body.faces) == pytest.approx(1.0)
+    (link,) = link_surfaces(Articulated(read_urdf(tmp_path / "thing.urdf")), collision=True)
+    assert volume(link.body.vertices, link.body.faces) == pytest.approx(1.0)
 
 
-def test_a_wall_shows_its_inner_side_only() -> None:
+def test_only_the_inner_side_of_a_wall_is_drawn() -> None:
     wall = SceneObject.box("wall", (4.0, 0.1, 2.0), (0.0, 2.0, 1.0), category="wall")
-    inner = facing(standing(wall, lambda look: look.body), np.array([0.0, 0.0, 1.0]))
+    inner = facing(world_surface(wall, lambda link: link.body), np.array([0.0, 0.0, 1.0]))
     corners = inner.vertices[inner.faces].reshape(-1, 3)
     assert len(inner.faces) == 2
     np.testing.assert_allclose(corners[:, 1], 1.95)
@@ -78,7 +78,7 @@ def test_a_floor_with_a_notch_is_covered_once() -> None:
         assert areas.sum() == pytest.approx(10.0)
 
 
-def test_a_room_is_looked_at_from_the_side_to_which_its_doors_open() -> None:
+def test_the_camera_is_on_the_side_to_which_doors_open() -> None:
     scene = load_scene("kitchen_small")
     eye, target = viewpoint(scene)
     assert eye[1] < target[1]

@@ -1,4 +1,4 @@
-"""The page in a real Chromium: ask, drag, play, reload, look with two."""
+"""The page in a real Chromium: plan, drag, play, reload, and use it in two tabs."""
 
 from __future__ import annotations
 
@@ -15,27 +15,26 @@ from playwright.sync_api import Browser, ConsoleMessage, Error, Locator, expect,
 from playwright.sync_api import Page as Tab
 from playwright.sync_api import TimeoutError as NotInTime
 from tests import optional
+from tests.apps.web.pages import serve
 from viser.transforms import SO3
 
 from momapos.apps.web import moving
 from momapos.apps.web.page import Page
 from momapos.apps.web.playback import Story
-from momapos.apps.web.scan_view import FEW
-from momapos.apps.web.serve import served
+from momapos.apps.web.scan_view import COARSE_POINTS
 from momapos.apps.web.static import write_page
 from momapos.apps.web.words import escaped
-from momapos.core.cache import user_cache
 from momapos.model.records.scans import Cloud
 from momapos.perception.records import Modeled
 
 pytestmark = [pytest.mark.slow, optional.needs("Chromium", optional.chromium() is not None)]
 LONG = 120_000.0
-"""Nothing on the page takes so long [ms]; a software renderer draws few pictures a second."""
+"""Longer than anything on the page takes with a software renderer [ms]."""
 SLOW = 0.05
-"""So fast the motion plays that no machine is too slow to stop it before it ends [-]."""
+"""Playback speed at which even a slow machine can pause before the end [-]."""
 SIZE = {"width": 820, "height": 520}
 SMALL = {"width": 620, "height": 240}
-"""Of a window in which only the controls are used: a software renderer's time goes by pixels."""
+"""Window in which only the controls are used: a software renderer's time grows with its pixels."""
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--no-sandbox"]  # fmt: skip
 
@@ -48,7 +47,7 @@ WATCH_POINTS = """() => {
     return draw.call(this, mode, first, count);
   };
 }"""
-"""Has a page remember how many points each cloud has that it draws."""
+"""Makes a page record the number of points of each cloud that it draws."""
 
 
 @pytest.fixture(scope="module")
@@ -61,34 +60,30 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, str]]:
-    with served(
-        host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=("segway_ur5e",),
-        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(),
-        folder=tmp_path_factory.mktemp("files"),
-    ) as (page, address):  # fmt: skip
+    with serve(tmp_path_factory.mktemp("files")) as (page, address):
         # Shadows take most of a software renderer's time.
         page.server.scene.configure_default_lights(cast_shadow=False)
         yield page, address
 
 
 @pytest.fixture
-def complaints() -> list[str]:
+def errors() -> list[str]:
     return []
 
 
 @pytest.fixture
-def opened(browser: Browser, complaints: list[str]) -> Iterator[Callable[[str], Tab]]:
-    """Opens a tab; what its console complains about is remembered."""
+def opened(browser: Browser, errors: list[str]) -> Iterator[Callable[[str], Tab]]:
+    """Return a function that opens a tab and records the errors on its console."""
     tabs: list[Tab] = []
 
-    def heard(message: ConsoleMessage) -> None:
+    def record(message: ConsoleMessage) -> None:
         if message.type == "error":
-            complaints.append(message.text)
+            errors.append(message.text)
 
     def open_tab(address: str) -> Tab:
         tab = browser.new_page(viewport=SMALL)  # type: ignore[arg-type]
-        tab.on("console", heard)
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.on("console", record)
+        tab.on("pageerror", lambda error: errors.append(str(error)))
         tab.goto(address)
         tabs.append(tab)
         return tab
@@ -98,28 +93,28 @@ def opened(browser: Browser, complaints: list[str]) -> Iterator[Callable[[str], 
         tab.close()
 
 
-def until(true: Callable[[], bool], most: float = LONG / 1000) -> bool:
-    """Wait for something on this side of the wire, so long at most [s]."""
-    ends = time.monotonic() + most
+def until(true: Callable[[], bool], timeout: float = LONG / 1000) -> bool:
+    """Wait for a condition on the server, at most for a time [s]."""
+    ends = time.monotonic() + timeout
     while not true() and time.monotonic() < ends:
         time.sleep(0.02)
     return true()
 
 
 def press(tab: Tab, role: Any, name: str) -> None:
-    """Click a control at once: a software renderer leaves no time to see that it stands still."""
+    """Click a control without waiting until it is stable, which is slow in software."""
     found = tab.get_by_role(role, name=name, exact=True)
     found.wait_for(timeout=LONG)
     tried = time.monotonic()
     while not clicked(found) or (role == "tab" and found.get_attribute("aria-selected") != "true"):
-        # What is drawn meanwhile may move a tab from under the click.
+        # The page may move a tab between the mouse and the click.
         if time.monotonic() - tried > LONG / 1000:
-            raise NotInTime(f"the {role} {name!r} is not taken")
+            raise NotInTime(f"the {role} {name!r} does not react")
         tab.wait_for_timeout(200)
 
 
 def clicked(found: Locator) -> bool:
-    """Click a control; not where the page has not yet laid it out within the viewport."""
+    """Click a control; return False if it is still outside of the viewport."""
     try:
         found.click(force=True, timeout=LONG)
     except Error as error:
@@ -130,7 +125,7 @@ def clicked(found: Locator) -> bool:
 
 
 def choose(tab: Tab, name: str, value: str) -> None:
-    """Choose a value from a list, which closes again where the page is drawn anew meanwhile."""
+    """Choose a value from a list, which closes again if the page is redrawn meanwhile."""
     option = tab.get_by_role("option", name=value, exact=True)
     tried = time.monotonic()
     while True:
@@ -144,7 +139,7 @@ def choose(tab: Tab, name: str, value: str) -> None:
 
 
 def drawn(tab: Tab) -> None:
-    """Wait until a tab has drawn what it was told so far."""
+    """Wait until a tab has drawn all that it has received."""
     tab.evaluate(
         "() => new Promise(done => { let left = 3; const next = () => "
         "left-- ? requestAnimationFrame(next) : done(); next(); })"
@@ -152,7 +147,7 @@ def drawn(tab: Tab) -> None:
 
 
 def pixel(camera: Any, point: np.ndarray) -> tuple[float, float]:
-    """Where a browser shows a point of the world [px]."""
+    """Project a point of the world to a browser's window [px]."""
     x, y, z = SO3(camera.wxyz).as_matrix().T @ (point - camera.position)
     width, height = SIZE["width"], SIZE["height"]
     scale = height / 2 / math.tan(camera.fov / 2)
@@ -160,13 +155,13 @@ def pixel(camera: Any, point: np.ndarray) -> tuple[float, float]:
 
 
 def ahead(page: Page, distance: float) -> np.ndarray:
-    """A point on the arrow by which the base is dragged forward [m]."""
+    """Return a point on the forward arrow of the drag handle [m]."""
     x, y, yaw = page.robot.base
     return np.array([x + distance * math.cos(yaw), y + distance * math.sin(yaw), 0.0])
 
 
-def pick_in_the_picture(page: Page, tab: Tab) -> None:
-    """Click one object after the other, where neither another nor the controls are before it."""
+def pick_in_the_view(page: Page, tab: Tab) -> None:
+    """Click two objects, at points that nothing else covers."""
     scene = page.shown.scene
     assert scene is not None
     tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
@@ -177,7 +172,7 @@ def pick_in_the_picture(page: Page, tab: Tab) -> None:
         low, high = scene.object(name).bounds
         tab.mouse.move(*pixel(client.camera, np.append((low + high)[:2] / 2, high[2])))
         for act in (tab.mouse.down, tab.mouse.up):
-            drawn(tab)  # a click is one where the page has seen what the mouse is on
+            drawn(tab)  # the page must have found the object under the mouse
             act()
         assert until(lambda name=name: page.panel.target.value.startswith(f"{name}/"))  # type: ignore[misc]
         assert page.work.wait(LONG / 1000)
@@ -185,13 +180,13 @@ def pick_in_the_picture(page: Page, tab: Tab) -> None:
     drawn(tab)  # the controls have moved
 
 
-def test_a_person_asks_drags_plays_and_reloads(
-    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+def test_a_user_plans_drags_plays_and_reloads(
+    site: tuple[Page, str], opened: Callable[[str], Tab], errors: list[str]
 ) -> None:
     page, address = site
     tab = opened(address)
     tab.get_by_text("Press Place").wait_for(timeout=LONG)
-    pick_in_the_picture(page, tab)
+    pick_in_the_view(page, tab)
     other = opened(address)
     press(tab, "button", "Place")
     for one in (tab, other):  # both see the answer
@@ -212,7 +207,7 @@ def test_a_person_asks_drags_plays_and_reloads(
     drawn(tab)
     tab.mouse.down()
     drawn(tab)
-    for place in places:  # the page tells where the base is dragged a few times a second
+    for place in places:  # the page sends the dragged pose a few times a second
         tab.mouse.move(*place)
         if until(lambda: np.linalg.norm(page.robot.base[:2] - before[:2]) > 0.1, 0.25):
             break
@@ -221,7 +216,7 @@ def test_a_person_asks_drags_plays_and_reloads(
 
     tab.set_viewport_size(SMALL)  # type: ignore[arg-type]
     tab.reload()
-    tab.get_by_text("answered in").wait_for(timeout=LONG)  # as it was left
+    tab.get_by_text("answered in").wait_for(timeout=LONG)  # the same state as before
     press(tab, "button", "Place")
     tab.get_by_text("Solved").wait_for(timeout=LONG)
     press(tab, "tab", "Motion")
@@ -232,23 +227,23 @@ def test_a_person_asks_drags_plays_and_reloads(
     assert until(lambda: not page.motion.player.playing)
     page.motion.set_speed(1.0)
     assert len(tab.screenshot()) > 10_000
-    assert complaints == []
+    assert errors == []
 
 
 def look_at_a_candidate(page: Page, client: Any) -> np.ndarray:
-    """Bring the camera of a browser over a candidate that no thing is before; where it lies [m]."""
+    """Turn a browser's camera to a candidate that nothing covers; return its position [m]."""
     scene, above = page.shown.scene, np.array([0.0, -0.5, 1.5])
     assert scene is not None
     assert scene.floor_polygon is not None
     node = page.server.scene.get_handle_by_name("/layers/candidates/all")
     points = np.array(node.batched_positions)  # type: ignore[union-attr]
-    things = np.array([item.bounds for item in scene.objects])
-    things += [[-0.3, -0.3, 0.0], [0.3, 1.0, 0.0]]  # what stands before them, seen from there
+    objects = np.array([item.bounds for item in scene.objects])
+    objects += [[-0.3, -0.3, 0.0], [0.3, 1.0, 0.0]]  # what they cover, seen from there
     free = (scene.floor_polygon.min(0) < points[:, :2]) & (
         points[:, :2] < scene.floor_polygon.max(0)
     )
-    over = (points[:, None, :2] > things[None, :, 0, :2]) & (
-        points[:, None, :2] < things[None, :, 1, :2]
+    over = (points[:, None, :2] > objects[None, :, 0, :2]) & (
+        points[:, None, :2] < objects[None, :, 1, :2]
     )
     away = np.linalg.norm(points[:, :2] - page.robot.base[:2], axis=1) > 0.8
     (point, *_) = points[free.all(1) & ~over.all(2).any(1) & away]
@@ -258,8 +253,8 @@ def look_at_a_candidate(page: Page, client: Any) -> np.ndarray:
     return np.array(point)
 
 
-def test_a_candidate_that_is_clicked_says_why_and_the_speed_is_chosen(
-    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+def test_a_clicked_candidate_shows_its_outcome_and_the_speed_can_be_chosen(
+    site: tuple[Page, str], opened: Callable[[str], Tab], errors: list[str]
 ) -> None:
     page, address = site
     page.place()
@@ -295,11 +290,11 @@ def test_a_candidate_that_is_clicked_says_why_and_the_speed_is_chosen(
     tab.get_by_text("This candidate:").wait_for(timeout=LONG)
     tab.get_by_label("Candidates", exact=True).click(force=True)
     assert until(lambda: not page.panel.layers["candidates"].value)
-    assert complaints == []
+    assert errors == []
 
 
-def test_two_pages_act_on_one_state(
-    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+def test_two_tabs_act_on_one_state(
+    site: tuple[Page, str], opened: Callable[[str], Tab], errors: list[str]
 ) -> None:
     page, address = site
     page.motion.set_speed(SLOW)
@@ -320,17 +315,17 @@ def test_two_pages_act_on_one_state(
     assert until(lambda: "potential" in page.layers.drawn)
     press(two, "tab", "Layers")
     expect(two.get_by_label("Potential", exact=True)).to_be_checked(timeout=LONG)
-    assert complaints == []
+    assert errors == []
 
 
-def test_a_page_gives_its_picture_and_film_and_keeps_its_plan(
-    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+def test_the_page_sends_an_image_and_a_film_and_saves_its_plan(
+    site: tuple[Page, str], opened: Callable[[str], Tab], errors: list[str]
 ) -> None:
     page, address = site
     tab = opened(address)
     press(tab, "tab", "Files")
     with tab.expect_download(timeout=LONG) as download:
-        press(tab, "button", "Picture (PNG)")
+        press(tab, "button", "Image (PNG)")
     with Image.open(download.value.path()) as picture:
         assert picture.size == (1280, 720)
         assert len(picture.convert("RGB").getcolors(1280 * 720) or ()) > 20
@@ -341,49 +336,49 @@ def test_a_page_gives_its_picture_and_film_and_keeps_its_plan(
     with Image.open(download.value.path()) as film:
         assert film.n_frames >= 2  # type: ignore[attr-defined]
         assert film.size == (640, 360)
-    press(tab, "button", "Save the plan")
+    press(tab, "button", "Save plan")
     tab.get_by_text("Saved as plan.json").wait_for(timeout=LONG)
-    assert (page.folder / "plan.json").is_file()
-    assert complaints == []
+    assert (page.files.folder / "plan.json").is_file()
+    assert errors == []
 
 
 def of_points(tab: Tab) -> set[int]:
-    """How many points the clouds have that a tab has drawn since this was last asked."""
+    """Return the sizes of the clouds that a tab has drawn since the last call [-]."""
     return set(tab.evaluate("() => { const all = window.clouds; window.clouds = []; return all; }"))
 
 
-def test_few_points_of_a_scan_are_drawn_while_a_slow_camera_moves_and_all_at_rest(
+def test_a_slow_browser_draws_few_points_while_its_camera_moves_and_all_at_rest(
     site: tuple[Page, str],
     opened: Callable[[str], Tab],
-    complaints: list[str],
+    errors: list[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     page, address = site
-    monkeypatch.setattr(moving, "SLOW", 0.0)  # whatever draws here
-    monkeypatch.setattr(moving, "REST", 5.0)  # however slow the mouse is
+    monkeypatch.setattr(moving, "SLOW_FRAME_TIME", 0.0)  # with any renderer
+    monkeypatch.setattr(moving, "REST_TIME", 5.0)  # even if the mouse is slow
     points = np.random.default_rng(0).uniform([0.0, -3.0, 0.0], [4.0, 0.0, 2.0], (60_000, 3))
     cloud = Cloud(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)),
                   np.zeros((len(points), 3), np.uint8))  # fmt: skip
     page.scan.show(Modeled(Path("scan.json"), cloud, (), np.eye(4), ()))
-    shown, few = {50_000}, {FEW}
+    shown, few = {50_000}, {COARSE_POINTS}
     tab = opened(address)
     tab.locator("canvas").first.wait_for(timeout=LONG)
     tab.evaluate(WATCH_POINTS)
 
     def become(look: Callable[[], set[int]], wanted: set[int]) -> bool:
-        """Wait until what is drawn is this; each look sees what the one before has not."""
+        """Wait until a tab draws only these clouds; each look starts after the last one."""
         ends = time.monotonic() + LONG / 1000
         while (seen := look() & (shown | few)) != wanted and time.monotonic() < ends:
             time.sleep(0.05)
         return seen == wanted
 
     assert become(lambda: of_points(tab), shown)
-    x, y = 100, 200  # below what the browser says of its graphics
+    x, y = 100, 200  # below a message of the browser
     tab.mouse.move(x, y)
     tab.mouse.down()
 
     def turned(times: int) -> set[int]:
-        """Move the camera by so many pictures; the clouds that were drawn."""
+        """Move the camera for some frames; return the clouds that were drawn."""
         for k in range(times):
             tab.mouse.move(x + 5 * k, y)
             drawn(tab)
@@ -394,7 +389,7 @@ def test_few_points_of_a_scan_are_drawn_while_a_slow_camera_moves_and_all_at_res
     tab.mouse.up()
     assert become(lambda: of_points(tab), shown)
     page.scan.show(None)
-    assert complaints == []
+    assert errors == []
 
 
 def test_a_written_page_plays_without_a_network(
@@ -407,14 +402,14 @@ def test_a_written_page_plays_without_a_network(
     assert answer is not None
     plan, robot = answer.plan, answer.prepared.robot
     write_page(answer.prepared.scene, robot, plan, tmp_path / "page.html")
-    asked: list[str] = []
+    requests: list[str] = []
     with browser.new_context(viewport=SMALL, offline=True) as context:  # type: ignore[arg-type]
         tab = context.new_page()
-        tab.on("request", lambda request: asked.append(request.url))
+        tab.on("request", lambda request: requests.append(request.url))
         tab.goto((tmp_path / "page.html").as_uri())
         tab.locator("canvas").first.wait_for(timeout=LONG)
         time_shown = tab.locator("input").first
         first = time_shown.input_value(timeout=LONG)
         assert until(lambda: time_shown.input_value() != first)
-    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+    assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert Story.of(plan, robot, answer.prepared.scene).duration > 1.0

@@ -1,4 +1,4 @@
-"""What colors tell apart, people who lack a kind of cones tell apart, too."""
+"""Colors that are drawn together are distinguishable in all kinds of color vision."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from momapos.apps.plots.palette import (
 from momapos.apps.web.compare import COLORS
 from momapos.apps.web.robot_view import VERDICTS
 from momapos.apps.web.room_view import rgb
-from momapos.apps.web.scan_view import ROOM, THINGS
+from momapos.apps.web.scan_view import BACKGROUND, OBJECT_COLORS
 
-SEEN = {
+VISIONS = {
     "all cones": np.eye(3),
     # Machado, Oliveira, Fernandes: A physiologically-based model for simulation of color vision
     # deficiency, 2009, severity 1; of linear red, green and blue.
@@ -38,44 +38,44 @@ SEEN = {
 XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
                 [0.0193339, 0.1191920, 0.9503041]])  # fmt: skip
 WHITE = XYZ.sum(1)
-LEAST = 13.0
-"""Distance in CIELAB; one of 2.3 is just noticed."""
+MIN_DISTANCE = 13.0
+"""Minimum distance in CIELAB; 2.3 is just noticeable [-]."""
 TOGETHER = {
     "candidates": [kind.color for kind in KINDS],
     "verdicts on the base": list(VERDICTS.values()),
-    "things of a scan": [*THINGS, ROOM],
-    "answers that are kept": list(COLORS),
+    "objects of a scan": [*OBJECT_COLORS, BACKGROUND],
+    "compared answers": list(COLORS),
     "relations": [line.color for line in RELATIONS.values()],
     "lines of an answer": [INK, SOFT_INK, WAYPOINT, HANDLE, GOOD],
     "objects": [TARGET, PART, BAD],
 }
-"""What is seen side by side, and means something else by its color."""
+"""Colors that are drawn together with different meanings."""
 
 
 def lab(color: str, vision: str) -> np.ndarray:
-    """A color as somebody sees it, in CIELAB."""
+    """Convert a color, as perceived with a kind of color vision, to CIELAB."""
     coded = np.array(rgb(color)) / 255.0
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-    x, y, z = XYZ @ np.clip(SEEN[vision] @ linear, 0.0, 1.0) / WHITE
+    x, y, z = XYZ @ np.clip(VISIONS[vision] @ linear, 0.0, 1.0) / WHITE
     fx, fy, fz = (np.cbrt(t) if t > 216 / 24389 else (24389 / 27 * t + 16) / 116 for t in (x, y, z))
     return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])
 
 
-def test_colors_are_measured_as_they_are_defined() -> None:
+def test_colors_in_cielab_have_their_defined_values() -> None:
     np.testing.assert_allclose(lab("#ffffff", "all cones"), [100.0, 0.0, 0.0], atol=1e-3)
     np.testing.assert_allclose(lab("#ff0000", "all cones"), [53.24, 80.09, 67.20], atol=0.02)
-    red_green = [np.linalg.norm(lab("#b00000", v) - lab("#506a00", v)) for v in SEEN]
+    red_green = [np.linalg.norm(lab("#b00000", v) - lab("#506a00", v)) for v in VISIONS]
     assert red_green[0] > 70.0
-    assert min(red_green[1:3]) < 20.0  # what those who lack red or green cones mix up
+    assert min(red_green[1:3]) < 20.0  # confused without red or green cones
 
 
-@pytest.mark.parametrize("vision", SEEN)
+@pytest.mark.parametrize("vision", VISIONS)
 @pytest.mark.parametrize("group", TOGETHER)
-def test_what_is_seen_together_is_told_apart(group: str, vision: str) -> None:
+def test_colors_drawn_together_are_distinguishable(group: str, vision: str) -> None:
     colors = {color: lab(color, vision) for color in TOGETHER[group]}
     assert len(colors) == len(TOGETHER[group])
     near = {
         pair: np.linalg.norm(colors[pair[0]] - colors[pair[1]]) for pair in combinations(colors, 2)
     }
     pair = min(near, key=lambda one: float(near[one]))
-    assert near[pair] >= LEAST, pair
+    assert near[pair] >= MIN_DISTANCE, pair

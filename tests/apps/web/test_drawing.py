@@ -1,4 +1,4 @@
-"""What is drawn belongs to what is asked, whoever draws at the same time."""
+"""The drawing matches the question, even with several threads."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests import optional
+from tests.apps.web.pages import serve
 from viser import LineSegmentsHandle
 
 from momapos.apps.web import answer_layers
@@ -22,10 +23,15 @@ from momapos.apps.web.map_layers import box_edges
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
 from momapos.apps.web.saving import FILMS, render, send_film
-from momapos.apps.web.scan_view import FEW, FINE, ROOM, SIZE, boxes_of, thing_colors
-from momapos.apps.web.serve import served
-from momapos.apps.web.words import answer_words
-from momapos.core.cache import user_cache
+from momapos.apps.web.scan_view import (
+    BACKGROUND,
+    COARSE_POINTS,
+    FINE,
+    POINT_SIZE,
+    object_colors,
+    oriented_boxes,
+)
+from momapos.apps.web.words import answer_text
 from momapos.core.errors import InputError
 from momapos.core.geometry.upright_boxes import UprightBox, box_axes
 from momapos.model.plan_files.plan_format import read_plan
@@ -38,12 +44,8 @@ LONG = 60.0
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    """A page that nobody looks at."""
-    with served(
-        host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=("segway_ur5e",),
-        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(),
-        folder=tmp_path_factory.mktemp("page"),
-    ) as (page, _):  # fmt: skip
+    """A page without browsers."""
+    with serve(tmp_path_factory.mktemp("page")) as (page, _):
         assert page.work.wait(LONG)
         page.place()
         assert page.work.wait(LONG)
@@ -53,72 +55,72 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 @pytest.fixture(autouse=True)
 def no_warning() -> Iterator[None]:
-    """viser warns of what is removed twice."""
+    """viser warns about nodes that are removed twice."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
 
 
-def test_kept_answers_stand_over_the_room_or_beside_it_and_are_forgotten(page: Page) -> None:
+def test_compared_answers_stand_in_the_room_or_next_to_it_and_can_be_removed(page: Page) -> None:
     compare = page.compare
-    compare.keep()
-    compare.keep()
-    one, two = compare.kept
+    compare.add()
+    compare.add()
+    one, two = compare.answers
     np.testing.assert_allclose(one.frame.position, 0.0)
     assert one.room.scene is None
     alone = np.array(page.server.initial_camera.look_at)
-    page.panel.beside.value = True
+    page.panel.side_by_side.value = True
     compare.arrange()
-    one_at, two_at = (np.array(kept.frame.position) for kept in (one, two))
+    one_at, two_at = (np.array(answer.frame.position) for answer in (one, two))
     assert np.linalg.norm(one_at) > 4.0  # the room is 4.2 m wide
     np.testing.assert_allclose(two_at, 2 * one_at)
     assert one.room.scene is page.shown.scene
-    # All three rooms are looked at, from farther away.
+    # The camera shows all three rooms, from farther away.
     target = np.array(page.server.initial_camera.look_at)
     assert (target - alone) @ one_at > 0.7 * one_at @ one_at
     page.motion.seek(0.0)
     np.testing.assert_allclose(one.robot.base, page.robot.base)  # in step
-    page.panel.beside.value = False
+    page.panel.side_by_side.value = False
     compare.arrange()
     np.testing.assert_allclose(one.frame.position, 0.0)
     np.testing.assert_allclose(page.server.initial_camera.look_at, alone)
-    compare.forget()
-    assert compare.kept == ()
-    assert page.panel.kept.content == "Nothing is kept."
+    compare.clear()
+    assert compare.answers == ()
+    assert page.panel.comparison.content == "No answers to compare."
 
 
-def test_no_more_than_four_answers_are_kept(page: Page) -> None:
+def test_no_more_than_four_answers_are_compared(page: Page) -> None:
     for _ in range(5):
-        page.compare.keep()
-    assert len(page.compare.kept) == 4
-    assert "no more than four" in page.panel.kept.content
-    page.compare.forget()
+        page.compare.add()
+    assert len(page.compare.answers) == 4
+    assert "the limit is four answers" in page.panel.comparison.content
+    page.compare.clear()
 
 
-def test_a_layer_of_an_answer_that_is_no_longer_shown_is_not_left(
+def test_a_layer_of_an_outdated_answer_is_removed(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer = page.shown.answer
-    scene, machine = page.shown.scene, page.shown.machine
+    scene, arms = page.shown.scene, page.shown.arms
     assert answer is not None
     assert scene is not None
-    assert machine is not None
+    assert arms is not None
 
     def answered_meanwhile(layers: Any, name: str, of: Any, clock: Any) -> None:
         del of, clock
         page.server.scene.add_frame(f"{name}/late")
         layers.clear()
 
-    monkeypatch.setitem(answer_layers.DRAW, "way", answered_meanwhile)
-    reach = machine.reach_of(answer.prepared.robot.arm)
+    monkeypatch.setitem(answer_layers.DRAW, "path", answered_meanwhile)
+    reach = arms.reach_of(answer.prepared.robot.arm)
     page.layers.show(scene, answer, reach)
     assert page.layers.wait(LONG)
     assert not page.layers.drawn
-    assert page.server.scene.get_handle_by_name("/layers/way/late") is None
+    assert page.server.scene.get_handle_by_name("/layers/path/late") is None
     monkeypatch.undo()
     page.layers.show(scene, answer, reach)
     assert page.layers.wait(LONG)
-    assert "way" in page.layers.drawn
+    assert "path" in page.layers.drawn
 
 
 def test_the_tolerance_is_measured_after_the_answer_and_saved_with_it(page: Page) -> None:
@@ -126,39 +128,39 @@ def test_the_tolerance_is_measured_after_the_answer_and_saved_with_it(page: Page
     assert answer is not None
     found = answer.plan.tolerance
     assert found is not None
-    assert page.panel.result.content == answer_words(answer)
-    assert f"{100 * found.radius:g} cm beside" in page.panel.result.content
+    assert page.panel.result.content == answer_text(answer)
+    assert f"±{100 * found.radius:g} cm" in page.panel.result.content
     cover = page.server.scene.get_handle_by_name("/layers/tolerance/cover")
     assert isinstance(cover, LineSegmentsHandle)
     base = np.array(answer.plan.base_pose)
     away = np.linalg.norm(cover.points[..., :2] - base[:2], axis=-1)
     outer = np.linalg.norm(answer.prepared.robot.footprint, axis=-1).max()
     assert away.max() == pytest.approx(outer + found.radius, abs=2e-3)
-    page.extras.save_plan("kept.json")
-    assert page.extras.work.wait(LONG)
-    assert read_plan(page.folder / "kept.json").tolerance == found
+    page.files.save_plan("measured.json")
+    assert page.files.work.wait(LONG)
+    assert read_plan(page.files.folder / "measured.json").tolerance == found
 
 
-def test_the_tolerance_of_an_answer_that_is_no_longer_shown_is_not_told(page: Page) -> None:
+def test_the_tolerance_of_an_outdated_answer_is_not_shown(page: Page) -> None:
     answer = page.shown.answer
     assert answer is not None
     before = replace(answer, plan=replace(answer.plan, tolerance=None))
     said = page.panel.result.content
-    page.answer.measured(before, before)
+    page.layers.use_tolerance(before, before)
     assert page.shown.answer is answer
     assert page.panel.result.content == said
     page.shown.answer = before
-    page.tell("Something else.")
-    page.answer.measured(before, answer)
-    assert page.shown.answer is answer  # but what is said by now stays
+    page.state.show_text("Something else.")
+    page.layers.use_tolerance(before, answer)
+    assert page.shown.answer is answer  # but a newer text stays
     assert page.panel.result.content == "Something else."
-    page.tell(said)
+    page.state.show_text(said)
 
 
-def test_what_is_found_for_a_question_of_before_is_not_shown(page: Page) -> None:
+def test_a_finding_for_an_outdated_question_is_not_shown(page: Page) -> None:
     probe = page.follow._probe()
     assert probe is not None
-    page.shown.probe = None  # something else is asked
+    page.shown.probe = None  # the question has changed
     words, base = page.panel.result.content, page.robot.base.copy()
     page.follow._show(probe.at(base, time.perf_counter), probe, 0.1)
     assert page.panel.result.content == words
@@ -175,58 +177,58 @@ def test_spheres_follow_the_arm_and_are_drawn_once(page: Page) -> None:
     page.robot.show_spheres(False)
 
 
-def test_points_of_a_scan_are_sent_once_and_only_as_many_as_are_asked_for(page: Page) -> None:
+def test_points_of_a_scan_are_sent_once_and_only_as_many_as_selected(page: Page) -> None:
     count = 150_000
     rng = np.random.default_rng(0)
     points = rng.uniform(0.0, 4.0, (count, 3))
     cloud = Cloud(points, np.tile([0.0, 0.0, 1.0], (count, 1)), np.zeros((count, 3), np.uint8))
     box = UprightBox(np.array([1.0, 1.0, 0.5]), np.array([0.5, 0.5, 1.0]), 0.3)
-    thing = Detection("cup_1", "cup", 1.0, box, np.arange(1000))
+    detection = Detection("cup_1", "cup", 1.0, box, np.arange(1000))
     modeled = Modeled(Path("x.json"), cloud, (), np.eye(4),
-                      (Decision(thing, None, None, (), None, ""),))  # fmt: skip
-    scan, few = page.scan, next(most for most in POINTS.values() if most is not None)
+                      (Decision(detection, None, None, (), None, ""),))  # fmt: skip
+    scan, few = page.scan, next(limit for limit in POINTS.values() if limit is not None)
 
     def sizes() -> set[float]:
         return {node.point_size for part, node in scan._parts.items() if part[0] == FINE}
 
     scan.show(modeled)
     assert page.panel.scan_folder.visible
-    assert scan.sent == few + FEW
-    assert page.panel.points_shown.content == "50,000 of 150,000 points are drawn."
-    assert sizes() == {SIZE * float(np.sqrt(3.0))}  # they cover as much as all do
+    assert scan.sent == few + COARSE_POINTS
+    assert page.panel.points_shown.content == "50,000 of 150,000 points drawn."
+    assert sizes() == {POINT_SIZE * float(np.sqrt(3.0))}  # they cover as much as all do
     page.panel.points.value = "all"
     scan.changed()
-    assert scan.sent == count + FEW
-    assert sizes() == {SIZE}
+    assert scan.sent == count + COARSE_POINTS
+    assert sizes() == {POINT_SIZE}
     page.panel.points.value = next(iter(POINTS))
     scan.changed()
     page.panel.points.value = "all"
     scan.changed()
-    assert scan.sent == count + FEW
-    colors = thing_colors(modeled)
+    assert scan.sent == count + COARSE_POINTS
+    colors = object_colors(modeled)
     assert len(np.unique(colors, axis=0)) == 2
-    assert "#{:02x}{:02x}{:02x}".format(*colors[-1]) == ROOM
+    assert "#{:02x}{:02x}{:02x}".format(*colors[-1]) == BACKGROUND
     assert scan.many
     page.panel.cloud.value = "none"
     scan.changed()
     assert not scan.many
-    assert page.panel.points_shown.content == "0 of 150,000 points are drawn."
-    page.panel.cloud.value = "by thing"
+    assert page.panel.points_shown.content == "0 of 150,000 points drawn."
+    page.panel.cloud.value = "by object"
     scan.show(None)
     assert scan.sent == 0
     assert not page.panel.scan_folder.visible
 
 
-def test_boxes_of_a_scan_stand_as_they_were_found() -> None:
+def test_boxes_of_a_scan_are_drawn_at_their_poses() -> None:
     box = UprightBox(np.array([1.0, 2.0, 0.5]), np.array([0.5, 0.3, 1.0]), 0.4)
-    edges = box_edges(boxes_of([box]))[0]
+    edges = box_edges(oriented_boxes([box]))[0]
     lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
     np.testing.assert_allclose(np.sort(lengths), np.repeat(np.sort(box.size), 4))
     along = (edges[:, 1] - edges[:, 0])[np.isclose(lengths, 0.5)][0] / 0.5
     assert abs(along[:2] @ box_axes(box.yaw)[0]) == pytest.approx(1.0)
 
 
-def test_a_picture_is_white_where_nothing_is() -> None:
+def test_an_image_is_white_where_nothing_is_drawn() -> None:
     class Browser:
         def get_render(
             self, height: int, width: int, transport_format: str, timeout: float
@@ -243,7 +245,7 @@ def test_a_picture_is_white_where_nothing_is() -> None:
     assert picture[-1, 0].tolist() == [255, 255, 255]
 
 
-def test_a_dear_layer_does_not_hold_up_the_others_and_ends_when_it_is_switched_off(
+def test_a_slow_layer_does_not_delay_others_and_is_canceled_when_switched_off(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun, ended = threading.Event(), threading.Event()
@@ -274,9 +276,7 @@ def test_a_dear_layer_does_not_hold_up_the_others_and_ends_when_it_is_switched_o
     assert ended.is_set()
 
 
-def test_layers_that_nobody_looks_at_are_not_computed_on(
-    page: Page, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_layers_are_canceled_without_browsers(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     begun = threading.Event()
 
     def endless(layers: Any, name: str, of: Any, clock: Any) -> None:
@@ -289,16 +289,16 @@ def test_layers_that_nobody_looks_at_are_not_computed_on(
     page.panel.layers["opening"].value = True
     page.layers.changed()
     assert begun.wait(LONG)
-    page.browsers._alone()
+    page.browsers._on_empty()
     assert page.layers.wait(LONG)
     page.panel.layers["opening"].value = False
 
 
 class Browser:
-    """What a film needs of a browser; it sends white pictures as long as it is there."""
+    """A browser that sends a number of white images and then disconnects."""
 
-    def __init__(self, pictures: int = 1000) -> None:
-        self.left, self.files = pictures, {}  # type: ignore[var-annotated]
+    def __init__(self, images: int = 1000) -> None:
+        self.left, self.files = images, {}  # type: ignore[var-annotated]
 
     def get_render(self, height: int, width: int, **_: Any) -> np.ndarray:
         self.left -= 1
@@ -307,18 +307,18 @@ class Browser:
         return np.full((height, width, 4), 255, np.uint8)
 
     def send_file_download(self, name: str, content: bytes, *, save_immediately: bool) -> None:
-        assert save_immediately  # else there is a link to it only
+        assert save_immediately  # otherwise only a link appears
         self.files[name] = content
 
 
 def test_a_film_of_the_page_shows_the_whole_motion() -> None:
     shown: list[float] = []
     browser = Browser()
-    faster = send_film(browser, GIF, 12.0, shown.append, time.perf_counter)
+    speed = send_film(browser, GIF, 12.0, shown.append, time.perf_counter)
     assert (shown[0], shown[-1]) == (0.0, 12.0)
     with Image.open(io.BytesIO(browser.files["momapos.gif"])) as film:
         assert film.size == FILMS[GIF].size
-    assert faster == pytest.approx(12.0 * FILMS[GIF].rate / len(shown))
+    assert speed == pytest.approx(12.0 * FILMS[GIF].rate / len(shown))
 
 
 def test_a_film_as_mp4_is_720_high() -> None:
@@ -331,14 +331,14 @@ def test_a_film_as_mp4_is_720_high() -> None:
         assert sum(1 for _ in film.decode(video=0)) == 5
 
 
-def test_a_film_for_a_browser_that_has_gone_is_told_in_one_line() -> None:
-    with pytest.raises(InputError, match="the browser sent no picture"):
+def test_a_film_for_a_disconnected_browser_is_reported_in_one_line() -> None:
+    with pytest.raises(InputError, match="the browser sent no image"):
         send_film(Browser(3), GIF, 2.0, lambda _: None, time.perf_counter)
     with pytest.raises(InputError, match="no motion"):
         send_film(Browser(), GIF, 0.0, lambda _: None, time.perf_counter)
 
 
-def test_an_answer_stands_at_its_end_and_another_question_puts_the_part_back(page: Page) -> None:
+def test_an_answer_is_shown_at_its_end_and_a_new_question_resets_the_part(page: Page) -> None:
     def doors() -> np.ndarray:
         return np.concatenate([[*n.position, *n.wxyz] for n in page.room._links.values()])
 
@@ -361,7 +361,7 @@ def test_an_answer_stands_at_its_end_and_another_question_puts_the_part_back(pag
     assert page.work.wait(LONG)
 
 
-def test_a_joint_that_is_moved_by_hand_leaves_the_others_where_they_stand(page: Page) -> None:
+def test_a_joint_moved_with_its_slider_leaves_the_others_unchanged(page: Page) -> None:
     _, slider = page.panel._joints["freezer_door_hinge"]
     slider.value = 30.0
     page.motion.move_joints()
@@ -371,11 +371,11 @@ def test_a_joint_that_is_moved_by_hand_leaves_the_others_where_they_stand(page: 
     }
 
 
-def test_what_is_paused_by_a_hand_on_the_base_says_so(page: Page) -> None:
+def test_the_play_button_shows_that_the_motion_is_paused(page: Page) -> None:
     page.motion.seek(0.0)
     page.motion.toggle()
     ends = time.monotonic() + LONG
-    # The player's thread tells the time before it tells the button.
+    # The player's thread sets the time before the label of the button.
     while page.panel.play.label != "Pause" and time.monotonic() < ends:
         time.sleep(0.01)
     assert page.panel.play.label == "Pause"

@@ -1,4 +1,4 @@
-"""In a notebook records show themselves."""
+"""Records display themselves in notebooks."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from momapos.core.errors import InputError
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def test_a_scene_and_an_answer_are_pictures_and_an_answer_plays(
+def test_scenes_and_answers_are_images_and_answers_play(
     robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = load_scene("kitchen_small")
@@ -39,7 +39,7 @@ def test_a_scene_and_an_answer_are_pictures_and_an_answer_plays(
         unsolved.show()
 
 
-def test_a_page_within_a_page_keeps_to_itself() -> None:
+def test_an_embedded_page_is_sandboxed() -> None:
     page = '<script>"&"</script>'
     frame = inline.frame_of(page)
     assert html.unescape(frame.split('srcdoc="')[1].split('"')[0]) == page

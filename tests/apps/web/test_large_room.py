@@ -1,4 +1,4 @@
-"""A large room: plain light until a person says otherwise, and nothing is sent for nothing."""
+"""A large room gets plain light by default, and only changes are sent to browsers."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.apps.web.pages import serve
 
 from momapos.apps.web.light import NAME
 from momapos.apps.web.page import Page
-from momapos.apps.web.serve import served
-from momapos.core.cache import user_cache
 from momapos.model.records.scans import Cloud
 from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene, SceneObject
@@ -26,7 +25,7 @@ MOVES = {"SetPositionMessage", "SetOrientationMessage"}
 
 
 def hall() -> Scene:
-    """The kitchen, and crates all about it."""
+    """Return the kitchen with crates around it."""
     crates = tuple(
         SceneObject.box(f"crate_{k}", (0.5,) * 3, (8 + k % 20, k // 20, 0.25)) for k in range(300)
     )
@@ -42,22 +41,19 @@ def scan() -> Modeled:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    """A page that nobody looks at; its scenes are a kitchen and a hall."""
+    """A page without browsers, with a kitchen and a hall."""
     folder = tmp_path_factory.mktemp("page")
     file = folder / "hall.json"
     with copied(hall(), file) as whole:
         save_scene(whole, file)
-    with served(
-        host="127.0.0.1", port=0, scenes=("kitchen_small", str(file)), robots=("segway_ur5e",),
-        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(), folder=folder,
-    ) as (page, _):  # fmt: skip
+    with serve(folder, str(file)) as (page, _):
         assert page.work.wait(LONG)
         yield page
 
 
 @pytest.fixture
 def sent(page: Page, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """All that pages are told."""
+    """All messages to browsers."""
     told: list[Any] = []
     interface = page.server.scene._websock_interface
     say = interface.queue_message
@@ -79,7 +75,7 @@ def kind(message: Any) -> str:
 
 
 def drawn(sent: list[Any]) -> list[str]:
-    """The nodes that are drawn, or drawn anew, or changed in more than where they are."""
+    """Return the nodes that are drawn, redrawn or changed, except for their poses."""
     return [m.name for m in sent if hasattr(m, "name") and kind(m) not in MOVES]
 
 
@@ -90,9 +86,7 @@ def choose(page: Page, scene: str) -> None:
     assert page.layers.wait(LONG)
 
 
-def test_a_large_room_is_lit_plainly_until_a_person_says_otherwise(
-    page: Page, sent: list[Any]
-) -> None:
+def test_a_large_room_has_plain_light_until_a_user_changes_it(page: Page, sent: list[Any]) -> None:
     kitchen, large = page.panel.scene.options
     assert not page.panel.plain.value
     choose(page, large)
@@ -113,7 +107,7 @@ def test_a_large_room_is_lit_plainly_until_a_person_says_otherwise(
     assert not page.panel.plain.value
 
 
-def test_light_that_is_set_is_not_sent_again(page: Page, sent: list[Any]) -> None:
+def test_unchanged_light_is_not_sent_again(page: Page, sent: list[Any]) -> None:
     page.light.changed()
     page.light.of_room(KITCHEN)
     assert sent == []
@@ -126,7 +120,7 @@ def test_light_that_is_set_is_not_sent_again(page: Page, sent: list[Any]) -> Non
     assert len(of_light(sent)) == 4
 
 
-def test_of_a_motion_in_a_large_room_only_poses_are_sent(page: Page, sent: list[Any]) -> None:
+def test_a_motion_in_a_large_room_sends_only_poses(page: Page, sent: list[Any]) -> None:
     choose(page, page.panel.scene.options[1])
     page.scan.show(scan())
     page.place()
@@ -145,13 +139,11 @@ def test_of_a_motion_in_a_large_room_only_poses_are_sent(page: Page, sent: list[
     moved = {message.name for message in sent if kind(message) in MOVES}
     assert "/robot" in moved
     assert len(moved) > 5  # the arm's links, and the door
-    assert not any(name.startswith("/room/crowd") for name in moved)
+    assert not any(name.startswith("/room/batch") for name in moved)
     page.scan.show(None)
 
 
-def test_of_a_drag_in_a_large_room_only_what_it_changes_is_sent(
-    page: Page, sent: list[Any]
-) -> None:
+def test_a_drag_in_a_large_room_sends_only_what_changes(page: Page, sent: list[Any]) -> None:
     choose(page, page.panel.scene.options[1])
 
     def drag(x: float, y: float) -> None:
@@ -165,7 +157,7 @@ def test_of_a_drag_in_a_large_room_only_what_it_changes_is_sent(
     sent.clear()
     page.follow.dragged(SimpleNamespace(target=page.robot._frame))
     assert page.follow.work.wait(LONG)
-    assert sent  # the words
+    assert sent  # the text
     assert drawn(sent) == []
     for k in range(6):
         drag(0.9 + 0.2 * k, -1.2)
@@ -174,7 +166,7 @@ def test_of_a_drag_in_a_large_room_only_what_it_changes_is_sent(
     assert names <= {"/robot/footprint", "/room/mark"}
 
 
-def test_what_is_marked_already_is_not_drawn_again(page: Page, sent: list[Any]) -> None:
+def test_marks_are_not_drawn_twice(page: Page, sent: list[Any]) -> None:
     choose(page, page.panel.scene.options[0])
     page.room.mark(["oven", "table"])
     assert drawn(sent)

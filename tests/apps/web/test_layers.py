@@ -1,4 +1,4 @@
-"""What layers show lies where it is."""
+"""Layers and motions have the right geometry, and answers the right text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from momapos.apps.web.map_layers import box_edges, covered, free_area
 from momapos.apps.web.playback import Story
-from momapos.apps.web.words import answer_words, escaped
+from momapos.apps.web.words import answer_text, escaped
 from momapos.core.geometry.planar import place_points
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.records.outcomes import Tolerance
@@ -18,8 +18,8 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import SceneObject, upright_boxes
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.area import BaseStatus, base_pose_status
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
 
@@ -46,13 +46,13 @@ def test_the_free_area_is_where_the_base_stands_clear(answer: PlacementResult) -
     assert share.max() > 0
 
 
-def test_boxes_are_drawn_by_their_twelve_edges() -> None:
+def test_boxes_are_drawn_with_their_twelve_edges() -> None:
     box = SceneObject.box("crate", (1.0, 2.0, 3.0), (5.0, 0.0, 1.5), yaw=0.3)
     lengths = np.linalg.norm(np.diff(box_edges(upright_boxes([box])), axis=2)[0, :, 0], axis=-1)
     np.testing.assert_allclose(np.sort(lengths), np.repeat([1.0, 2.0, 3.0], 4))
 
 
-def test_a_story_begins_at_the_start_and_ends_as_the_plan_does(answer: PlacementResult) -> None:
+def test_a_motion_begins_at_the_start_and_ends_as_the_plan_does(answer: PlacementResult) -> None:
     plan, robot = answer.plan, answer.prepared.robot
     story = Story.of(plan, robot, answer.prepared.scene)
     first, last = story.at(-1.0), story.at(story.duration + 1.0)
@@ -66,29 +66,29 @@ def test_a_story_begins_at_the_start_and_ends_as_the_plan_does(answer: Placement
     assert last.object_q == {"door_hinge": pytest.approx(plan.motion.object_q[-1])}
 
 
-def test_an_answer_says_where_to_stand(answer: PlacementResult) -> None:
-    words = answer_words(answer)
+def test_the_text_of_an_answer_contains_the_base_pose(answer: PlacementResult) -> None:
+    words = answer_text(answer)
     assert words.startswith("**Solved**")
     assert f"x {answer.plan.base_pose[0]:.3f} m" in words  # type: ignore[index]
 
 
-def test_a_known_tolerance_is_said_and_one_of_nothing_too(answer: PlacementResult) -> None:
-    assert "tolerance" not in answer_words(answer)
+def test_a_measured_tolerance_is_in_the_text_even_if_it_is_zero(answer: PlacementResult) -> None:
+    assert "tolerance" not in answer_text(answer)
     some, none = Tolerance(0.03, np.radians(1.8), 100), Tolerance(0.0, 0.0, 100)
     timing = {**answer.plan.timing, "tolerance": 0.4567}
 
-    def said(found: Tolerance) -> str:
+    def text(found: Tolerance) -> str:
         plan = replace(answer.plan, tolerance=found, timing=timing)
-        return answer_words(replace(answer, plan=plan))
+        return answer_text(replace(answer, plan=plan))
 
-    line = "\n- tolerance: 3 cm beside, 1.8° turned (100 poses tried, 457 ms)"
-    assert line in said(some)
-    assert "- tolerance: none" in said(none)
-    # Its time counts neither in the total nor among the slowest.
-    assert said(some).replace(line, "") == answer_words(answer)
+    line = "\n- tolerance: ±3 cm, ±1.8° (replanned from 100 sampled poses, 457 ms)"
+    assert line in text(some)
+    assert "- tolerance: none" in text(none)
+    # Its time is neither in the total nor among the slowest stages.
+    assert text(some).replace(line, "") == answer_text(answer)
 
 
-def test_the_hull_holds_the_footprint_of_all_poses_of_a_tolerance_and_no_more() -> None:
+def test_the_hull_encloses_tightly_the_footprints_of_all_poses_within_a_tolerance() -> None:
     footprint = np.array([[0.4, -0.3], [0.4, 0.3], [-0.3, 0.3], [-0.3, -0.3]])
     base, found = np.array([1.0, -2.0, 0.7]), Tolerance(0.1, np.radians(6.0), 100)
     hull = covered(footprint, base, found)
@@ -99,17 +99,17 @@ def test_the_hull_holds_the_footprint_of_all_poses_of_a_tolerance_and_no_more() 
     poses = base + unit_offsets(4000, np.random.default_rng(0)) * size
     corners = place_points(poses, footprint).reshape(-1, 2)
     beyond = corners @ outward.T - offset
-    assert beyond.max() < 0.003  # the circle has 48 corners, and 9 yaws are drawn
-    # Each edge of the hull is nearly reached by some pose.
+    assert beyond.max() < 0.003  # the circle has 48 corners, and 9 yaws are sampled
+    # Some pose nearly reaches each edge of the hull.
     assert (beyond.max(0) > -0.012).all()
 
 
-def test_words_from_files_are_no_markup() -> None:
+def test_text_from_files_is_escaped() -> None:
     assert escaped("<img src=x>") == "\\<img src=x\\>"
     assert escaped("a*b_c") == "a\\*b\\_c"
 
 
-def test_a_picked_object_goes_along_with_the_hand_from_when_it_is_held(
+def test_a_picked_object_moves_with_the_hand_after_it_is_grasped(
     robots: Callable[[str], Robot],
 ) -> None:
     scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
@@ -123,8 +123,8 @@ def test_a_picked_object_goes_along_with_the_hand_from_when_it_is_held(
     moved = plan.motion.Ts_world_tool[-1] @ np.linalg.inv(plan.motion.Ts_world_tool[0])
     np.testing.assert_allclose(last.T_world_object, moved @ rest, atol=2e-3)
     assert last.T_world_object[2, 3] > rest[2, 3] + 0.049  # by 5 cm
-    begins = next(t for t in np.arange(0, story.duration, 0.04) if "gripper" in story.at(t).words)
-    np.testing.assert_allclose(story.at(begins).T_world_object, rest, atol=2e-3)  # it is no leap
+    begins = next(t for t in np.arange(0, story.duration, 0.04) if "gripper" in story.at(t).phase)
+    np.testing.assert_allclose(story.at(begins).T_world_object, rest, atol=2e-3)  # it does not jump
 
 
 def test_a_placed_object_is_in_the_hand_until_it_stands_in_its_place(
@@ -140,4 +140,4 @@ def test_a_placed_object_is_in_the_hand_until_it_stands_in_its_place(
     assert np.linalg.norm(T[:3, 3] - rest[:3, 3]) > 0.5
     np.testing.assert_allclose(story.at(story.duration).T_world_object, rest)
     steps = np.array([story.at(t).T_world_object for t in np.arange(0, story.duration, 0.04)])
-    assert np.linalg.norm(np.diff(steps[:, :3, 3], axis=0), axis=1).max() < 0.1  # it is no leap
+    assert np.linalg.norm(np.diff(steps[:, :3, 3], axis=0), axis=1).max() < 0.1  # it does not jump

@@ -1,4 +1,4 @@
-"""What takes long to draw is drawn coarsely where a camera moves and pictures come slowly."""
+"""Slow browsers draw a scan coarsely while the view moves."""
 
 from __future__ import annotations
 
@@ -14,11 +14,21 @@ import pytest
 from viser import ClientHandle, ViserServer
 
 from momapos.apps.web import moving
-from momapos.apps.web.moving import APART, GAPS, REST, SLOW, TOGETHER, TRUST, Look, Moving, Pace
+from momapos.apps.web.moving import (
+    FRAME_GAPS,
+    NEW_MOVEMENT_TIME,
+    REST_TIME,
+    SAME_FRAME_TIME,
+    SLOW_FRAME_TIME,
+    SLOW_FRAMES,
+    BrowserDetail,
+    DetailControl,
+    FrameTimer,
+)
 
 
 class Loop:
-    """A loop whose time is told."""
+    """An event loop with a simulated clock."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -39,7 +49,7 @@ class Loop:
         return Handle()
 
     def go(self, seconds: float) -> None:
-        """Let time go by."""
+        """Advance the clock [s]."""
         self.now += seconds
         due = [entry for entry in self.calls if entry[0] <= self.now]
         self.calls = [entry for entry in self.calls if entry[0] > self.now]
@@ -49,17 +59,17 @@ class Loop:
 
 
 class Browser:
-    """What a browser is told to show, and a camera that can be moved."""
+    """A browser with a movable camera, and a record of what it is told to show."""
 
     def __init__(self) -> None:
         self.loop, self.told, self.wanted = Loop(), [], True  # type: ignore[var-annotated]
-        self.look = Look(self.told.append, lambda: self.wanted)
+        self.detail = BrowserDetail(self.told.append, lambda: self.wanted)
 
-    def move(self, pictures: int, gap: float) -> None:
-        """Move the camera; so many pictures are drawn, so far apart."""
-        for _ in range(pictures):
+    def move(self, frames: int, gap: float) -> None:
+        """Move the camera for some frames with a frame time [s]."""
+        for _ in range(frames):
             self.loop.go(gap)
-            self.look.moved(self.loop.asyncio)
+            self.detail.camera_moved(self.loop.asyncio)
 
 
 @pytest.fixture
@@ -67,7 +77,7 @@ def browser() -> Browser:
     return Browser()
 
 
-def test_a_quick_browser_shows_all_however_long_its_camera_moves(browser: Browser) -> None:
+def test_a_fast_browser_always_shows_all_points(browser: Browser) -> None:
     for gap in (0.004, 0.017, 0.04, 0.1):
         browser.move(200, gap)
     assert browser.told == []
@@ -76,45 +86,45 @@ def test_a_quick_browser_shows_all_however_long_its_camera_moves(browser: Browse
 def test_a_slow_browser_shows_few_points_while_its_camera_moves_and_all_at_rest(
     browser: Browser,
 ) -> None:
-    browser.move(GAPS, 0.3)
-    assert browser.told == []  # it is not known yet
+    browser.move(FRAME_GAPS, 0.3)
+    assert browser.told == []  # not measured yet
     browser.move(1, 0.3)
     assert browser.told == [True]
-    browser.move(100, 0.08)  # it is quicker now
+    browser.move(100, 0.08)  # faster now
     assert browser.told == [True]
-    browser.loop.go(REST + 0.01)
+    browser.loop.go(REST_TIME + 0.01)
     assert browser.told == [True, False]
     browser.loop.go(10.0)
     browser.move(1, 0.0)
-    assert browser.told == [True, False, True]  # at once this time
+    assert browser.told == [True, False, True]  # at once, as it is known to be slow
 
 
 def test_a_slow_browser_shows_few_points_while_something_else_moves(browser: Browser) -> None:
     loop = browser.loop
-    browser.look.stirred(loop.asyncio)
-    assert browser.told == []  # nobody knows that it is slow
-    browser.move(GAPS + 1, 0.3)
-    loop.go(REST + 1.0)
+    browser.detail.scene_moved(loop.asyncio)
+    assert browser.told == []  # not known to be slow
+    browser.move(FRAME_GAPS + 1, 0.3)
+    loop.go(REST_TIME + 1.0)
     assert browser.told == [True, False]
     for _ in range(50):
         loop.go(0.04)
-        browser.look.stirred(loop.asyncio)
+        browser.detail.scene_moved(loop.asyncio)
     assert browser.told == [True, False, True]
-    loop.go(2 * REST)
+    loop.go(2 * REST_TIME)
     assert browser.told == [True, False, True, False]
 
 
-def test_a_browser_is_found_slow_anew_after_a_while(browser: Browser) -> None:
-    browser.move(GAPS + 1, 0.2)
-    browser.loop.go(TRUST * 0.2 + 1.0)
+def test_a_slow_browser_is_measured_again_after_a_while(browser: Browser) -> None:
+    browser.move(FRAME_GAPS + 1, 0.2)
+    browser.loop.go(SLOW_FRAMES * 0.2 + 1.0)
     assert browser.told == [True, False]
     browser.move(100, 0.02)
     assert browser.told == [True, False]
-    browser.move(GAPS + 1, 0.2)
+    browser.move(FRAME_GAPS + 1, 0.2)
     assert browser.told == [True, False, True]
 
 
-def test_a_camera_does_not_rest_between_two_slow_pictures(browser: Browser) -> None:
+def test_a_camera_does_not_rest_between_two_slow_frames(browser: Browser) -> None:
     browser.move(20, 1.5)
     assert browser.told == [True]
     browser.loop.go(2.9)
@@ -123,25 +133,25 @@ def test_a_camera_does_not_rest_between_two_slow_pictures(browser: Browser) -> N
     assert browser.told == [True, False]
 
 
-def test_a_pause_of_the_hand_is_no_slow_picture(browser: Browser) -> None:
+def test_a_pause_of_the_hand_is_not_a_slow_frame(browser: Browser) -> None:
     for pause in (0.5, 2.0, 20.0):
         for _ in range(20):
             browser.move(6, 0.02)
             browser.loop.go(pause)
     assert browser.told == []
-    for _ in range(20):  # nor is a camera that is set now and then
-        browser.move(1, APART + 1.0)
+    for _ in range(20):  # nor is a camera that moves once in a while
+        browser.move(1, NEW_MOVEMENT_TIME + 1.0)
     assert browser.told == []
 
 
-def test_what_is_told_twice_of_a_picture_does_not_make_a_browser_quick(browser: Browser) -> None:
-    for _ in range(GAPS + 1):
-        browser.move(1, 2 * SLOW)
-        browser.move(1, TOGETHER / 2)
+def test_two_messages_in_one_frame_do_not_make_a_browser_fast(browser: Browser) -> None:
+    for _ in range(FRAME_GAPS + 1):
+        browser.move(1, 2 * SLOW_FRAME_TIME)
+        browser.move(1, SAME_FRAME_TIME / 2)
     assert browser.told == [True]
 
 
-def test_where_there_is_nothing_to_be_drawn_coarsely_nothing_is_told(browser: Browser) -> None:
+def test_nothing_is_sent_if_there_is_nothing_to_draw_coarsely(browser: Browser) -> None:
     browser.wanted = False
     browser.move(30, 0.5)
     assert browser.told == []
@@ -150,20 +160,20 @@ def test_where_there_is_nothing_to_be_drawn_coarsely_nothing_is_told(browser: Br
     assert browser.told == [True]
     browser.wanted = False
     browser.loop.go(2.0)
-    assert browser.told == [True, False]  # what was hidden is shown again
+    assert browser.told == [True, False]  # hidden points are shown again
 
 
-def test_a_browser_that_has_gone_is_told_nothing(browser: Browser) -> None:
+def test_nothing_is_sent_to_a_disconnected_browser(browser: Browser) -> None:
     browser.move(10, 0.5)
-    browser.look.close()
+    browser.detail.close()
     browser.loop.go(10.0)
     assert browser.told == [True]
 
 
-def test_only_the_browser_whose_camera_moves_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(moving, "SLOW", -1.0)
-    monkeypatch.setattr(moving, "TOGETHER", 0.0)
-    monkeypatch.setattr(moving, "REST", 0.0)
+def test_only_the_browser_whose_camera_moves_is_switched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(moving, "SLOW_FRAME_TIME", -1.0)
+    monkeypatch.setattr(moving, "SAME_FRAME_TIME", 0.0)
+    monkeypatch.setattr(moving, "REST_TIME", 0.0)
     came: list[Any] = []
     went: list[Any] = []
     loop = asyncio.new_event_loop()
@@ -171,7 +181,7 @@ def test_only_the_browser_whose_camera_moves_is_told(monkeypatch: pytest.MonkeyP
         ViserServer, on_client_connect=came.append, on_client_disconnect=went.append,
         get_event_loop=lambda: loop,
     )  # fmt: skip
-    Moving(server, fine="/fine", coarse="/coarse", wanted=lambda: True)
+    DetailControl(server, fine="/fine", coarse="/coarse", wanted=lambda: True)
 
     def client(number: int) -> Any:
         told: asyncio.Queue[Any] = asyncio.Queue()
@@ -186,7 +196,7 @@ def test_only_the_browser_whose_camera_moves_is_told(monkeypatch: pytest.MonkeyP
         one, other = client(1), client(2)
         for each in (one, other):
             await came[0](each)
-        for _ in range(GAPS + 1):
+        for _ in range(FRAME_GAPS + 1):
             await one.cameras[0](None)
         messages = [await asyncio.wait_for(one.told.get(), 60.0) for _ in range(4)]
         assert [(m.name, m.visible, m.owner) for m in messages] == [
@@ -200,10 +210,10 @@ def test_only_the_browser_whose_camera_moves_is_told(monkeypatch: pytest.MonkeyP
     loop.close()
 
 
-def test_the_time_between_pictures_is_the_shortest_of_the_last() -> None:
-    pace, rng = Pace(), np.random.default_rng(0)
-    gaps = rng.uniform(2 * TOGETHER, 2 * SLOW, 200)
+def test_the_frame_time_is_the_shortest_of_the_last_intervals() -> None:
+    timer, rng = FrameTimer(), np.random.default_rng(0)
+    gaps = rng.uniform(2 * SAME_FRAME_TIME, 2 * SLOW_FRAME_TIME, 200)
     for k, now in enumerate(np.cumsum(gaps)):
-        pace.moved(float(now))
-        if k >= GAPS:
-            assert pace.gap == pytest.approx(gaps[k - GAPS + 1 : k + 1].min())
+        timer.camera_moved(float(now))
+        if k >= FRAME_GAPS:
+            assert timer.gap == pytest.approx(gaps[k - FRAME_GAPS + 1 : k + 1].min())

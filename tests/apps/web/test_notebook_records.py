@@ -1,4 +1,4 @@
-"""In the kernel of a notebook scenes, plans and maps are pictures, and a plan plays."""
+"""In a notebook kernel, scenes, plans and maps are images, and a plan plays."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ CELLS = (
 )
 
 
-def test_records_show_themselves_in_a_kernel() -> None:
+def test_records_display_themselves_in_a_kernel() -> None:
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(one) for one in CELLS])
     NotebookClient(book, timeout=300).execute()
-    first, *pictures, played = (cell.outputs for cell in book.cells)
+    first, *images, played = (cell.outputs for cell in book.cells)
     assert first == []
-    for (shown,) in pictures:
+    for (shown,) in images:
         assert shown.output_type == "execute_result"
         assert len(shown.data["image/png"]) > 10_000
     data: dict[str, Any] = played[0].data

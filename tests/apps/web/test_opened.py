@@ -1,4 +1,4 @@
-"""What the page is opened with is shown: what a run did, what a scan holds."""
+"""The page shows the plan, run or scan that it is opened with."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import pytest
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.view_sources import kind_of, source_in
-from momapos.apps.web.opened import Opened, far_text
+from momapos.apps.web.opened import Opened, quantity_text
 from momapos.apps.web.run_story import RunStory
 from momapos.apps.web.static import page_of
-from momapos.apps.web.words import run_words
+from momapos.apps.web.words import run_text
 from momapos.core.errors import InputError
 from momapos.core.units import parse_quantity
 from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.run_motion import RunMotion
 from momapos.simulation.run_record import Execution, Load, RunRecord, write_run
 
@@ -38,7 +38,7 @@ RECORD = RunRecord(
 )  # fmt: skip
 
 
-def test_a_run_is_shown_as_physics_did_it(robots: Callable[[str], Robot]) -> None:
+def test_a_run_is_shown_as_recorded(robots: Callable[[str], Robot]) -> None:
     story = RunStory.of(RECORD, robots("segway_ur5e"))
     assert story.duration == 3.0
     np.testing.assert_allclose(story.at(-1.0).base, MOTION.bases[0])
@@ -49,14 +49,14 @@ def test_a_run_is_shown_as_physics_did_it(robots: Callable[[str], Robot]) -> Non
     np.testing.assert_allclose(between.base, [1.0, 1.0, -3.0])
     assert between.joints["elbow_joint"] == pytest.approx(2.0)
     assert between.object_q == {"door_hinge": pytest.approx(0.75)}
-    yaw = story.at(0.5).base[2]  # the short way round
+    yaw = story.at(0.5).base[2]  # across the shorter angle
     assert np.cos(yaw) == pytest.approx(-1.0, abs=1e-6)
     now = story.at(1.0)
     assert now.force is not None
-    assert (now.words, now.force.tolist()) == ("manipulate", [0.0, 30.0, 0.0])
+    assert (now.phase, now.force.tolist()) == ("manipulate", [0.0, 30.0, 0.0])
 
 
-def test_a_loose_object_goes_along(robots: Callable[[str], Robot]) -> None:
+def test_a_movable_object_moves_along(robots: Callable[[str], Robot]) -> None:
     poses = ((0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0),
              (0.5, 0.0, 1.2, 0.0, 0.0, 0.0, 1.0))  # fmt: skip
     motion = replace(MOTION, part=(), poses=poses)
@@ -72,21 +72,21 @@ def test_a_loose_object_goes_along(robots: Callable[[str], Robot]) -> None:
 def test_a_record_without_motion_or_of_another_robot_is_refused(
     robots: Callable[[str], Robot],
 ) -> None:
-    with pytest.raises(InputError, match="does not say what moved"):
+    with pytest.raises(InputError, match="run record contains no motion"):
         RunStory.of(replace(RECORD, motion=None), robots("segway_ur5e"))
     with pytest.raises(InputError, match="elbow_joint"):
         RunStory.of(RECORD, robots("fetch"))
 
 
-def test_a_run_ends_in_words() -> None:
-    words = run_words(RECORD)
-    assert words.startswith("**Done**")
-    assert "31 N at most" in words
+def test_a_run_is_described_in_text() -> None:
+    words = run_text(RECORD)
+    assert words.startswith("**Succeeded**")
+    assert "at most 31 N" in words
     failed = replace(RECORD, execution=replace(DONE, success=False, reason="the hold *broke*"))
-    assert "because the hold \\*broke\\*" in run_words(failed)
+    assert "reason: the hold \\*broke\\*" in run_text(failed)
 
 
-def test_sources_are_known_by_what_they_hold(tmp_path: Path) -> None:
+def test_sources_are_recognized_by_their_content(tmp_path: Path) -> None:
     held = {
         "a.json": (b'{"format": "momapos-plan", "version": 1}', "plan"),
         "b.json": (b'{"format": "momapos-run", "version": 1}', "run"),
@@ -101,16 +101,16 @@ def test_sources_are_known_by_what_they_hold(tmp_path: Path) -> None:
     assert kind_of("kitchen_small") == "scene"
 
 
-def test_a_record_that_cannot_be_shown_is_told_in_one_line(
+def test_an_unusable_record_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_run(replace(RECORD, motion=None), tmp_path / "old.json")
     write_run(replace(RECORD, plan="gone.json"), tmp_path / "run.json")
     (tmp_path / "no_scan").mkdir()
     for name, words in (
-        ("old.json", "does not say what moved"),
+        ("old.json", "the record has no motion"),
         ("run.json", "gone.json"),
-        ("no_scan", "is no scan"),
+        ("no_scan", "not a scan"),
     ):
         assert main(["view", str(tmp_path / name), "--port", "0"]) == 2
         shown = capsys.readouterr().err
@@ -118,7 +118,7 @@ def test_a_record_that_cannot_be_shown_is_told_in_one_line(
         assert shown.count("\n") == 1
 
 
-def test_a_folder_of_solve_is_shown_by_its_run_else_by_its_plan(tmp_path: Path) -> None:
+def test_a_solve_folder_is_shown_by_its_run_or_else_by_its_plan(tmp_path: Path) -> None:
     assert source_in(str(tmp_path)) == str(tmp_path)
     (tmp_path / "plan.json").touch()
     assert source_in(str(tmp_path)) == str(tmp_path / "plan.json")
@@ -126,7 +126,7 @@ def test_a_folder_of_solve_is_shown_by_its_run_else_by_its_plan(tmp_path: Path) 
     assert source_in(str(tmp_path)) == str(tmp_path / "run.json")
 
 
-def test_a_run_in_a_world_of_its_own_is_written_as_a_page_of_that_world(
+def test_a_page_of_a_run_in_another_world_shows_that_world(
     robots: Callable[[str], Robot],
 ) -> None:
     scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
@@ -142,7 +142,7 @@ def test_a_run_in_a_world_of_its_own_is_written_as_a_page_of_that_world(
 
 
 @pytest.mark.parametrize("to", [np.pi / 2, np.pi / 3, 1.2345678901234567, -0.1])
-def test_how_far_is_typed_so_that_it_is_read_the_same(to: float) -> None:
-    assert parse_quantity(far_text(to, slides=False)).value == pytest.approx(to, rel=1e-12)
-    assert far_text(np.pi / 2, slides=False) == "90deg"
-    assert far_text(0.25, slides=True) == "0.25m"
+def test_a_formatted_joint_value_is_parsed_to_the_same_value(to: float) -> None:
+    assert parse_quantity(quantity_text(to, slides=False)).value == pytest.approx(to, rel=1e-12)
+    assert quantity_text(np.pi / 2, slides=False) == "90deg"
+    assert quantity_text(0.25, slides=True) == "0.25m"

@@ -1,4 +1,4 @@
-"""A page of somebody else's, open in the same browser, does not reach ours."""
+"""Other websites in the same browser cannot connect to the page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def port() -> Iterator[int]:
 
 
 def refused(port: int, origin: str | None, host: str | None = None) -> bool:
-    """Whether a websocket of a page with an origin is refused."""
+    """Return whether a websocket with an origin is refused."""
     own = None if origin is None else Origin(origin)
     try:
         with connect(
@@ -45,22 +45,22 @@ def _socket(port: int) -> object:
     return socket.create_connection(("127.0.0.1", port))
 
 
-def test_another_page_in_the_same_browser_is_refused(port: int) -> None:
+def test_another_website_in_the_same_browser_is_refused(port: int) -> None:
     assert refused(port, "http://evil.example")
-    assert refused(port, "null")  # a page from a file, or in a sandbox
+    assert refused(port, "null")  # a file, or a sandboxed page
     assert refused(port, f"http://127.0.0.1:{port + 1}")
 
 
-def test_the_own_page_and_programs_that_are_no_browsers_are_served(port: int) -> None:
+def test_our_page_and_programs_without_an_origin_are_served(port: int) -> None:
     assert not refused(port, f"http://127.0.0.1:{port}")
     assert not refused(port, None)
 
 
-def test_a_name_that_was_bent_to_the_loopback_address_is_refused(port: int) -> None:
+def test_dns_rebinding_to_the_loopback_address_is_refused(port: int) -> None:
     assert refused(port, f"http://evil.example:{port}", host="evil.example")
 
 
-def test_viser_is_left_as_it_was() -> None:
+def test_viser_is_not_left_patched() -> None:
     before = sockets.serve
     open_server("127.0.0.1", 0).stop()
     assert sockets.serve is before
@@ -78,7 +78,7 @@ def test_viser_is_left_as_it_was() -> None:
         ("[", "http://[", False, False),
     ],
 )
-def test_a_page_is_served_by_the_name_it_was_asked_for(
+def test_a_request_is_served_if_its_origin_is_the_requested_host(
     host: str, origin: str, loopback: bool, served: bool
 ) -> None:
     headers = Headers([("Host", host), ("Origin", origin)])

@@ -1,4 +1,4 @@
-"""The room is drawn in few nodes, and of what stays as it is nothing is drawn again."""
+"""The room is drawn in few nodes, and unchanged objects are not drawn again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import trimesh
 from viser import SceneApi
 
 from momapos.apps.web.bodies import Surface
-from momapos.apps.web.crowd import MOST_TRIANGLES, Part, batched, thing_hit
+from momapos.apps.web.crowd import MAX_TRIANGLES, ColoredSurface, batched, object_hit
 from momapos.apps.web.room_view import RoomView
 from momapos.apps.web.serve import open_server
 from momapos.model.scene.scene import Scene, SceneObject
@@ -51,24 +51,26 @@ def crates(count: int) -> tuple[SceneObject, ...]:
 HALL = Scene("hall", (*KITCHEN.objects, *crates(1000)))
 
 
-def crowd(room: RoomView) -> set[str]:
-    """The objects that are seen in the nodes of many."""
-    return {part.thing for parts, node in room._crowd._drawn if node is not None for part in parts}
+def batched_objects(room: RoomView) -> set[str]:
+    """Return the objects that are drawn in shared nodes."""
+    return {
+        part.object for parts, node in room._batches._drawn if node is not None for part in parts
+    }
 
 
-def test_a_thousand_things_are_few_nodes(room: RoomView) -> None:
+def test_a_thousand_objects_are_few_nodes(room: RoomView) -> None:
     room.show(HALL, "fridge")
-    assert len(room._crowd.nodes) < 30
+    assert len(room._batches.nodes) < 30
     assert {name for name, nodes in room._nodes.items() if nodes} == {" floor", "fridge"}
-    assert crowd(room) == {item.name for item in HALL.objects} - {"fridge"}
-    drawn = sum(len(node.faces) for node in room._crowd.nodes)
-    parts = [part for item in HALL.objects for part in room._standing[item.name]]
-    assert drawn == sum(len(part.surface.faces) for part in parts if part.thing != "fridge")
-    assert all(len(node.faces) <= MOST_TRIANGLES for node in room._crowd.nodes)
+    assert batched_objects(room) == {item.name for item in HALL.objects} - {"fridge"}
+    drawn = sum(len(node.faces) for node in room._batches.nodes)
+    parts = [part for item in HALL.objects for part in room._batched[item.name]]
+    assert drawn == sum(len(part.surface.faces) for part in parts if part.object != "fridge")
+    assert all(len(node.faces) <= MAX_TRIANGLES for node in room._batches.nodes)
 
 
 @pytest.mark.parametrize(("checked", "hulls"), [("box", 12), ("ball", 1280)])
-def test_in_a_large_room_a_thing_of_many_triangles_is_drawn_as_what_has_few(
+def test_a_complex_object_in_a_large_room_is_drawn_with_few_triangles(
     room: RoomView, tmp_path: Path, checked: str, hulls: int
 ) -> None:
     shapes = {"box": '<box size="1 1 1"/>', "ball": '<mesh filename="ball.obj"/>'}
@@ -82,65 +84,71 @@ def test_in_a_large_room_a_thing_of_many_triangles_is_drawn_as_what_has_few(
     scene = Scene("hall", (*HALL.objects, ball))
 
     def triangles() -> int:
-        return sum(len(part.surface.faces) for part in room._standing["ball"])
+        return sum(len(part.surface.faces) for part in room._batched["ball"])
 
     room.show(scene, "fridge")
     assert triangles() == 12
-    corners = room._standing["ball"][0].surface.vertices
+    corners = room._batched["ball"][0].surface.vertices
     np.testing.assert_allclose(np.stack([corners.min(0), corners.max(0)]), ball.bounds, atol=1e-3)
     room.show(scene, "fridge", collision=True)
-    assert triangles() == hulls  # as it is checked, whatever that costs
+    assert triangles() == hulls  # collision shapes are always complete
     room.show(scene, "ball", collision=False)
-    assert sum(len(node.faces) for node in room._nodes["ball"]) == 1280  # it is asked about
+    assert (
+        sum(len(node.faces) for node in room._nodes["ball"]) == 1280
+    )  # the active object is complete
 
 
-def test_what_has_many_triangles_is_drawn_by_itself() -> None:
-    def part(name: str, count: int, color: int = 0) -> Part:
-        return Part(name, Surface(np.eye(3), np.tile([0, 1, 2], (count, 1))), (color, 0, 0))
+def test_a_surface_with_many_triangles_has_its_own_node() -> None:
+    def part(name: str, count: int, color: int = 0) -> ColoredSurface:
+        return ColoredSurface(
+            name, Surface(np.eye(3), np.tile([0, 1, 2], (count, 1))), (color, 0, 0)
+        )
 
-    small, large, other = part("small", 10), part("large", MOST_TRIANGLES + 1), part("other", 1, 9)
+    small, large, other = part("small", 10), part("large", MAX_TRIANGLES + 1), part("other", 1, 9)
     assert batched([small, large, small, other]) == [[small], [large], [small], [other]]
-    half = part("half", MOST_TRIANGLES // 2)
+    half = part("half", MAX_TRIANGLES // 2)
     assert batched([half, other, half, half]) == [[half, half], [half], [other]]
     assert batched([]) == []
 
 
-def test_in_a_large_room_another_active_object_leaves_most_alone(room: RoomView) -> None:
+def test_a_new_active_object_in_a_large_room_leaves_most_nodes_unchanged(room: RoomView) -> None:
     room.show(HALL, "crate_7")
-    before = room._crowd.nodes
+    before = room._batches.nodes
     room.show(HALL, "crate_8")
-    assert "crate_7" in crowd(room)
-    assert "crate_8" not in crowd(room)
-    assert sum(one is not other for one, other in zip(before, room._crowd.nodes, strict=True)) == 1
+    assert "crate_7" in batched_objects(room)
+    assert "crate_8" not in batched_objects(room)
+    assert (
+        sum(one is not other for one, other in zip(before, room._batches.nodes, strict=True)) == 1
+    )
     room.show(KITCHEN, "fridge")
-    assert room._crowd.nodes == ()
+    assert room._batches.nodes == ()
     assert all(room._nodes[item.name] for item in KITCHEN.objects)
 
 
-def test_a_click_in_a_large_room_is_one_on_the_first_thing_in_its_way(
+def test_a_click_in_a_large_room_picks_the_first_object_on_its_ray(
     room: RoomView, picked: list[str]
 ) -> None:
     room.show(HALL, "crate_45")
     rng = np.random.default_rng(0)
     for x, y in rng.integers([6, 0], [40, 25], (20, 2)).tolist():
         down = SimpleNamespace(ray_origin=(x, y, 5.0), ray_direction=(0.0, 0.0, -1.0))
-        room._crowd._clicked(down)
+        room._batches._clicked(down)
         assert picked.pop() == f"crate_{40 * y + x}"
         along = SimpleNamespace(ray_origin=(x, -50.0, 0.5), ray_direction=(0.0, 1.0, 0.0))
-        room._crowd._clicked(along)
+        room._batches._clicked(along)
         assert picked.pop() == f"crate_{x}"
     up = SimpleNamespace(ray_origin=(0.3, -20.0, 0.6), ray_direction=(0.0, 0.0, 1.0))
-    room._crowd._clicked(up)
-    # What is asked about already hides what is behind it.
+    room._batches._clicked(up)
+    # The active object hides those behind it.
     active = SimpleNamespace(ray_origin=(5.0, 1.0, 5.0), ray_direction=(0.0, 0.0, -1.0))
-    room._crowd._clicked(active)
+    room._batches._clicked(active)
     assert picked == []
 
 
-def test_a_ray_meets_what_is_nearest_of_all_that_it_crosses() -> None:
+def test_a_ray_hits_the_nearest_object() -> None:
     rng = np.random.default_rng(1)
     parts = [
-        Part(item.name, Surface(*_soup(rng)), (0, 0, 0)) for item in crates(30)
+        ColoredSurface(item.name, Surface(*_soup(rng)), (0, 0, 0)) for item in crates(30)
     ]  # fmt: skip
     for _ in range(200):
         origin, direction = rng.uniform(-3, 3, 3), rng.normal(size=3)
@@ -148,19 +156,19 @@ def test_a_ray_meets_what_is_nearest_of_all_that_it_crosses() -> None:
         for part in parts:
             for a, b, c in part.surface.vertices[part.surface.faces]:
                 m = np.stack([b - a, c - a, -direction], 1)
-                if np.linalg.det(m) > 1e-12:  # it is seen from its front
+                if np.linalg.det(m) > 1e-12:  # front side
                     u, v, t = np.linalg.solve(m, origin - a)
                     if min(u, v, t) >= 0 and u + v <= 1 and t < best:
-                        best, name = t, part.thing
-        assert thing_hit(parts, origin, direction) == name
+                        best, name = t, part.object
+        assert object_hit(parts, origin, direction) == name
 
 
 def _soup(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles here and there."""
+    """Return random triangles."""
     return rng.uniform(-1, 1, (12, 3)) + rng.uniform(-3, 3, 3), np.arange(12).reshape(4, 3)
 
 
-def test_another_active_object_leaves_all_others_alone(room: RoomView) -> None:
+def test_a_new_active_object_redraws_only_itself_and_the_last_one(room: RoomView) -> None:
     room.show(KITCHEN, "fridge")
     before = dict(room._nodes)
     room.show(KITCHEN, "oven")
@@ -169,13 +177,12 @@ def test_another_active_object_leaves_all_others_alone(room: RoomView) -> None:
     assert {key.partition("|")[0] for key in room._links} <= set(KITCHEN.object("oven").model.links)
 
 
-def test_a_room_in_which_one_drawer_is_open_is_drawn_anew_in_this_alone(room: RoomView) -> None:
+def test_a_room_with_another_drawer_state_redraws_only_that_cabinet(room: RoomView) -> None:
     room.show(KITCHEN, "fridge")
     before = dict(room._nodes)
     room.show(KITCHEN.with_joint(*DRAWER, 0.3), "fridge")
     again = {name for name, nodes in room._nodes.items() if nodes is not before[name]}
-    assert again == {DRAWER[0], " floor"}
-    # Where the room ends is not known of every scene, so that the floor may be another.
+    assert again == {DRAWER[0], " floor"}  # the outline of the floor may depend on the objects
 
 
 def test_an_open_door_stays_open_when_its_collision_shapes_are_drawn(room: RoomView) -> None:
@@ -183,19 +190,19 @@ def test_an_open_door_stays_open_when_its_collision_shapes_are_drawn(room: RoomV
         return np.array([[*node.position, *node.wxyz] for node in room._links.values()])
 
     room.show(KITCHEN, "fridge")
-    shut = doors()
+    closed = doors()
     room.move({"door_hinge": 1.0})
     opened = doors()
-    assert np.abs(opened - shut).max() > 0.3
+    assert np.abs(opened - closed).max() > 0.3
     room.show(KITCHEN, "fridge", collision=True)
     room.show(KITCHEN, "fridge", collision=False)
     np.testing.assert_allclose(doors(), opened)
     room.show(KITCHEN, "oven")
     room.show(KITCHEN, "fridge")
-    np.testing.assert_allclose(doors(), shut)
+    np.testing.assert_allclose(doors(), closed)
 
 
-def test_a_loose_thing_follows_a_drawer_as_what_is_asked_about(room: RoomView) -> None:
+def test_a_movable_object_can_be_active_after_a_drawer(room: RoomView) -> None:
     room.show(KITCHEN, DRAWER[0])
     room.show(KITCHEN, "cup")
     T = np.eye(4)

@@ -1,4 +1,4 @@
-"""The page is served on this machine alone, and says in one line why it is not served."""
+"""The page is served on this machine only, and errors are reported in one line."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.apps.web.pages import serve
 from viser import _messages as messages
 from viser.infra import ClientId
 
 from momapos.apps.cli.main import main
 from momapos.apps.web.page import Page
 from momapos.apps.web.playback import Player
-from momapos.apps.web.question import VERBS, Machines, targets
-from momapos.apps.web.serve import check_free, open_server, quiet, served
+from momapos.apps.web.question import VERBS, RobotLoader, targets
+from momapos.apps.web.serve import check_free, open_server, quiet
 from momapos.apps.web.static import check_page
 from momapos.core.cache import user_cache
 from momapos.core.errors import InputError
@@ -35,25 +36,25 @@ def busy_port() -> Iterator[int]:
         yield taken.getsockname()[1]
 
 
-def test_a_port_in_use_is_told_in_one_line(
+def test_a_port_in_use_is_reported_in_one_line(
     busy_port: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["view", "--port", str(busy_port)]) == 2
     assert (
         capsys.readouterr()
         .err.strip()
-        .endswith(f"--port {busy_port} is in use; give another one, or 0 for any that is free")
+        .endswith(f"port {busy_port} is in use; choose another one, or 0 for a free one")
     )
 
 
 @pytest.mark.parametrize(("host", "port"), [("no.such.host.invalid", 0), ("127.0.0.1", 70000)])
-def test_an_address_that_is_none_is_refused(host: str, port: int) -> None:
+def test_an_invalid_address_is_refused(host: str, port: int) -> None:
     with pytest.raises(InputError):
         check_free(host, port)
 
 
-def test_an_address_of_another_machine_is_told_as_one() -> None:
-    with pytest.raises(InputError, match=r"--host 192\.0\.2\.1: is no address of this machine"):
+def test_an_address_of_another_machine_is_reported() -> None:
+    with pytest.raises(InputError, match=r"host 192\.0\.2\.1: not an address of this machine"):
         check_free("192.0.2.1", 0)
 
 
@@ -66,7 +67,7 @@ def test_a_server_opens_no_tunnel_to_the_outside() -> None:
         server.stop()
 
 
-def test_files_that_no_control_asks_for_are_not_kept() -> None:
+def test_uploads_are_refused() -> None:
     server = open_server("127.0.0.1", 0)
     gui = server.gui
     start = messages.FileTransferStartUpload(
@@ -80,37 +81,34 @@ def test_files_that_no_control_asks_for_are_not_kept() -> None:
         server.stop()
 
 
-def test_a_page_is_written_for_a_plan_only(
+def test_a_page_is_written_only_for_a_plan(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["view", "kitchen_small", "--static", str(tmp_path / "page.html")]) == 2
-    assert "--static shows a plan" in capsys.readouterr().err
-    with pytest.raises(InputError, match="a page ends in"):
+    assert "--static needs a plan" in capsys.readouterr().err
+    with pytest.raises(InputError, match="unsupported page format"):
         check_page(tmp_path / "page.png")
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    """A page that nobody looks at; its scenes are a good one and a damaged one."""
+    """A page without browsers, with a valid and a damaged scene."""
     folder = tmp_path_factory.mktemp("page")
     damaged = folder / "damaged.json"
     damaged.write_text('{"format": "momapos-scene", "version": 1, "name": "x", "objects": [{}]}')
-    with served(
-        host="127.0.0.1", port=0, scenes=("kitchen_small", str(damaged)), robots=("segway_ur5e",),
-        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(), folder=folder,
-    ) as (page, _):  # fmt: skip
+    with serve(folder, str(damaged)) as (page, _):
         assert page.work.wait(LONG)
         yield page
 
 
-def test_a_scene_that_cannot_be_loaded_is_told_on_page_and_terminal_which_go_on(
+def test_a_damaged_scene_is_reported_on_page_and_terminal_and_the_page_survives(
     page: Page, caplog: pytest.LogCaptureFixture
 ) -> None:
     good, damaged = page.panel.scene.options
     page.panel.scene.value = damaged
     page.change()
     assert page.work.wait(LONG)
-    assert "cannot be done" in page.panel.result.content
+    assert "**Error:**" in page.panel.result.content
     assert "damaged" in page.panel.result.content
     (line,) = caplog.messages
     assert line.startswith(f"momapos: {damaged}")
@@ -121,7 +119,7 @@ def test_a_scene_that_cannot_be_loaded_is_told_on_page_and_terminal_which_go_on(
     assert "Press **Place**" in page.panel.result.content
 
 
-def test_a_question_that_makes_no_sense_is_told_on_the_page(page: Page) -> None:
+def test_an_invalid_task_is_reported_on_the_page(page: Page) -> None:
     page.panel.to.value = "400deg"
     page.place()
     assert page.work.wait(LONG)
@@ -129,7 +127,7 @@ def test_a_question_that_makes_no_sense_is_told_on_the_page(page: Page) -> None:
     page.panel.to.value = ""
 
 
-def test_when_nobody_looks_any_more_work_ends(page: Page) -> None:
+def test_work_is_canceled_without_browsers(page: Page) -> None:
     begun = threading.Event()
 
     def endless(clock: Callable[[], float]) -> None:
@@ -139,7 +137,7 @@ def test_when_nobody_looks_any_more_work_ends(page: Page) -> None:
 
     page.work.put(endless)
     assert begun.wait(LONG)
-    page.browsers._alone()
+    page.browsers._on_empty()
     assert page.work.wait(LONG)
 
 
@@ -154,7 +152,7 @@ def test_an_answer_stays_with_its_question(page: Page) -> None:
     assert page.panel.target.value == "oven/door_hinge"
 
 
-def test_every_verb_has_something_to_be_about() -> None:
+def test_every_verb_has_targets() -> None:
     scene = load_scene("kitchen_small")
     for verb in VERBS:
         assert targets(scene, verb)
@@ -162,7 +160,7 @@ def test_every_verb_has_something_to_be_about() -> None:
     assert "wall_back" not in targets(scene, "pick")
 
 
-def test_a_player_stops_at_the_end_and_begins_anew() -> None:
+def test_a_player_stops_at_the_end_and_plays_again_from_the_beginning() -> None:
     shown: list[float] = []
     ended = threading.Event()
 
@@ -184,9 +182,9 @@ def test_a_player_stops_at_the_end_and_begins_anew() -> None:
     assert player.now == pytest.approx(0.2)
 
 
-def test_a_robot_that_is_chosen_again_is_not_loaded_again() -> None:
-    machines = Machines(user_cache())
+def test_a_robot_is_loaded_once() -> None:
+    loader = RobotLoader(user_cache())
     told: list[str] = []
-    first = machines.load("segway_ur5e", "any", time.perf_counter, told.append)
-    machines.load("fetch", "any", time.perf_counter, told.append)
-    assert machines.load("segway_ur5e", "any", time.perf_counter, told.append) is first
+    first = loader.load("segway_ur5e", "any", time.perf_counter, told.append)
+    loader.load("fetch", "any", time.perf_counter, told.append)
+    assert loader.load("segway_ur5e", "any", time.perf_counter, told.append) is first

@@ -1,4 +1,4 @@
-"""What a page set last all pages show, whichever messages met on the way."""
+"""All browsers show the last value that one of them has set."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from momapos.apps.web.serve import open_server
-from momapos.apps.web.settled import Settled, tell_pose, tell_value
+from momapos.apps.web.settled import Resender, send_pose, send_value
 
 LONG = 20.0
 
@@ -18,7 +18,7 @@ def control(uuid: str) -> Any:
     return SimpleNamespace(_impl=SimpleNamespace(uuid=uuid))
 
 
-def test_of_many_changes_the_last_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_changes_are_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     both = threading.Event()
 
@@ -27,19 +27,19 @@ def test_of_many_changes_the_last_is_told_once(monkeypatch: pytest.MonkeyPatch) 
         if len(set(told)) == 2:
             both.set()
 
-    monkeypatch.setattr("momapos.apps.web.settled.tell_value", tell)
-    settled = Settled(wait=0.3)
+    monkeypatch.setattr("momapos.apps.web.settled.send_value", tell)
+    resender = Resender(wait=0.3)
     for _ in range(5):
-        settled.control(control("a"))
-    settled.control(control("b"))
+        resender.control(control("a"))
+    resender.control(control("b"))
     assert both.wait(LONG)
     assert sorted(told) == ["a", "b"]
-    settled.close()
-    settled.control(control("c"))
-    assert settled._timers == {}
+    resender.close()
+    resender.control(control("c"))
+    assert resender._timers == {}
 
 
-def test_all_pages_are_told_what_the_server_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_value_of_the_server_is_sent_to_all_browsers(monkeypatch: pytest.MonkeyPatch) -> None:
     server = open_server("127.0.0.1", 0)
     try:
         box = server.gui.add_checkbox("box", True)
@@ -47,10 +47,10 @@ def test_all_pages_are_told_what_the_server_knows(monkeypatch: pytest.MonkeyPatc
         sent: list[Any] = []
         monkeypatch.setattr(server.gui._websock_interface, "queue_message", sent.append)
         monkeypatch.setattr(server.scene, "_queue_scene_message", sent.append)
-        box.value = True  # viser says nothing, for nothing has changed
+        box.value = True  # viser sends nothing without a change
         assert sent == []
-        tell_value(box)
-        tell_pose(node)
+        send_value(box)
+        send_pose(node)
         update, position, turn = sent
         assert update.updates == {"value": True}
         assert position.position == (1.0, 2.0, 3.0)
@@ -60,8 +60,8 @@ def test_all_pages_are_told_what_the_server_knows(monkeypatch: pytest.MonkeyPatc
         node.remove()
         monkeypatch.setattr(server.gui._websock_interface, "queue_message", sent.append)
         monkeypatch.setattr(server.scene, "_queue_scene_message", sent.append)
-        tell_value(box)
-        tell_pose(node)
+        send_value(box)
+        send_pose(node)
         assert len(sent) == 3
     finally:
         server.stop()

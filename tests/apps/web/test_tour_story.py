@@ -1,4 +1,4 @@
-"""A tour plays task by task, each in the room that the one before has left."""
+"""A tour plays task by task, each in the room as the last task left it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.apps.web.pages import serve
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.view_sources import opened_source
 from momapos.apps.web.opened import Opened
-from momapos.apps.web.serve import served
 from momapos.apps.web.tour_story import TourStory
-from momapos.core.cache import user_cache
 from momapos.core.errors import InputError
 from momapos.model.plan_files.tour_format import read_tour
 
@@ -24,7 +23,7 @@ LONG = 60.0
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tour of three tasks at one stop, and its plans."""
+    """A tour of three tasks at one stop, with its plans."""
     path = tmp_path_factory.mktemp("tour") / "tour.json"
     name = "/".join(DRAWER)
     words = ["open", "kitchen_small", name, "then", "pick", "bottle", "then", "close", name]
@@ -47,43 +46,40 @@ def test_the_tasks_of_a_tour_play_one_after_the_other(tour: Opened) -> None:
     assert story.duration == pytest.approx(ends[-1])
     for number, (end, one) in enumerate(zip(ends, story.stories, strict=True), start=1):
         moment = story.at(end - one.duration / 2)
-        assert moment.words.startswith(f"task {number} of 3, {one.task.verb} {one.task.object}: ")
-        assert moment.setting is not None
-        assert moment.setting.active == one.task.object
+        assert moment.phase.startswith(f"task {number} of 3, {one.task.verb} {one.task.object}: ")
+        assert moment.room is not None
+        assert moment.room.active == one.task.object
         np.testing.assert_array_equal(moment.base, one.at(one.duration / 2).base)
-    for end in ends[:-1]:  # neither the base nor the arm leaps where one follows the other
+    for end in ends[:-1]:  # neither the base nor the arm jumps between tasks
         before, after = story.at(end - 1e-6), story.at(end + 1e-6)
         np.testing.assert_allclose(after.base, before.base, atol=1e-3)
         for joint, value in before.joints.items():
             assert after.joints[joint] == pytest.approx(value, abs=1e-2)
-    assert story.at(-1.0).words.startswith("task 1")
-    assert story.at(story.duration + 1.0).words.startswith("task 3")
+    assert story.at(-1.0).phase.startswith("task 1")
+    assert story.at(story.duration + 1.0).phase.startswith("task 3")
 
 
-def test_each_task_is_in_the_room_as_it_was_left(tour: Opened) -> None:
+def test_each_task_is_in_the_room_as_the_last_task_left_it(tour: Opened) -> None:
     story = tour.story()
     assert isinstance(story, TourStory)
-    shut, opened, still = story.scenes
-    assert shut.object(DRAWER[0]).values()[DRAWER[1]] == 0.0
+    closed, opened, still = story.scenes
+    assert closed.object(DRAWER[0]).values()[DRAWER[1]] == 0.0
     assert tour.plan.task.to is not None
     for room in (opened, still):
         assert room.object(DRAWER[0]).values()[DRAWER[1]] == pytest.approx(tour.plan.task.to)
-    # What is the same in two rooms is one thing, which is not drawn again.
-    same = [one is other for one, other in zip(shut.objects, opened.objects, strict=True)]
+    # Unchanged objects are identical, so that they are not drawn again.
+    same = [one is other for one, other in zip(closed.objects, opened.objects, strict=True)]
     assert same.count(False) == 1
 
 
-def test_a_page_opened_with_a_tour_plays_it_and_then_answers_as_ever(
+def test_a_page_opened_with_a_tour_plays_it_and_then_answers_questions(
     file: Path, tour: Opened, tmp_path: Path
 ) -> None:
-    with served(
-        host="127.0.0.1", port=0, scenes=(str(file),), robots=("segway_ur5e",), scene=str(file),
-        robot="segway_ur5e", cache=user_cache(), folder=tmp_path, opened=tour,
-    ) as (page, _):  # fmt: skip
+    with serve(tmp_path, scene=str(file), opened=tour) as (page, _):
         assert page.work.wait(LONG)
         assert page.panel.result.content.startswith("**Solved**: 3 tasks")
         assert "2. pick bottle from x" in page.panel.result.content
-        assert "what was picked is drawn where it was" in page.panel.result.content
+        assert "A picked object is drawn at its old place" in page.panel.result.content
         story = tour.story()
         assert isinstance(story, TourStory)
         assert page.motion.player.duration == story.duration
@@ -94,7 +90,7 @@ def test_a_page_opened_with_a_tour_plays_it_and_then_answers_as_ever(
         assert page.room.active == "bottle"
         assert page.room.scene is tour.then[0].scene
         assert "task 2 of 3, pick bottle" in page.panel.moment.content
-        page.motion.move_joints()  # by hand, in the room that is asked about
+        page.motion.move_joints()  # with the sliders, in the room of the question
         assert page.room.active == DRAWER[0]
         assert page.room.scene is tour.scene
         page.motion.seek(story.duration)
@@ -112,7 +108,7 @@ def test_a_tour_is_written_as_one_page(file: Path, tmp_path: Path) -> None:
     assert "__VISER_EMBED_DATA__" in page.read_text()
 
 
-def test_a_tour_that_cannot_be_shown_is_told_in_one_line(
+def test_an_unusable_tour_is_reported_in_one_line(
     file: Path, tour: Opened, capsys: pytest.CaptureFixture[str]
 ) -> None:
     content = json.loads(file.read_text())
@@ -130,5 +126,5 @@ def test_a_tour_that_cannot_be_shown_is_told_in_one_line(
         assert shown.count("\n") == 1
     assert len(read_tour(file).steps) == 3
     other = replace(tour.then[0], plan=replace(tour.then[0].plan, joints=("another",)))
-    with pytest.raises(InputError, match="plan 2 of the tour is of another robot"):
+    with pytest.raises(InputError, match="plan 2 of the tour is for another robot"):
         replace(tour, then=(other,)).story()

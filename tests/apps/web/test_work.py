@@ -1,4 +1,4 @@
-"""Threads of the page: the newest request wins, and what nobody waits for ends."""
+"""A worker runs the newest request, and cancels outdated ones."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from momapos.apps.web.work import Latest, Stopped
+from momapos.apps.web.work import LatestWorker, Stopped
 from momapos.core.errors import TaskError
 from momapos.core.stopwatch import Clock
 
 LONG = 20.0
-"""No test waits so long where the law holds [s]."""
+"""Timeout that no passing test reaches [s]."""
 
 
 @pytest.fixture
@@ -21,13 +21,13 @@ def told() -> list[str]:
 
 
 @pytest.fixture
-def latest(told: list[str]) -> Iterator[Latest]:
-    worker = Latest("test", told.append)
+def worker(told: list[str]) -> Iterator[LatestWorker]:
+    worker = LatestWorker("test", told.append)
     yield worker
     worker.close()
 
 
-def test_of_requests_that_wait_only_the_newest_runs(latest: Latest) -> None:
+def test_only_the_newest_waiting_request_runs(worker: LatestWorker) -> None:
     begun, go, done = threading.Event(), threading.Event(), []
 
     def first(_: Clock) -> None:
@@ -35,17 +35,17 @@ def test_of_requests_that_wait_only_the_newest_runs(latest: Latest) -> None:
         go.wait(LONG)
         done.append(0)
 
-    latest.put(first)
+    worker.put(first)
     assert begun.wait(LONG)
     for k in range(1, 50):
-        latest.put(lambda _, k=k: done.append(k))
-    assert latest.waiting
+        worker.put(lambda _, k=k: done.append(k))
+    assert worker.waiting
     go.set()
-    assert latest.wait(LONG)
+    assert worker.wait(LONG)
     assert done == [0, 49]
 
 
-def test_what_runs_is_ended_by_its_clock(latest: Latest) -> None:
+def test_running_work_is_canceled_by_its_clock(worker: LatestWorker) -> None:
     begun, ended = threading.Event(), threading.Event()
 
     def work(clock: Clock) -> None:
@@ -57,15 +57,15 @@ def test_what_runs_is_ended_by_its_clock(latest: Latest) -> None:
             ended.set()
             raise
 
-    latest.put(work)
+    worker.put(work)
     assert begun.wait(LONG)
-    latest.stop()
+    worker.stop()
     assert ended.wait(LONG)
-    assert latest.wait(LONG)
-    assert not latest.busy
+    assert worker.wait(LONG)
+    assert not worker.busy
 
 
-def test_a_newer_request_ends_the_one_that_runs_where_it_is_for_nothing(latest: Latest) -> None:
+def test_a_newer_request_can_cancel_the_running_one(worker: LatestWorker) -> None:
     begun, done = threading.Event(), []
 
     def work(clock: Clock) -> None:
@@ -73,14 +73,16 @@ def test_a_newer_request_ends_the_one_that_runs_where_it_is_for_nothing(latest: 
         while True:
             clock()
 
-    latest.put(work)
+    worker.put(work)
     assert begun.wait(LONG)
-    latest.put(lambda _: done.append("newer"), stop_running=True)
-    assert latest.wait(LONG)
+    worker.put(lambda _: done.append("newer"), stop_running=True)
+    assert worker.wait(LONG)
     assert done == ["newer"]
 
 
-def test_a_failure_is_told_and_the_thread_goes_on(latest: Latest, told: list[str]) -> None:
+def test_a_failure_is_reported_and_the_thread_continues(
+    worker: LatestWorker, told: list[str]
+) -> None:
     def wrong(_: Clock) -> None:
         raise TaskError("no such door")
 
@@ -89,17 +91,17 @@ def test_a_failure_is_told_and_the_thread_goes_on(latest: Latest, told: list[str
 
     done: list[int] = []
     for work in (wrong, broken, lambda _: done.append(1)):
-        latest.put(work)
-        assert latest.wait(LONG)
+        worker.put(work)
+        assert worker.wait(LONG)
     assert told[0] == "no such door"
     assert "KeyError" in told[1]
-    assert "defect" in told[1]
+    assert "bug in momapos" in told[1]
     assert done == [1]
 
 
-def test_nothing_runs_after_the_end(told: list[str]) -> None:
-    latest, done = Latest("test", told.append), []
-    latest.close()
-    latest.put(lambda _: done.append(1))
+def test_nothing_runs_after_close(told: list[str]) -> None:
+    worker, done = LatestWorker("test", told.append), []
+    worker.close()
+    worker.put(lambda _: done.append(1))
     assert not any(thread.name == "test" for thread in threading.enumerate())
     assert done == []

@@ -1,4 +1,4 @@
-"""Kernels as stored machine code: found by what they are made from, run without numba."""
+"""Kernels are stored as machine code under their inputs, and run without numba."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FACTOR = 2.0
 
 
 class Line(NamedTuple):
-    """A record."""
+    """A record argument."""
 
     slope: float
     offsets: F1
@@ -56,12 +56,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("squared", [False, True])
-def test_machine_code_does_what_the_python_does(folder: Path, squared: bool) -> None:
+def test_machine_code_computes_what_the_python_function_does(folder: Path, squared: bool) -> None:
     native = Store(folder).native(_along)
     np.testing.assert_array_equal(native(LINE, X, squared), _along.py_func(LINE, X, squared))
 
 
-def test_code_is_compiled_once_and_found_again(folder: Path) -> None:
+def test_code_is_compiled_once_and_then_found(folder: Path) -> None:
     Store(folder).native(_along)
     reports: list[tuple[int, int]] = []
     Store(folder).prepare([_along], lambda done, count: reports.append((done, count)))
@@ -79,7 +79,7 @@ def test_damaged_code_is_not_found(tmp_path: Path) -> None:
     assert store.find(_along) is None
 
 
-def test_a_pack_of_another_compiler_is_left_alone(
+def test_a_pack_of_another_compiler_is_ignored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pack = tmp_path / "kernels.zip"
@@ -93,14 +93,14 @@ def test_a_pack_of_another_compiler_is_left_alone(
     assert Store(tmp_path / "none", pack)._packed == {}
 
 
-def test_a_damaged_pack_is_left_alone(tmp_path: Path) -> None:
+def test_a_damaged_pack_is_ignored(tmp_path: Path) -> None:
     pack = tmp_path / "kernels.zip"
-    pack.write_bytes(b"no archive")
+    pack.write_bytes(b"not an archive")
     assert Store(tmp_path, pack).find(_along) is None
 
 
 def _stamp(source: str) -> str:
-    """Stamp of `outer` in a module of this source."""
+    """Return the stamp of `outer` in a module of this source."""
     module = {"__name__": "some", "kernel": kernel, "Kernel": Kernel}
     exec(compile(source, "some.py", "exec"), module)
     outer = module["outer"]
@@ -124,11 +124,11 @@ def outer(x):
     [("x + 1", "x + 2"), ("2.0", "3.0"), ("FACTOR * inner", "inner"), ("@kernel\ndef inner",
      "@kernel(fastmath=True)\ndef inner")],
 )  # fmt: skip
-def test_a_changed_callee_constant_or_option_changes_the_stamp(old: str, new: str) -> None:
+def test_a_change_of_callee_constant_or_option_changes_the_stamp(old: str, new: str) -> None:
     assert _stamp(_SOURCE) != _stamp(_SOURCE.replace(old, new))
 
 
-def test_where_a_kernel_stands_does_not_change_its_stamp() -> None:
+def test_the_location_of_a_kernel_does_not_change_its_stamp() -> None:
     assert _stamp(_SOURCE) == _stamp("# a comment\n\n" + _SOURCE)
 
 
@@ -137,19 +137,19 @@ def test_where_a_kernel_stands_does_not_change_its_stamp() -> None:
     [X.astype(np.float32), X[::2], X[None], [1.0, 2.0]],
     ids=["dtype", "stride", "ndim", "list"],
 )
-def test_an_array_of_another_type_is_refused(x: object) -> None:
+def test_an_array_of_another_type_is_rejected(x: object) -> None:
     assert arrays.checker(F1)(X)
     assert not arrays.checker(F1)(x)
 
 
-def test_what_cannot_be_written_is_refused_where_it_would_be() -> None:
-    still = X.copy()
-    still.flags.writeable = False
-    assert not arrays.checker(F1)(still)
+def test_a_read_only_array_is_rejected_where_it_may_be_written() -> None:
+    read_only = X.copy()
+    read_only.flags.writeable = False
+    assert not arrays.checker(F1)(read_only)
     assert not arrays.checker(F2)(X)
 
 
-def test_arguments_of_other_types_are_served_by_the_dispatcher(
+def test_arguments_of_other_types_go_through_the_dispatcher(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stores, "store", Store(folder))
@@ -157,7 +157,7 @@ def test_arguments_of_other_types_are_served_by_the_dispatcher(
     np.testing.assert_array_equal(_along(LINE, strided, False), _along(LINE, X, False))
 
 
-def test_every_entry_names_types_that_can_be_compiled() -> None:
+def test_every_entry_has_types_that_can_be_compiled() -> None:
     from momapos.core.compiled.compiler import numba_type
 
     entries = every_entry()
@@ -175,11 +175,11 @@ sys.exit(9 if "numba" in sys.modules else status)
 """
 
 
-def test_answers_and_checks_run_without_numba(tmp_path: Path) -> None:
+def test_planning_and_verification_run_without_numba(tmp_path: Path) -> None:
     compile_once()
     plan = tmp_path / "plan.json"
-    answer = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e"]
-    for command in ([*answer, "--out", str(plan)], ["verify", str(plan)]):
+    place = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e"]
+    for command in ([*place, "--out", str(plan)], ["verify", str(plan)]):
         call = [sys.executable, "-c", _WITHOUT_NUMBA, *command]
         done = subprocess.run(call, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
@@ -195,7 +195,7 @@ def _careful(x: F1, by: float):
     return out
 
 
-def test_errors_of_a_kernel_arrive_as_in_python(folder: Path) -> None:
+def test_a_kernel_raises_the_same_errors_as_python(folder: Path) -> None:
     native = Store(folder).native(_careful)
     with pytest.raises(ZeroDivisionError):
         native(X, 0.0)
@@ -208,12 +208,12 @@ def test_returned_arrays_are_freed(folder: Path) -> None:
     native, x = Store(folder).native(_careful), np.ones(10_000)
     native(x, 2.0)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for _ in range(20_000):  # 1.6 GB if they were kept
+    for _ in range(20_000):  # 1.6 GB if they leaked
         native(x, 2.0)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # KiB
 
 
-def test_threads_that_call_an_entry_first_at_once_get_the_same_answer(
+def test_concurrent_first_calls_of_an_entry_return_the_same_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stores, "store", Store(tmp_path))
@@ -225,7 +225,7 @@ def test_threads_that_call_an_entry_first_at_once_get_the_same_answer(
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_cache_folder_that_cannot_be_used_only_costs_compiling(tmp_path: Path) -> None:
+def test_an_unusable_cache_folder_only_costs_compile_time(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_bytes(b"")  # neither folders nor files can be made in a file
     native = Store(blocked / "cache").native(_careful)
@@ -234,7 +234,7 @@ def test_a_cache_folder_that_cannot_be_used_only_costs_compiling(tmp_path: Path)
 
 
 @pytest.mark.parametrize("damage", ["cut", "foreign key", "empty"])
-def test_a_stored_file_that_is_not_whole_is_compiled_anew(tmp_path: Path, damage: str) -> None:
+def test_code_with_a_damaged_file_is_compiled_again(tmp_path: Path, damage: str) -> None:
     store = Store(tmp_path)
     store.native(_careful)
     (file,) = tmp_path.iterdir()
@@ -268,7 +268,7 @@ def test_code_of_another_processor_is_not_found(
     assert Store(tmp_path).find(_careful) is None
 
 
-def test_a_damaged_member_of_a_pack_is_left_alone(tmp_path: Path) -> None:
+def test_a_damaged_member_of_a_pack_is_ignored(tmp_path: Path) -> None:
     pack = tmp_path / "kernels.zip"
     about = {"made by": stores.compiler_version(), "stamps": {_careful.name: _careful.stamp}}
     for body in (b"no code", b"{}\n"):
@@ -279,7 +279,7 @@ def test_a_damaged_member_of_a_pack_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("about", ["{}", "[]", '{"made by": [], "stamps": 3}'])
-def test_a_pack_that_says_nothing_of_itself_is_left_alone(tmp_path: Path, about: str) -> None:
+def test_a_pack_without_valid_metadata_is_ignored(tmp_path: Path, about: str) -> None:
     pack = tmp_path / "kernels.zip"
     with zipfile.ZipFile(pack, "w") as file:
         file.writestr("pack.json", about)

@@ -1,4 +1,4 @@
-"""The store of kernels under processes, full disks, interrupts and forks; borrowed arrays."""
+"""The kernel store with several processes, full disks, interrupts and forks; borrowed arrays."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _shifted(x):
 
 
 @kernel
-def _beside(pair, k):
+def _shifted_tail(pair, k):
     both = Pair(pair.a[k:], pair.b[k:])
     out = np.empty(len(both.a))
     for i in range(len(both.a)):
@@ -59,7 +59,7 @@ def _beside(pair, k):
 
 @entry
 def _either(pair: Pair, k: int) -> np.ndarray:
-    """An array of the argument, an own one, or one of a record that holds both."""
+    """Return an array of the argument, a new one, or one of a record that holds both."""
     one = _shifted(pair.b)
     if k == 0:
         one = pair.a
@@ -103,7 +103,7 @@ np.testing.assert_array_equal(native(PAIR), PAIR.a + 1.0)
 """
 
 
-def test_two_processes_fill_one_store_at_once(tmp_path: Path) -> None:
+def test_two_processes_can_fill_one_store_concurrently(tmp_path: Path) -> None:
     call = [sys.executable, "-c", _FILL, str(tmp_path)]
     pipe = subprocess.PIPE
     root = Path(__file__).parents[3]
@@ -121,14 +121,14 @@ def test_two_processes_fill_one_store_at_once(tmp_path: Path) -> None:
         one.stdin.write("go\n")
         one.stdin.flush()
     for one in both:
-        _, said = one.communicate()
-        assert one.returncode == 0, said
+        _, errors = one.communicate()
+        assert one.returncode == 0, errors
     (file,) = tmp_path.iterdir()
-    assert cache.Cache(tmp_path).get(file.name) is not None  # whole, by its checksum
+    assert cache.Cache(tmp_path).get(file.name) is not None  # its checksum matches
 
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EROFS, errno.EACCES])
-def test_a_store_that_cannot_be_written_only_costs_compiling(
+def test_a_read_only_store_only_costs_compile_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int
 ) -> None:
     def refuse(_handle: int) -> NoReturn:
@@ -140,7 +140,7 @@ def test_a_store_that_cannot_be_written_only_costs_compiling(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupt_while_code_is_written_leaves_nothing(
+def test_an_interrupt_while_writing_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(_handle: int) -> NoReturn:
@@ -154,7 +154,7 @@ def test_an_interrupt_while_code_is_written_leaves_nothing(
     np.testing.assert_array_equal(Store(tmp_path).native(_mean)(PAIR), PAIR.a + 1.0)
 
 
-def test_an_interrupt_while_compiling_leaves_nothing_behind(
+def test_an_interrupt_while_compiling_restores_all_state(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(*_: object) -> NoReturn:
@@ -163,7 +163,7 @@ def test_an_interrupt_while_compiling_leaves_nothing_behind(
     codegen = cpu_target.target_context.codegen()
     before = set(vars(codegen))
     with monkeypatch.context() as patch:
-        patch.setattr(compiler._Part, "_optimize_functions", interrupt)
+        patch.setattr(compiler._CalleeLibrary, "_optimize_functions", interrupt)
         with pytest.raises(KeyboardInterrupt):
             Store(tmp_path).native(_total)
     assert list(tmp_path.iterdir()) == []
@@ -173,7 +173,7 @@ def test_an_interrupt_while_compiling_leaves_nothing_behind(
     assert total == pytest.approx(_total.py_func(PAIR))
 
 
-def test_a_forked_child_runs_what_is_loaded_and_loads_more(tmp_path: Path) -> None:
+def test_a_forked_child_runs_loaded_code_and_loads_more(tmp_path: Path) -> None:
     mean = Store(tmp_path).native(_mean)
     Store(tmp_path).native(_total)
     child = os.fork()
@@ -184,7 +184,7 @@ def test_a_forked_child_runs_what_is_loaded_and_loads_more(tmp_path: Path) -> No
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
-def test_a_child_that_is_forked_while_a_thread_compiles_can_load() -> None:
+def test_a_child_forked_while_a_thread_compiles_can_load_code() -> None:
     held, done = threading.Event(), threading.Event()
 
     def hold() -> None:
@@ -204,14 +204,14 @@ def test_a_child_that_is_forked_while_a_thread_compiles_can_load() -> None:
     assert os.waitstatus_to_exitcode(status) == 0
 
 
-def test_a_kernel_counts_references_only_of_arrays_that_it_owns() -> None:
-    assert _counted(_half, (Pair, int)) == 0
-    assert _counted(_shifted, (F1,)) > 0
-    assert _counted(_beside, (Pair, int)) == _counted(_shifted, (F1,))
+def test_a_kernel_counts_references_only_of_its_own_arrays() -> None:
+    assert _reference_counts(_half, (Pair, int)) == 0
+    assert _reference_counts(_shifted, (F1,)) > 0
+    assert _reference_counts(_shifted_tail, (Pair, int)) == _reference_counts(_shifted, (F1,))
 
 
-def _counted(one: Kernel, hints: tuple[object, ...]) -> int:
-    """How often a kernel counts references, before LLVM's optimization."""
+def _reference_counts(one: Kernel, hints: tuple[object, ...]) -> int:
+    """Count a kernel's reference count updates before LLVM's optimization."""
     lowered: list[str] = []
     add = JITCodeLibrary.add_ir_module
 
@@ -227,7 +227,7 @@ def _counted(one: Kernel, hints: tuple[object, ...]) -> int:
 
 
 @pytest.mark.parametrize("k", [0, 1, 2])
-def test_what_is_borrowed_or_owned_is_alive_after_it_is_returned(tmp_path: Path, k: int) -> None:
+def test_a_returned_array_stays_alive_whether_borrowed_or_owned(tmp_path: Path, k: int) -> None:
     native = Store(tmp_path).native(_either)
     for _ in range(50):
         got = native(Pair(X * 1.0, X + 2.0), k)
@@ -236,11 +236,11 @@ def test_what_is_borrowed_or_owned_is_alive_after_it_is_returned(tmp_path: Path,
         assert len(more) == 20
 
 
-def test_arrays_that_kernels_get_from_kernels_are_freed(tmp_path: Path) -> None:
+def test_arrays_that_kernels_return_to_kernels_are_freed(tmp_path: Path) -> None:
     native = Store(tmp_path).native(_total)
     pair = Pair(np.ones(10_000), np.ones(10_000))
     assert native(pair) == 30_000.0
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for _ in range(20_000):  # 1.6 GB if they were kept
+    for _ in range(20_000):  # 1.6 GB if they leaked
         native(pair)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # KiB

@@ -1,4 +1,4 @@
-"""Seams between doors stand out of their grain."""
+"""Seams between doors are more distinct than the grain of the wood."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def wood() -> np.ndarray:
     return np.clip(70.0 + grain, 0, 255)[..., None].repeat(3, axis=-1).astype(np.uint8)
 
 
-def test_a_seam_that_is_hardly_darker_than_the_grain_stands_out(wood: np.ndarray) -> None:
+def test_a_seam_hardly_darker_than_the_grain_has_the_highest_contrast(wood: np.ndarray) -> None:
     wood[:, 120] -= np.uint8(14)
     lines = dark_lines(wood, 1)
     column = lines.mean(axis=0)
@@ -25,13 +25,13 @@ def test_a_seam_that_is_hardly_darker_than_the_grain_stands_out(wood: np.ndarray
     assert dark_lines(wood, 0).max() < column[120]
 
 
-def test_lines_turn_and_mirror_with_the_image(wood: np.ndarray) -> None:
+def test_lines_transpose_and_mirror_with_the_image(wood: np.ndarray) -> None:
     lines = dark_lines(wood, 1)
     np.testing.assert_allclose(dark_lines(wood.swapaxes(0, 1), 0), lines.T, atol=1e-5)
     np.testing.assert_allclose(dark_lines(wood[:, ::-1], 1), lines[:, ::-1], atol=1e-5)
 
 
-def test_a_step_in_brightness_is_no_line() -> None:
+def test_a_step_in_brightness_is_not_a_line() -> None:
     step = np.full((60, 60, 3), 40, np.uint8)
     step[:, 30:] = 200
     assert dark_lines(step, 1).max() == 0.0

@@ -1,4 +1,4 @@
-"""Planar poses, held to rigid transforms of three dimensions."""
+"""Planar poses agree with rigid transforms in three dimensions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_points_are_placed_as_by_rigid_transforms() -> None:
     assert_allclose(place_points(POSES, POINTS), expected, atol=1e-12)
 
 
-def test_points_of_a_frame_return_to_themselves() -> None:
+def test_local_points_inverts_place_points() -> None:
     for pose in POSES:
         placed = place_points(pose[None], POINTS)[0]
         assert_allclose(local_points(pose, placed), POINTS, atol=1e-12)
@@ -32,7 +32,7 @@ def test_poses_compose_as_rigid_transforms_do() -> None:
     assert_allclose(poses[:, 2], wrap_angle(poses[:, 2]))
 
 
-def test_poses_compose_with_a_frame_each_as_with_that_frame_alone() -> None:
+def test_composing_with_one_frame_each_equals_composing_one_by_one() -> None:
     poses = POSES[::-1]
     each = [compose(POSES[k], poses[k : k + 1])[0] for k in range(len(poses))]
     assert_allclose(compose(POSES, poses), each, atol=1e-12)

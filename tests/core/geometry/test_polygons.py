@@ -1,4 +1,4 @@
-"""Outlines on the floor, held to matplotlib and to dense sampling."""
+"""Polygons on the floor agree with matplotlib and with dense sampling."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from momapos.core.geometry.polygons import (
     signed_area,
 )
 
-# A room with a niche: walking straight across the gap means walking through the wall.
+# A room with a niche: a straight line across the gap crosses the wall.
 U_SHAPE = np.array([[0.0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]])
 HEXAGON = np.array([[0.0, 0], [2, -0.4], [3.2, 0.1], [3, 2.2], [1.5, 3.1], [-0.1, 2.5]])
 
 
 def star(corners: int, rng: np.random.Generator) -> Float[np.ndarray, "k 2"]:
-    """A simple polygon, seldom convex, counterclockwise about the origin."""
+    """Return a simple, usually nonconvex polygon, counterclockwise about the origin."""
     angle = np.sort(rng.uniform(-np.pi, np.pi, corners))
     radius = rng.uniform(0.3, 2.0, corners)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
 
 
 def to_edges(polygon: np.ndarray, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Distance of points to the outline."""
+    """Reference: the distance of points from the outline."""
     a = polygon
     edge = np.roll(a, -1, axis=0) - a
     w = points[:, None] - a
@@ -38,7 +38,7 @@ def to_edges(polygon: np.ndarray, points: Float[np.ndarray, "n 2"]) -> Float[np.
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_points_inside_are_those_that_matplotlib_has_inside(seed: int) -> None:
+def test_contains_agrees_with_matplotlib(seed: int) -> None:
     rng = np.random.default_rng(seed)
     polygon = star(int(rng.integers(3, 15)), rng)
     points = rng.uniform(-2.2, 2.2, (500, 2))
@@ -49,7 +49,7 @@ def test_points_inside_are_those_that_matplotlib_has_inside(seed: int) -> None:
 
 
 def test_points_level_with_corners_are_counted_once() -> None:
-    """A ray through a corner meets two edges, and must not count both or none."""
+    """A ray through a corner meets two edges and must count exactly one."""
     diamond = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
     points = np.array([[0.0, 0.0], [0.5, 0.0], [-2.0, 0.0], [2.0, 0.0], [-2.0, 1.0], [-2.0, -1.0]])
     np.testing.assert_array_equal(
@@ -66,7 +66,9 @@ def rectangles(count: int, rng: np.random.Generator, size: float) -> Float[np.nd
 
 
 @pytest.mark.parametrize("floor", [U_SHAPE, U_SHAPE[::-1], HEXAGON, HEXAGON[::-1]])
-def test_an_outline_is_inside_when_all_of_its_edge_is(floor: Float[np.ndarray, "k 2"]) -> None:
+def test_an_outline_is_inside_if_all_points_of_its_edges_are(
+    floor: Float[np.ndarray, "k 2"],
+) -> None:
     rng = np.random.default_rng(0)
     outlines = rectangles(1500, rng, 0.5)
     t = np.linspace(0, 1, 60)[:, None, None]
@@ -84,7 +86,7 @@ def test_an_outline_is_inside_when_all_of_its_edge_is(floor: Float[np.ndarray, "
 
 
 @pytest.mark.parametrize("floor", [U_SHAPE, HEXAGON])
-def test_of_no_outlines_none_is_inside(floor: Float[np.ndarray, "k 2"]) -> None:
+def test_all_inside_accepts_an_empty_batch(floor: Float[np.ndarray, "k 2"]) -> None:
     assert all_inside(floor, np.zeros((0, 4, 2))).shape == (0,)
 
 
@@ -103,7 +105,7 @@ def test_an_outline_around_the_whole_floor_is_not_inside() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_area_is_the_share_of_points_inside_and_its_sign_the_sense(seed: int) -> None:
+def test_the_area_agrees_with_sampling_and_its_sign_with_the_orientation(seed: int) -> None:
     rng = np.random.default_rng(seed)
     polygon = star(9, rng)
     points = rng.uniform(-2, 2, (40_000, 2))
@@ -115,7 +117,7 @@ def test_the_area_is_the_share_of_points_inside_and_its_sign_the_sense(seed: int
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_inscribed_circle_fits_and_no_larger_one(seed: int) -> None:
+def test_the_inscribed_circle_is_the_largest_that_fits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     angle = np.sort(rng.uniform(-np.pi, np.pi, 8))
     convex = np.stack([1.2 * np.cos(angle), 0.8 * np.sin(angle)], -1) + rng.uniform(-0.1, 0.1, 2)
@@ -129,11 +131,11 @@ def test_the_inscribed_circle_fits_and_no_larger_one(seed: int) -> None:
     assert not contains(convex, (radius + 1e-4) * circle).all()
 
 
-def test_no_circle_fits_about_a_point_outside() -> None:
+def test_the_inscribed_radius_is_zero_if_the_origin_is_outside() -> None:
     assert inscribed_radius(np.array([[1.0, 0], [2, 0], [2, 1], [1, 1]])) == 0.0
 
 
-def test_distances_to_edges_are_those_of_a_plain_twin_for_every_batch() -> None:
+def test_edge_distances_of_a_batch_agree_with_the_reference() -> None:
     rng = np.random.default_rng(3)
     polygons = np.stack([star(7, rng) for _ in range(5)])
     points = rng.uniform(-3, 3, (5, 40, 2))

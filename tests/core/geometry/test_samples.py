@@ -1,4 +1,4 @@
-"""Even points: number for number those of scipy, and even."""
+"""Sample points equal those of scipy and are evenly distributed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from momapos.core.geometry.cube_samples import halton, latin_hypercube
 
 
 @pytest.mark.parametrize(("count", "dimensions"), [(1, 1), (7, 3), (512, 3), (1024, 3), (100, 8)])
-def test_latin_hypercube_draws_the_numbers_that_scipy_draws(count: int, dimensions: int) -> None:
+def test_latin_hypercube_draws_the_same_numbers_as_scipy(count: int, dimensions: int) -> None:
     for seed in range(5):
         ours, theirs = np.random.default_rng(seed), np.random.default_rng(seed)
         for _ in range(2):
@@ -20,12 +20,12 @@ def test_latin_hypercube_draws_the_numbers_that_scipy_draws(count: int, dimensio
 
 
 @pytest.mark.parametrize(("count", "dimensions"), [(1, 1), (65, 6), (257, 8), (5000, 40)])
-def test_halton_is_the_sequence_that_scipy_gives(count: int, dimensions: int) -> None:
+def test_halton_returns_the_same_sequence_as_scipy(count: int, dimensions: int) -> None:
     expected = qmc.Halton(dimensions, scramble=False).random(count)
     np.testing.assert_array_equal(halton(count, dimensions), expected)
 
 
-def test_each_slice_of_a_latin_hypercube_holds_one_point() -> None:
+def test_each_slice_of_a_latin_hypercube_contains_one_point() -> None:
     points = latin_hypercube(np.random.default_rng(0), 50, 4)
     for column in points.T:
         assert sorted(np.floor(column * 50).astype(int)) == list(range(50))

@@ -41,7 +41,7 @@ def test_the_inverse_of_a_transform_undoes_it_on_any_batch() -> None:
     assert_allclose(invert(Ts), np.linalg.inv(Ts), atol=1e-12)
 
 
-def test_applying_one_after_the_other_is_applying_the_product() -> None:
+def test_applying_two_transforms_equals_applying_their_product() -> None:
     rng = np.random.default_rng(1)
     A, B = random_poses(1, rng)[0], random_poses(7, rng)
     points = rng.normal(size=(5, 3))
@@ -52,7 +52,7 @@ def test_applying_one_after_the_other_is_applying_the_product() -> None:
 
 
 @given(base=st.tuples(small, small, angles))
-def test_a_planar_pose_turns_x_to_its_yaw_and_stays_on_the_floor(
+def test_a_planar_pose_rotates_x_by_its_yaw_and_stays_on_the_floor(
     base: tuple[float, float, float],
 ) -> None:
     T = pose_planar(np.array(base))
@@ -60,14 +60,14 @@ def test_a_planar_pose_turns_x_to_its_yaw_and_stays_on_the_floor(
     assert_allclose(T[:3, :3], Rotation.from_euler("z", base[2]).as_matrix(), atol=1e-9)
 
 
-def test_planar_poses_come_in_batches() -> None:
+def test_pose_planar_accepts_batches() -> None:
     bases = np.random.default_rng(2).normal(size=(2, 3, 3))
     for index in np.ndindex(2, 3):
         assert_allclose(pose_planar(bases)[index], pose_planar(bases[index]))
 
 
 @given(xyz=vectors, rpy=vectors)
-def test_roll_pitch_yaw_turn_about_fixed_axes(
+def test_roll_pitch_yaw_rotate_about_fixed_axes(
     xyz: tuple[float, ...], rpy: tuple[float, ...]
 ) -> None:
     x, y, z = np.eye(3)
@@ -76,7 +76,7 @@ def test_roll_pitch_yaw_turn_about_fixed_axes(
 
 
 @given(axis=axes, angle=small, length=st.floats(0.1, 10))
-def test_a_quaternion_of_any_length_and_sign_is_its_rotation(
+def test_a_quaternion_of_any_length_and_sign_gives_its_rotation(
     axis: np.ndarray, angle: float, length: float
 ) -> None:
     wxyz = length * np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis]
@@ -86,7 +86,7 @@ def test_a_quaternion_of_any_length_and_sign_is_its_rotation(
 
 
 @given(axis=axes, angle=small, v=vectors)
-def test_rotating_about_an_axis_is_rodrigues(
+def test_rotating_about_an_axis_agrees_with_rodrigues(
     axis: np.ndarray, angle: float, v: tuple[float, ...]
 ) -> None:
     c, s = np.cos(angle), np.sin(angle)
@@ -99,10 +99,8 @@ def test_rotating_about_an_axis_is_rodrigues(
 @given(axis=axes, angle=st.one_of(st.floats(0, np.pi), st.floats(1e-12, 1e-6)))
 @example(axis=np.array([0.0, 0.0, 1.0]), angle=0.0)
 @example(axis=np.array([0.0, 0.6, 0.8]), angle=np.pi)
-def test_the_angle_between_rotations_is_exact_when_small_too(
-    axis: np.ndarray, angle: float
-) -> None:
-    """The arccos of a trace knows nothing below 1e-8."""
+def test_small_angles_between_rotations_are_exact(axis: np.ndarray, angle: float) -> None:
+    """The arccos of the trace has no precision below 1e-8."""
     A = Rotation.from_rotvec([0.3, -1.0, 0.4]).as_matrix()
     B = A @ rotation_about(axis, angle)
     assert_allclose(rotation_angle(A, B), angle, rtol=1e-6, atol=1e-15 if angle == 0 else 4e-16)
@@ -115,27 +113,27 @@ def test_the_angle_between_rotations_is_exact_when_small_too(
 @example(angle=np.nextafter(np.pi, 4))
 @example(angle=-np.nextafter(np.pi, 4))
 @example(angle=3 * np.pi)
-def test_a_wrapped_angle_lies_in_one_turn_and_means_the_same(angle: float) -> None:
+def test_a_wrapped_angle_is_in_range_and_equivalent(angle: float) -> None:
     wrapped = float(wrap_angle(angle))
     assert -np.pi < wrapped <= np.pi
     assert_allclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-9)
 
 
 @given(angle=st.floats(-3.14, 3.14))
-def test_an_angle_within_a_turn_stays_what_it_is(angle: float) -> None:
+def test_wrapping_preserves_an_angle_in_range(angle: float) -> None:
     assert_allclose(wrap_angle(angle), angle, atol=1e-15)
     assert_allclose(wrap_angle(np.array([[angle]]) + 2 * np.pi), [[angle]], atol=1e-14)
 
 
 @given(axis=axes)
-def test_an_orthonormal_vector_is_one_and_the_same(axis: np.ndarray) -> None:
+def test_an_orthonormal_vector_is_orthogonal_unit_and_deterministic(axis: np.ndarray) -> None:
     v = orthonormal(axis)
     assert abs(v @ axis) < 1e-12
     assert_allclose(np.linalg.norm(v), 1.0)
     assert_allclose(orthonormal(axis.copy()), v, atol=0)
 
 
-def test_rotations_are_those_of_scipy_to_the_last_bit() -> None:
+def test_rotations_equal_those_of_scipy_to_the_last_bit() -> None:
     rng = np.random.default_rng(3)
     turns = rng.normal(size=(2000, 3)) * rng.choice([1e-5, 1e-3, 1.0, 5.0], size=(2000, 1))
     turns[:500, :2], turns[0] = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Shapes as formulas: a second opinion on hulls, spheres and kernels."""
+"""Reference implementations: shapes as formulas, hulls as in the exact check."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from momapos.verification.convex import Body, overlap
 
 
 def signed_distance(shape: Geometry, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Distance to a box, cylinder or sphere in the link frame, negative inside [m]."""
+    """Return the distance to a primitive in the link frame, negative inside [m]."""
     T = shape.T_link_geometry
     x = (points - T[:3, 3]) @ T[:3, :3]
     if shape.kind == "sphere":
@@ -34,12 +34,12 @@ def signed_distance(shape: Geometry, points: Float[np.ndarray, "n 3"]) -> Float[
 def surface_points(
     shape: Geometry, count: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Random points on a box, cylinder or sphere, edges and corners among them."""
+    """Return random points on a primitive, including edges and corners."""
     if shape.kind == "sphere":
         x = directions(count, rng) * shape.size[0]
     elif shape.kind == "box":
         x = rng.uniform(-1, 1, (count, 3))
-        # One, two or three coordinates at their end: faces, edges and corners.
+        # One, two or three coordinates at their limits: faces, edges and corners.
         ends = rng.random((count, 3)).argsort(1) <= rng.integers(0, 3, (count, 1))
         x = np.where(ends, np.sign(x), x) * np.array(shape.size) / 2
     else:
@@ -53,13 +53,13 @@ def surface_points(
 
 
 def directions(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Random unit vectors."""
+    """Return random unit vectors."""
     v = rng.normal(size=(count, 3))
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 def rotations(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3 3"]:
-    """Random rotation matrices."""
+    """Return random rotation matrices."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.random(count, rng=rng).as_matrix()
@@ -68,20 +68,20 @@ def rotations(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3 3"
 def random_boxes(
     count: int, rng: np.random.Generator, low: tuple[float, ...], high: tuple[float, ...]
 ) -> Boxes:
-    """Boxes of 2 to 60 cm with centers in a range."""
+    """Return boxes of 2 to 60 cm with centers in a range."""
     half = rng.uniform(0.01, 0.3, (count, 3))
     return Boxes(rng.uniform(low, high, (count, 3)), rotations(count, rng), half)
 
 
 def random_states(chain: Chain, count: int, rng: np.random.Generator) -> Float[np.ndarray, "m n"]:
-    """Configurations within limits; continuous joints anywhere in a turn."""
+    """Return configurations within limits, and within one turn for continuous joints."""
     lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
     upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
     return rng.uniform(lower, upper, (count, chain.size))
 
 
 def link_spheres(robot: Robot, link: str) -> tuple[np.ndarray, np.ndarray]:
-    """Centers in the link's frame and radii of its spheres."""
+    """Return centers in the link's frame and radii of its spheres."""
     spheres, group = robot.spheres, robot.spheres.links.index(link)
     of_link = slice(*spheres.start[group : group + 2])
     T = robot.segments.T_segment_link[link]
@@ -89,7 +89,7 @@ def link_spheres(robot: Robot, link: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 class HullPairs:
-    """Pairs of hulls whose overlap is contact of the robot with itself."""
+    """Pairs of hulls whose overlap is self-collision."""
 
     def __init__(self, spheres: Spheres) -> None:
         hulls, self.spheres = spheres.hulls, spheres
@@ -105,7 +105,7 @@ class HullPairs:
         )
 
     def meet(self, Ts: Float[np.ndarray, "segments 4 4"]) -> bool:
-        """Whether any overlap; pairs whose enclosing balls are apart are not asked."""
+        """Return whether any pair overlaps; pairs with disjoint bounding spheres are skipped."""
         T = Ts[self.spheres.hulls.segment]
         center = np.einsum("hij,hj->hi", T[:, :3, :3], self.center) + T[:, :3, 3]
         a, b = self.pairs.T
@@ -117,7 +117,7 @@ class HullPairs:
 def hulls_meet(
     spheres: Spheres, Ts: Float[np.ndarray, "segments 4 4"], pair: tuple[int, int]
 ) -> bool:
-    """Whether two hulls overlap where the segments are, as the exact check computes it."""
+    """Return whether two hulls overlap at given segment poses, by the exact check."""
     hulls = spheres.hulls
     bodies = [
         (Body(hulls.vertices[hulls.first[h] : hulls.first[h + 1]], 0.0, 0.0), hulls.segment[h])

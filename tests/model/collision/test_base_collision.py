@@ -1,4 +1,4 @@
-"""Where a base can stand, held to coal."""
+"""Collisions of base poses agree with coal."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 import coal
 import numpy as np
 import pytest
-from exact_shapes import random_boxes
 from jaxtyping import Float
+from tests.model.collision.exact_hulls import random_boxes
 
 from momapos.core.geometry.transforms import pose, pose_planar
 from momapos.model.collision.arm_collision import FREE
@@ -20,7 +20,7 @@ from momapos.model.urdf.hulls import Boxes
 def box_distances(
     base: Boxes, bases: Float[np.ndarray, "n 3"], boxes: Boxes, clearance: float
 ) -> Float[np.ndarray, "n boxes"]:
-    """Signed distance of each box of the room to the nearest of the base's, by coal."""
+    """Return the signed distance of each box of the scene from the base's boxes, by coal."""
 
     def shapes(some: Boxes, grow: float) -> list[object]:
         return [coal.Box(*map(float, 2 * (half + grow))) for half in some.half]
@@ -42,7 +42,7 @@ def box_distances(
 
 
 @pytest.mark.parametrize("clearance", [0.0, 0.05])
-def test_the_first_box_hit_is_the_first_that_coal_finds_overlapping(clearance: float) -> None:
+def test_the_first_hit_agrees_with_coal(clearance: float) -> None:
     rng = np.random.default_rng(0)
     base = random_boxes(3, rng, (-0.3, -0.3, 0.2), (0.3, 0.3, 0.6))
     room = random_boxes(6, rng, (-1.5, -1.5, 0.0), (1.5, 1.5, 1.0))
@@ -58,20 +58,17 @@ def test_the_first_box_hit_is_the_first_that_coal_finds_overlapping(clearance: f
     )
 
 
-def test_boxes_side_by_side_are_apart_and_edge_on_edge_too() -> None:
-    """The cases that fifteen axes exist for: parallel faces, and edges that cross."""
+def test_parallel_and_crossed_boxes_are_recognized_as_disjoint() -> None:
+    """All fifteen axes matter: parallel faces, and crossing edges."""
     cube = Boxes(np.zeros((1, 3)), np.eye(3)[None], np.full((1, 3), 0.5))
     c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
     on_edge = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
     turned = np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
-    for rotation, reach in (
-        (np.eye(3), 0.5 + 0.5),
-        (on_edge, 0.5 + 0.5 * np.sqrt(2)),
-    ):
+    for rotation, reach in ((np.eye(3), 0.5 + 0.5), (on_edge, 0.5 + 0.5 * np.sqrt(2))):
         for gap, hit in ((1e-4, False), (-1e-4, True)):
             other = Boxes(np.array([[0.0, reach + gap, 0.0]]), rotation[None], np.full((1, 3), 0.5))
             assert bool(base_hits(np.zeros((1, 3)), cube, other, clearance=0.0)[0] == 0) is hit
-    # Two beams crossed like an X, edge above edge: only the product of two edges parts them.
+    # Two beams crossed like an X, edge above edge: only the cross product of edges separates them.
     beam = Boxes(np.zeros((1, 3)), on_edge[None], np.array([[2.0, 0.5, 0.5]]))
     for gap, hit in ((1e-4, False), (-1e-4, True)):
         other = Boxes(
@@ -81,7 +78,7 @@ def test_boxes_side_by_side_are_apart_and_edge_on_edge_too() -> None:
         assert bool(base_hits(np.zeros((1, 3)), beam, other, clearance=0.0)[0] == 0) is hit
 
 
-def test_a_base_and_its_room_can_be_moved_together(robot: Robot) -> None:
+def test_hits_do_not_change_if_base_and_scene_move_together(robot: Robot) -> None:
     rng = np.random.default_rng(1)
     room = random_boxes(8, rng, (-1.2, -1.2, 0.0), (1.2, 1.2, 1.2))
     bases = rng.uniform((-1.5, -1.5, -np.pi), (1.5, 1.5, np.pi), (300, 3))
@@ -97,7 +94,7 @@ def test_a_base_and_its_room_can_be_moved_together(robot: Robot) -> None:
     assert 0 < (here == FREE).sum() < len(here)
 
 
-def test_more_clearance_never_frees_a_base(robots: Callable[[str], Robot]) -> None:
+def test_a_larger_clearance_never_frees_a_base_pose(robots: Callable[[str], Robot]) -> None:
     rng, base = np.random.default_rng(2), robots("husky_ur5e").base
     room = random_boxes(5, rng, (-1.2, -1.2, 0.0), (1.2, 1.2, 1.2))
     bases = rng.uniform((-2, -2, -np.pi), (2, 2, np.pi), (500, 3))
@@ -107,7 +104,7 @@ def test_more_clearance_never_frees_a_base(robots: Callable[[str], Robot]) -> No
     assert free[0].sum() > free[2].sum()
 
 
-def test_an_empty_room_is_free() -> None:
+def test_an_empty_scene_is_free() -> None:
     none = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
     cube = Boxes(np.zeros((1, 3)), np.eye(3)[None], np.full((1, 3), 0.5))
     bases = np.zeros((3, 3))

@@ -1,4 +1,4 @@
-"""Collision kernels, held to plain numpy on the same spheres, and to coal on the exact shapes."""
+"""Collision kernels agree with numpy on the same spheres, and with coal on the exact shapes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Callable
 import coal
 import numpy as np
 import pytest
-from exact_shapes import HullPairs, random_boxes, random_states, rotations
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
+from tests.model.collision.exact_hulls import HullPairs, random_boxes, random_states, rotations
 
 from momapos.core.geometry.transforms import invert, pose, pose_planar
 from momapos.model.collision.arm_collision import FINGER, FLOOR, FREE, PALM, SELF, check_states
@@ -31,7 +31,7 @@ NONE = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 
 def moved_by_joint(boxes: Boxes, values: int, rng: np.random.Generator) -> MovingBoxes:
-    """The boxes at several values of some joint."""
+    """Return the boxes at several values of a joint."""
     shift = rng.uniform(-0.3, 0.3, (values, 1, 3))
     turn = rotations(values, rng)[:, None]
     half = np.tile(boxes.half, (values, 1, 1))
@@ -67,13 +67,13 @@ def segment_poses(
 def gaps(
     points: Float[np.ndarray, "*n 3"], center: np.ndarray, rotation: np.ndarray, half: np.ndarray
 ) -> Float[np.ndarray, "*n boxes"]:
-    """Distance of points to boxes, zero inside."""
+    """Return the distance of points from boxes, zero inside."""
     local = np.einsum("...bi,bij->...bj", points[..., None, :] - center, rotation)
     return np.linalg.norm(np.maximum(np.abs(local) - half, 0), axis=-1)
 
 
 class Twin:
-    """`world.check` as numpy writes it: every sphere, every box, no grid."""
+    """Reference of `world.check` in numpy: all spheres, all boxes, no grid."""
 
     def __init__(self, world: CollisionWorld, chain: Chain, spheres: Spheres) -> None:
         self.world, self.chain, self.spheres = world, chain, spheres
@@ -103,7 +103,7 @@ class Twin:
             static = gaps(p, w.static.center, w.static.rotation, w.static.half)
             static = static < s.radius[:, None] + w.clearance
             if near.any():
-                # Links in order; of one link, boxes in order.
+                # In order of links, then of boxes.
                 links = [near[self.group == g].any(0) for g in range(len(s.segment))]
                 first = next(hit for hit in links if hit.any())
                 out[i] = len(w.static) + int(first.argmax())
@@ -116,7 +116,7 @@ class Twin:
     def touches_itself(
         self, p: Float[np.ndarray, "s 3"], Ts: Float[np.ndarray, "segments 4 4"]
     ) -> bool:
-        """Spheres meet, and are not too coarse for the pair; or hulls overlap."""
+        """Return whether spheres meet (if not too coarse for the pair) or hulls overlap."""
         s = self.spheres
         near = np.linalg.norm(p[:, None] - p[None], axis=-1) < s.radius[:, None] + s.radius
         for (a, b), exact in zip(s.pairs, s.exact, strict=True):
@@ -143,7 +143,7 @@ def situations(
 def test_kernels_agree_with_brute_force(
     robot: Robot, static: int, moving: int, clearance: float, spread: float
 ) -> None:
-    """Inside, astride of and far beyond the grid; with nothing standing or nothing moving."""
+    """States are inside, across and far outside the grid; static or moving boxes may be missing."""
     rng = np.random.default_rng(static + 10 * moving)
     world = world_of(robot, rng, static=static, moving=moving, clearance=clearance)
     case = situations(robot, 150, rng, spread)
@@ -153,8 +153,8 @@ def test_kernels_agree_with_brute_force(
     assert len(np.unique(expected)) > (3 if static + moving else 1)
 
 
-def test_no_sphere_in_the_grid_s_last_cells_is_overlooked(robots: Callable[[str], Robot]) -> None:
-    """One box, and bases all around it at the distance where the arm just touches or not."""
+def test_spheres_in_the_last_cells_of_the_grid_are_checked(robots: Callable[[str], Robot]) -> None:
+    """Bases are around one box, at the distance where the arm just touches it or not."""
     robot, rng = robots("segway_ur5e"), np.random.default_rng(1)
     one = Boxes(np.array([[0.0, 0.0, 1.2]]), rotations(1, rng), np.array([[0.1, 0.2, 0.3]]))
     world = build_world(
@@ -170,8 +170,8 @@ def test_no_sphere_in_the_grid_s_last_cells_is_overlooked(robots: Callable[[str]
     np.testing.assert_array_equal(check(world, robot.chain, robot.spheres, *case), expected)
 
 
-def test_a_finer_or_shifted_grid_changes_nothing(robots: Callable[[str], Robot]) -> None:
-    """The grid only hastens: boxes added far away stretch and shift it."""
+def test_a_larger_or_shifted_grid_changes_no_result(robots: Callable[[str], Robot]) -> None:
+    """Boxes far away enlarge and shift the grid."""
     robot, rng = robots("fetch"), np.random.default_rng(2)
     boxes = random_boxes(6, rng, (-1.0, -1.0, 0.2), (1.0, 1.0, 1.5))
     far = Boxes(np.array([[9.3, -7.77, 4.1 * CELL]]), np.eye(3)[None], np.full((1, 3), 0.05))
@@ -190,8 +190,8 @@ def test_a_finer_or_shifted_grid_changes_nothing(robots: Callable[[str], Robot])
     np.testing.assert_array_equal(codes[0], codes[1])
 
 
-def test_both_kernels_give_one_verdict(robot: Robot) -> None:
-    """`check_states`, which planners call for one base, and `check`, which takes many."""
+def test_both_kernels_agree(robot: Robot) -> None:
+    """`check_states` takes one base pose, `check` many."""
     rng = np.random.default_rng(3)
     world = world_of(robot, rng, static=8, moving=0, clearance=0.01)
     q, _, value, holding = situations(robot, 400, rng, 1.0)
@@ -202,7 +202,7 @@ def test_both_kernels_give_one_verdict(robot: Robot) -> None:
     np.testing.assert_array_equal(np.minimum(one, 0), np.minimum(many, 0))
 
 
-def test_a_motion_is_free_where_all_its_states_are(robot: Robot) -> None:
+def test_a_motion_is_free_if_all_its_states_are(robot: Robot) -> None:
     rng = np.random.default_rng(8)
     world = world_of(robot, rng, static=6, moving=2, clearance=0.01)
     ends, _, _, _ = situations(robot, 120, rng, 1.0)
@@ -226,8 +226,8 @@ def test_a_motion_is_free_where_all_its_states_are(robot: Robot) -> None:
     assert False in verdicts
 
 
-def test_what_is_carried_is_checked_like_the_hand(robots: Callable[[str], Robot]) -> None:
-    """A robot that carries a thing hits whatever it hits alone, and what the thing hits."""
+def test_a_carried_object_is_checked_like_the_hand(robots: Callable[[str], Robot]) -> None:
+    """A robot with an object hits what the robot hits alone, and what the object hits."""
     robot, rng = robots("segway_ur5e"), np.random.default_rng(4)
     thing = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
     center, radius = box_spheres(thing)
@@ -249,7 +249,7 @@ def test_what_is_carried_is_checked_like_the_hand(robots: Callable[[str], Robot]
 
 
 class Exact:
-    """Links and boxes as coal has them."""
+    """Links and boxes in coal."""
 
     def __init__(self) -> None:
         self.coal = coal
@@ -269,14 +269,14 @@ class Exact:
         return self.coal.Transform3s(np.ascontiguousarray(T[:3, :3]), T[:3, 3])
 
     def distance(self, a: object, T_a: object, b: object, T_b: object) -> float:
-        """Signed: how deep they are in each other where negative [m]."""
+        """Return the signed distance, negative for overlap [m]."""
         result = self.coal.DistanceResult()
         self.coal.distance(a, T_a, b, T_b, self.coal.DistanceRequest(), result)
         return result.min_distance
 
 
 def exact_gaps(robot: Robot, boxes: Boxes, q: np.ndarray, bases: np.ndarray) -> np.ndarray:
-    """Signed distance between the moving links and the boxes, per configuration."""
+    """Return the signed distance between moving links and boxes for each configuration."""
     exact, chain = Exact(), robot.chain
     Ts = segment_poses(chain, q, bases)
     placed = [
@@ -301,8 +301,8 @@ def exact_gaps(robot: Robot, boxes: Boxes, q: np.ndarray, bases: np.ndarray) -> 
     return out
 
 
-def test_spheres_are_never_free_in_a_wall_and_never_blocked_in_the_open(robot: Robot) -> None:
-    """Against coal on the exact shapes, up to what the spheres promise.
+def test_spheres_agree_with_exact_shapes_up_to_their_margins(robot: Robot) -> None:
+    """Compare with coal on the exact shapes.
 
     What is called free is at most `MARGIN` deep in a box; what is called blocked is no farther
     from one than spheres stick out of a torso. Overlap as coal counts it, the shortest way out,
@@ -319,7 +319,7 @@ def test_spheres_are_never_free_in_a_wall_and_never_blocked_in_the_open(robot: R
     assert distance[codes >= 0].max() < BODY + 1e-3
 
 
-def test_the_arm_meets_itself_where_coal_says_so(robot: Robot) -> None:
+def test_self_collision_agrees_with_coal(robot: Robot) -> None:
     exact, rng, s = Exact(), np.random.default_rng(6), robot.spheres
     q = random_states(robot.chain, 80, rng)
     still = (np.zeros((80, 3)), np.zeros(80, int), np.zeros(80, bool))
@@ -352,7 +352,7 @@ def test_the_arm_meets_itself_where_coal_says_so(robot: Robot) -> None:
     assert distance[codes == SELF].max() < 2 * BODY
 
 
-def test_a_code_is_told_in_words(robots: Callable[[str], Robot]) -> None:
+def test_codes_have_descriptions(robots: Callable[[str], Robot]) -> None:
     world = world_of(robots("fetch"), np.random.default_rng(7), static=2, moving=1, clearance=0.0)
     words = [world.reason(code) for code in (FREE, SELF, FLOOR, 0, 2)]
     assert words == ["free", "the robot itself", "the floor", "box 0", "box 2"]

@@ -1,15 +1,21 @@
-"""Hulls of meshes with thousands of vertices, over which kernels climb."""
+"""Hulls of meshes with thousands of vertices, searched from neighbor to neighbor."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import trimesh
-from exact_shapes import directions, hulls_meet, random_states
+from tests.model.collision.exact_hulls import directions, hulls_meet, random_states
 
 from momapos.model.collision.arm_collision import place_segments
-from momapos.model.collision.hull_overlap import FEW, PARTS, climbed, hulls_overlap, part_of_space
-from momapos.model.collision.link_hulls import MIDDLES
+from momapos.model.collision.hull_overlap import (
+    DIRECTION_BINS,
+    MAX_SCANNED_VERTICES,
+    climb,
+    direction_bin,
+    hulls_overlap,
+)
+from momapos.model.collision.link_hulls import BIN_CENTERS
 from momapos.model.collision.self_collision import arm_spheres
 from momapos.model.collision.spheres import Spheres
 from momapos.model.kinematics.chain import Chain, build_chain, chain_arrays
@@ -19,7 +25,7 @@ from momapos.model.urdf.reader import read_urdf
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Chain, Spheres]:
-    """A drum with flat ends that swings on a box beside an egg that does."""
+    """Build a drum with flat ends that swings on a box next to an egg that swings."""
     folder = tmp_path_factory.mktemp("arm")
     trimesh.creation.icosphere(4).apply_scale((0.1, 0.2, 0.3)).export(folder / "egg.stl")
     trimesh.creation.cylinder(0.2, 0.3, sections=500).export(folder / "drum.stl")
@@ -41,27 +47,27 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Chain, Spheres]:
     return chain, arm_spheres(model, chain, segments, frozenset(), ["drum"])
 
 
-def test_climbing_ends_at_a_vertex_as_far_out_as_any(arm: tuple[Chain, Spheres]) -> None:
+def test_climbing_finds_a_farthest_vertex(arm: tuple[Chain, Spheres]) -> None:
     hulls = arm[1].hulls
     arrays = hulls.arrays
-    large = np.flatnonzero(np.diff(hulls.first) > FEW)
+    large = np.flatnonzero(np.diff(hulls.first) > MAX_SCANNED_VERTICES)
     assert len(large) == 2
     axes = np.vstack([np.eye(3), -np.eye(3), np.zeros((1, 3))])
     for h in large:
         own = hulls.vertices[hulls.first[h] : hulls.first[h + 1]]
         for direction in np.vstack([axes, directions(300, np.random.default_rng(0))]):
-            v = climbed(arrays, hulls.begin[h, part_of_space(direction)], direction)
+            v = climb(arrays, hulls.begin[h, direction_bin(direction)], direction)
             assert hulls.first[h] <= v < hulls.first[h + 1]
             assert hulls.vertices[v] @ direction >= (own @ direction).max() - 1e-12
 
 
-def test_each_part_of_space_holds_its_middle_and_directions_of_no_length_have_one() -> None:
-    assert [part_of_space(tuple(middle)) for middle in MIDDLES] == list(range(PARTS))
+def test_each_bin_contains_its_center_and_the_zero_direction_has_a_bin() -> None:
+    assert [direction_bin(tuple(middle)) for middle in BIN_CENTERS] == list(range(DIRECTION_BINS))
     for direction in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (-1.0, 1.0, -1.0), (1e-310, 0.0, 0.0)):
-        assert 0 <= part_of_space(direction) < PARTS
+        assert 0 <= direction_bin(direction) < DIRECTION_BINS
 
 
-def test_hulls_of_many_vertices_overlap_where_the_exact_check_says_so(
+def test_overlap_of_hulls_with_many_vertices_agrees_with_the_exact_check(
     arm: tuple[Chain, Spheres],
 ) -> None:
     chain, spheres = arm

@@ -1,4 +1,4 @@
-"""Contact of a robot with itself: what spheres say is held to the hulls of its shapes."""
+"""Self-collision by spheres agrees with that by hulls."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact_shapes import HullPairs, random_states
 from jaxtyping import Float
+from tests.model.collision.exact_hulls import HullPairs, random_states
 
 from momapos.model.collision.arm_collision import place_segments
 from momapos.model.collision.self_collision import arm_spheres, contacts, decided_by_hulls
@@ -23,8 +23,8 @@ from momapos.model.robots.robot import Robot
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 
-MORE = 0.03
-"""Share of the states that the planner may call contact where hulls are apart [-]."""
+MAX_FALSE_SHARE = 0.03
+"""Largest share of states that the planner may block although hulls are disjoint [-]."""
 
 
 def segment_poses(chain: Chain, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "segments 4 4"]:
@@ -38,7 +38,7 @@ def segment_poses(chain: Chain, q: Float[np.ndarray, " n"]) -> Float[np.ndarray,
 def close_robot(
     folder: Path, gap: float, limits: tuple[float, float] = (-3.0, 3.0)
 ) -> tuple[Articulated, tuple[str, ...]]:
-    """An arm whose third link turns beside the first, a few millimeters from it.
+    """Build an arm whose third link turns next to the first, a few millimeters from it.
 
     The second link holds the third at the side of the first; both turn about one axis. The limits
     are those of the third joint.
@@ -79,7 +79,7 @@ def arm_of(model: Articulated, joints: tuple[str, ...]) -> tuple[Chain, Spheres]
     return chain, arm_spheres(model, chain, segments, frozenset(), ["third"])
 
 
-def test_links_overlap_where_the_exact_check_says_so(robot: Robot) -> None:
+def test_overlap_of_links_agrees_with_the_exact_check(robot: Robot) -> None:
     q = random_states(robot.chain, 60, np.random.default_rng(0))
     found = contacts(robot.chain, robot.spheres, q).by_hulls.any(1)
     pairs = HullPairs(robot.spheres)
@@ -88,43 +88,39 @@ def test_links_overlap_where_the_exact_check_says_so(robot: Robot) -> None:
     assert 0.05 < found.mean() < 0.8
 
 
-def test_no_contact_of_hulls_is_overlooked_and_few_states_are_blocked_without_one(
-    robot: Robot,
-) -> None:
+def test_all_contacts_of_hulls_are_found_and_few_other_states_are_blocked(robot: Robot) -> None:
     q = sample_states(robot.chain, np.random.default_rng(1))
     blocked = touches(robot.chain, robot.spheres, q)
     true = contacts(robot.chain, robot.spheres, q).by_hulls.any(1)
     assert not (true & ~blocked).any()
-    assert (blocked & ~true).mean() <= MORE
+    assert (blocked & ~true).mean() <= MAX_FALSE_SHARE
 
 
-@pytest.mark.parametrize("room", [0.001, 0.003, 0.009, 0.011])
-def test_links_that_are_nearer_than_the_room_asked_for_touch(tmp_path: Path, room: float) -> None:
+@pytest.mark.parametrize("margin", [0.001, 0.003, 0.009, 0.011])
+def test_links_within_the_margin_touch(tmp_path: Path, margin: float) -> None:
     gap = 0.01
     chain, spheres = arm_of(*close_robot(tmp_path, gap))
-    found = contacts(chain, spheres.grown(room), np.zeros((1, chain.size)))
+    found = contacts(chain, spheres.grown(margin), np.zeros((1, chain.size)))
     touch = found.by_hulls[0, found.pairs.index(("first", "third"))]
-    assert touch == (room > gap)
+    assert touch == (margin > gap)
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.005, 0.02])
-def test_links_that_pass_closely_by_each_other_are_left_to_their_hulls(
-    tmp_path: Path, gap: float
-) -> None:
+def test_hulls_decide_for_links_that_pass_closely(tmp_path: Path, gap: float) -> None:
     chain, spheres = arm_of(*close_robot(tmp_path, gap))
     q = sample_states(chain, np.random.default_rng(2))
     found = contacts(chain, spheres, q)
     column = found.pairs.index(("first", "third"))
-    assert found.by_spheres[:, column].mean() > found.by_hulls[:, column].mean() + MORE
+    assert found.by_spheres[:, column].mean() > found.by_hulls[:, column].mean() + MAX_FALSE_SHARE
     assert ("first", "third") in decided_by_hulls(spheres)
     blocked, true = touches(chain, spheres, q), found.by_hulls.any(1)
     assert not (true & ~blocked).any()
-    assert (blocked & ~true).mean() <= MORE
+    assert (blocked & ~true).mean() <= MAX_FALSE_SHARE
     assert not true.all()
 
 
-def test_links_that_pass_closely_by_each_other_stay_checked(tmp_path: Path) -> None:
-    """Spheres touch in nearly all states, hulls in few: no reason to disable the pair."""
+def test_links_that_pass_closely_are_not_disabled(tmp_path: Path) -> None:
+    """Spheres touch in nearly all states, but hulls only in few."""
     chain, spheres = arm_of(*close_robot(tmp_path, 0.002))
     q = sample_states(chain, np.random.default_rng(3))
     assert ("first", "third") not in inevitable_pairs(chain, spheres, q)
@@ -136,7 +132,9 @@ def test_links_whose_hulls_always_overlap_are_disabled(tmp_path: Path) -> None:
     assert inevitable_pairs(chain, spheres, q)["first", "third"] == "Always"
 
 
-def test_shares_tell_what_each_pair_blocks_both_ways(tmp_path: Path) -> None:
+def test_shares_report_the_states_that_a_pair_blocks_by_spheres_and_by_hulls(
+    tmp_path: Path,
+) -> None:
     chain, spheres = arm_of(*close_robot(tmp_path, 0.005))
     q = sample_states(chain, np.random.default_rng(4))
     shares = {share.links: share for share in self_collision_shares(chain, spheres, q)}
@@ -151,7 +149,7 @@ def test_shares_tell_what_each_pair_blocks_both_ways(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("limits", [(-1.0, 4.5), (3.5, 5.0), (1.0, 9.0), (-9.0, 9.0)])
-def test_states_are_drawn_from_the_whole_range_of_a_joint_or_one_turn(
+def test_states_are_sampled_from_the_whole_range_of_a_joint_or_one_turn(
     tmp_path: Path, limits: tuple[float, float]
 ) -> None:
     chain, _ = arm_of(*close_robot(tmp_path, 0.02, limits))
@@ -161,7 +159,7 @@ def test_states_are_drawn_from_the_whole_range_of_a_joint_or_one_turn(
     assert abs(drawn).max() <= max(abs(limits[0]), 2 * np.pi + limits[0], np.pi)
 
 
-def test_an_arm_that_nothing_is_checked_against_has_no_pair_for_hulls(tmp_path: Path) -> None:
+def test_an_arm_without_pairs_to_check_has_no_pairs_for_hulls(tmp_path: Path) -> None:
     model, joints = close_robot(tmp_path, 0.02)
     chain, segments = build_chain(model, "base_link", "third", joints)
     links = [*model.links]

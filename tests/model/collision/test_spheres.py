@@ -1,4 +1,4 @@
-"""Spheres cover the shapes of a robot, and stick out of them as little as they promise."""
+"""Spheres cover the shapes of a robot, and protrude no farther than allowed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from exact_shapes import directions, link_spheres, rotations, signed_distance, surface_points
 from jaxtyping import Float
+from tests.model.collision.exact_hulls import (
+    directions,
+    link_spheres,
+    rotations,
+    signed_distance,
+    surface_points,
+)
 from tests.real import furniture
 
 from momapos.core.geometry.transforms import pose
-from momapos.model.collision.sphere_cover import ARM, BODY, BULKY, GRIPPER, MARGIN, cover_shapes
+from momapos.model.collision.sphere_cover import (
+    ARM,
+    BODY,
+    GRIPPER,
+    MARGIN,
+    MIN_BULKY_HALF,
+    cover_shapes,
+)
 from momapos.model.collision.spheres import box_spheres
 from momapos.model.robots.robot import Robot
 from momapos.model.urdf.hulls import Boxes, hull_of
@@ -23,7 +36,7 @@ from momapos.model.urdf.reader import Geometry
 def uncovered(
     points: Float[np.ndarray, "n 3"], center: Float[np.ndarray, "s 3"], radius: np.ndarray
 ) -> float:
-    """How far the farthest point is from all spheres [m]."""
+    """Return the largest distance of a point from all spheres [m]."""
     return float((np.linalg.norm(points[:, None] - center, axis=-1) - radius).min(1).max())
 
 
@@ -31,7 +44,7 @@ def stick_out(
     shapes: tuple[Geometry, ...], center: Float[np.ndarray, "s 3"], radius: np.ndarray,
     rng: np.random.Generator,
 ) -> float:  # fmt: skip
-    """How far the farthest point of a sphere is from all shapes [m]."""
+    """Return the largest protrusion of a sphere from all shapes [m]."""
     surface = (center[:, None] + radius[:, None, None] * directions(300, rng)).reshape(-1, 3)
     return float(np.min([signed_distance(shape, surface) for shape in shapes], axis=0).max())
 
@@ -44,19 +57,22 @@ def test_spheres_cover_each_shape_of_the_arm(robot: Robot) -> None:
             assert uncovered(surface_points(shape, 2000, rng), center, radius) < MARGIN + 1e-3
 
 
-def test_spheres_stick_out_least_of_the_gripper(robot: Robot) -> None:
+def test_spheres_protrude_least_from_the_gripper(robot: Robot) -> None:
     rng = np.random.default_rng(1)
     for link in robot.spheres.links:
         shapes = robot.model.urdf.links[link].collisions
         out = stick_out(shapes, *link_spheres(robot, link), rng)
         thin = [min(s.size[0], s.size[-1] / 2) if s.kind == "cylinder" else min(s.size) / 2
                 for s in shapes]  # fmt: skip
-        slender = max(thin) <= BULKY and robot.segments.of_link[link] > robot.chain.prismatic.sum()
+        slender = (
+            max(thin) <= MIN_BULKY_HALF
+            and robot.segments.of_link[link] > robot.chain.prismatic.sum()
+        )
         most = GRIPPER if link in robot.gripper_links else ARM if slender else BODY
         assert out < most + 1e-3, link
 
 
-def test_every_link_that_moves_has_spheres_and_every_other_has_boxes(robot: Robot) -> None:
+def test_moving_links_have_spheres_and_the_others_have_boxes(robot: Robot) -> None:
     shaped = [name for name, link in robot.model.urdf.links.items() if link.collisions]
     moving = {name for name in shaped if robot.segments.of_link[name] > 0}
     assert set(robot.spheres.links) == moving
@@ -70,8 +86,8 @@ def test_every_link_that_moves_has_spheres_and_every_other_has_boxes(robot: Robo
             assert (np.abs(local) <= base.half + 1e-6).all(-1).any(-1).all()
 
 
-def test_a_few_spheres_are_enough(robot: Robot) -> None:
-    """Checking time grows with their number; Fetch carries its torso and head around."""
+def test_the_number_of_spheres_is_small(robot: Robot) -> None:
+    """Check time grows with their number; Fetch's arm carries its torso and head."""
     assert len(robot.spheres.radius) <= (220 if robot.name == "fetch" else 110)
 
 
@@ -109,15 +125,15 @@ def test_any_primitive_is_covered(kind: str, size: tuple[float, ...], allowed: f
     shape = Geometry(kind, size, T)  # type: ignore[arg-type]
     center, radius = cover_shapes((shape,), allowed)
     assert uncovered(surface_points(shape, 3000, rng), center, radius) < MARGIN + 1e-3
-    # Wide discs and meshes are cut into cells, whose spheres may stick out more.
+    # Wide discs and meshes are divided into cells, whose spheres may protrude farther.
     if max(size) < 0.5 and not (kind == "cylinder" and size[0] > 2 * size[1]):
         bulky = min(size[0], size[-1] / 2) if kind == "cylinder" else min(size) / 2
-        most = BODY if bulky > BULKY else allowed
+        most = BODY if bulky > MIN_BULKY_HALF else allowed
         assert stick_out((shape,), center, radius, rng) < most + 1e-3
     assert (radius > 0).all()
 
 
-def test_a_shape_inside_another_costs_nothing() -> None:
+def test_a_shape_inside_another_needs_no_spheres() -> None:
     outer = Geometry("cylinder", (0.05, 0.3), np.eye(4))
     inner = Geometry("box", (0.04, 0.04, 0.1), np.eye(4))
     alone = cover_shapes((outer,), ARM)
@@ -126,7 +142,7 @@ def test_a_shape_inside_another_costs_nothing() -> None:
 
 
 @pytest.mark.parametrize("part", ["kitchen_small/chair", "Faucet/14", "MilkBottle/4043"])
-def test_things_are_covered_too(part: str) -> None:
+def test_objects_are_covered(part: str) -> None:
     from momapos.model.urdf.reader import read_urdf
 
     rng = np.random.default_rng(4)
@@ -139,7 +155,7 @@ def test_things_are_covered_too(part: str) -> None:
             assert uncovered(np.vstack([v, points]), center, radius) < MARGIN + 2e-3
 
 
-def test_boxes_to_carry_are_covered() -> None:
+def test_carried_boxes_are_covered() -> None:
     rng = np.random.default_rng(5)
     boxes = Boxes(rng.normal(size=(4, 3)), rotations(4, rng), rng.uniform(0.01, 0.15, (4, 3)))
     center, radius = box_spheres(boxes)
@@ -148,8 +164,8 @@ def test_boxes_to_carry_are_covered() -> None:
         assert uncovered(surface_points(shape, 2000, rng), center, radius) < MARGIN + 1e-6
 
 
-def test_a_mesh_of_many_faces_is_covered_as_tightly_and_in_little_memory(tmp_path: Path) -> None:
-    """An egg of 20,000 faces: its grid points times its faces would fill gigabytes."""
+def test_a_mesh_with_many_faces_is_covered_tightly_and_with_little_memory(tmp_path: Path) -> None:
+    """For an egg with 20,000 faces, grid points times faces would take gigabytes."""
     egg = trimesh.creation.icosphere(5)
     egg.apply_scale((0.05, 0.07, 0.12))
     egg.export(tmp_path / "egg.stl")
@@ -160,7 +176,7 @@ def test_a_mesh_of_many_faces_is_covered_as_tightly_and_in_little_memory(tmp_pat
     tracemalloc.stop()
     points = np.asarray(egg.vertices)
     assert uncovered(points, center, radius) < MARGIN + 1e-3
-    # How far spheres stick out, by supporting planes of the egg.
+    # Protrusion of spheres, by supporting planes of the egg.
     normal = directions(500, np.random.default_rng(0))
     reach = ((center @ normal.T) + radius[:, None]).max(0) - (points @ normal.T).max(0)
     assert reach.max() < BODY

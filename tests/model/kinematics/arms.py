@@ -1,11 +1,11 @@
-"""Arms of every kind, made for tests."""
+"""Example arms of various types for tests."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from exact_shapes import directions
+from tests.model.collision.exact_hulls import directions
 
 from momapos.model.kinematics.chain import Chain
 
@@ -20,7 +20,7 @@ def arm(
     slides: Sequence[int] = (),
     reach: float = 2.6,
 ) -> Chain:
-    """A chain from axes and the steps between them; joints that slide move 0 to 0.5 m."""
+    """Build a chain from axes and offsets; prismatic joints move 0 to 0.5 m."""
     n = len(axes)
     sliding = np.isin(np.arange(n), slides)
     names = tuple(f"j{i}" for i in range(n))
@@ -34,7 +34,7 @@ def arm(
 
 
 def spherical_shoulder() -> Chain:
-    """Seven joints of which the first three meet and the last two do not, as those of a Panda."""
+    """Build seven joints; the first three axes meet and the last two do not, as in a Panda."""
     right, down = (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
     return arm(
         [UP, LEFT, UP, right, UP, right, down],
@@ -45,14 +45,14 @@ def spherical_shoulder() -> Chain:
 
 
 def skew(count: int, seed: int, slides: Sequence[int] = ()) -> Chain:
-    """Joints no two axes of which are parallel or meet, the first in any direction."""
+    """Build joints whose axes are skew, the first in any direction."""
     rng = np.random.default_rng(seed)
     steps = rng.uniform(0.08, 0.25, (count, 3)) * rng.choice([-1, 1], (count, 3))
     return arm(directions(count, rng), steps, rng.uniform(0.05, 0.1, 3), slides=slides)
 
 
 def lift_and_telescope() -> Chain:
-    """Five degrees of freedom: a lift, a telescope, and a wrist of three joints."""
+    """Build an arm with five degrees of freedom: a lift, a telescope and three wrist joints."""
     return arm(
         [UP, (0.0, -1.0, 0.0), UP, (0.0, -1.0, 0.0), AHEAD],
         [(0, 0, 0.3), (0, -0.2, 0), (0.1, -0.1, 0), (0, 0, -0.05), (0, 0, 0)],

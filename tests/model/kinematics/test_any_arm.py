@@ -1,20 +1,20 @@
-"""Inverse kinematics of arms that nobody thought of."""
+"""Inverse kinematics of arms with unusual geometry."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import arms
 import numpy as np
 import pytest
-from exact_shapes import random_states
 from numpy.testing import assert_allclose
+from tests.model.collision.exact_hulls import random_states
+from tests.model.kinematics import arms
 
 from momapos.core.errors import RobotError
 from momapos.model.kinematics.chain import Chain
 from momapos.model.kinematics.closed_forms import NUMERIC, WRIST_MEETING
 from momapos.model.kinematics.ik import build_ik, solve_ik
-from momapos.model.kinematics.ik_model import MOST_SAMPLES
+from momapos.model.kinematics.ik_model import MAX_SAMPLES
 
 ARMS = {
     "spherical shoulder": arms.spherical_shoulder(),
@@ -29,7 +29,7 @@ ARMS = {
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_poses_that_an_arm_takes_are_found(name: str) -> None:
+def test_reachable_poses_have_solutions(name: str) -> None:
     chain = ARMS[name]
     Ts = chain.tool_poses(random_states(chain, 400, np.random.default_rng(0)))
     q, counts = solve_ik(chain, build_ik(chain), Ts)
@@ -42,7 +42,7 @@ def test_poses_that_an_arm_takes_are_found(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["six skew joints", "seven skew joints", "five skew joints"])
-def test_no_solution_from_seeds_is_told_twice(name: str) -> None:
+def test_solutions_from_seeds_are_distinct(name: str) -> None:
     chain = ARMS[name]
     Ts = chain.tool_poses(random_states(chain, 50, np.random.default_rng(1)))
     for states, count in zip(*solve_ik(chain, build_ik(chain), Ts), strict=True):
@@ -50,11 +50,11 @@ def test_no_solution_from_seeds_is_told_twice(name: str) -> None:
         assert (gaps + np.eye(count) > 5e-3).all()
 
 
-def test_a_spherical_shoulder_has_a_closed_form_seen_from_the_tool() -> None:
+def test_a_spherical_shoulder_has_a_closed_form_from_the_tool() -> None:
     chain = ARMS["spherical shoulder"]
     ik = build_ik(chain)
     assert (ik.kind, ik.reverse) == (WRIST_MEETING, True)
-    # With the locked joint at a sample, the very state is among the solutions.
+    # If the locked joint is at a sample, the solutions include the state itself.
     q = random_states(chain, 300, np.random.default_rng(2))
     (locked,) = np.setdiff1d(np.arange(7), ik.active)
     q[:, locked] = np.random.default_rng(3).choice(ik.samples[:, locked], len(q))
@@ -63,7 +63,7 @@ def test_a_spherical_shoulder_has_a_closed_form_seen_from_the_tool() -> None:
     assert (nearest < 1e-5).mean() >= 0.99
 
 
-def test_an_arm_of_six_skew_joints_has_all_branches_that_many_more_seeds_find() -> None:
+def test_more_seeds_find_no_more_branches_of_six_skew_joints() -> None:
     chain = ARMS["six skew joints"]
     ik = build_ik(chain)
     Ts = chain.tool_poses(random_states(chain, 60, np.random.default_rng(4)))
@@ -71,7 +71,7 @@ def test_an_arm_of_six_skew_joints_has_all_branches_that_many_more_seeds_find() 
     assert few.sum() >= 0.85 * many.sum()
 
 
-def test_redundancy_is_never_enumerated() -> None:
+def test_the_number_of_locked_samples_is_bounded() -> None:
     wrist = arms.spherical_shoulder()
     joints = [arms.UP] * 3
     long = arms.arm(
@@ -79,12 +79,12 @@ def test_redundancy_is_never_enumerated() -> None:
     )
     ik = build_ik(long)
     assert ik.kind != NUMERIC
-    assert len(ik.samples) == MOST_SAMPLES < 9**4
+    assert len(ik.samples) == MAX_SAMPLES < 9**4
     locked = np.setdiff1d(np.arange(long.size), ik.active)
     assert np.ptp(ik.samples[:, locked], axis=0).min() > 0.9 * (2 * 2.6)
 
 
-def test_a_pose_off_the_few_that_five_joints_reach_has_no_solution() -> None:
+def test_a_pose_that_five_joints_cannot_reach_has_no_solution() -> None:
     chain = ARMS["lift and telescope"]
     Ts = chain.tool_poses(random_states(chain, 50, np.random.default_rng(5)))
     Ts[:, 0, 3] += 0.3 * chain.tool_offset[0]
@@ -92,12 +92,12 @@ def test_a_pose_off_the_few_that_five_joints_reach_has_no_solution() -> None:
     assert (counts == 0).all()
 
 
-def test_an_arm_of_three_joints_is_refused() -> None:
+def test_an_arm_of_three_joints_is_rejected() -> None:
     with pytest.raises(RobotError, match="3 degrees of freedom; at least 4"):
         build_ik(arms.skew(3, 0))
 
 
-def test_the_same_arm_gives_the_same_seeds() -> None:
+def test_seeds_are_deterministic() -> None:
     def seeds(chain: Chain) -> np.ndarray:
         return build_ik(chain).seeds
 

@@ -1,11 +1,11 @@
-"""Base poses that an arm of few degrees of freedom can be fitted to."""
+"""Base poses fitted to tool poses for arms with few degrees of freedom."""
 
 from __future__ import annotations
 
-import arms
 import numpy as np
-from exact_shapes import random_states
 from numpy.testing import assert_allclose
+from tests.model.collision.exact_hulls import random_states
+from tests.model.kinematics import arms
 
 from momapos.core.geometry.transforms import invert, pose_planar, rotation_about
 from momapos.model.kinematics.base_fit import fit_bases
@@ -16,7 +16,7 @@ from momapos.model.kinematics.ik import build_ik, solve_ik
 CHAIN = arms.lift_and_telescope()
 
 
-def test_a_turn_of_the_tool_is_one_more_degree_of_freedom() -> None:
+def test_a_tool_turn_adds_one_degree_of_freedom() -> None:
     axis = np.array([0.6, 0.0, 0.8])
     longer = with_tool_turn(CHAIN, axis, -1.0, 1.0)
     q = random_states(longer, 50, np.random.default_rng(0))
@@ -26,8 +26,8 @@ def test_a_turn_of_the_tool_is_one_more_degree_of_freedom() -> None:
     assert (longer.size, longer.last) == (CHAIN.size + 1, CHAIN.last + 1)
 
 
-def test_a_straight_pull_is_followed_from_the_base_poses_that_are_found() -> None:
-    """Along its telescope the arm pulls straight, and from hardly any base pose else."""
+def test_fitted_base_poses_reach_all_poses_of_a_straight_pull() -> None:
+    """The arm pulls straight along its telescope, and from few other base poses."""
     ik, rng = build_ik(CHAIN), np.random.default_rng(1)
     states = np.tile([0.2, 0.0, 0.3, 0.2, 0.1], (3, 1))
     states[:, 1] = [0.1, 0.25, 0.4]
@@ -39,20 +39,20 @@ def test_a_straight_pull_is_followed_from_the_base_poses_that_are_found() -> Non
     for base in moved[met]:
         _, counts = solve_ik(CHAIN, ik, invert(pose_planar(base)) @ Ts)
         assert (counts > 0).all()
-    # Where they begin the arm takes none of the poses.
+    # At the initial base poses, the arm reaches none of the poses.
     counts = [solve_ik(CHAIN, ik, invert(pose_planar(base)) @ Ts)[1].max() for base in begin]
     assert max(counts) == 0
 
 
-def test_poses_that_are_too_high_are_met_from_nowhere() -> None:
+def test_poses_that_are_too_high_have_no_fit() -> None:
     T = np.eye(4)
     T[2, 3] = 5.0
     _, met = fit_bases(CHAIN, build_ik(CHAIN), np.zeros((5, 3)), T[None])
     assert not met.any()
 
 
-def test_an_arm_with_a_closed_form_is_fitted_like_others() -> None:
-    """A yaw, three parallel pitches and a roll: with the turn of the hand as UR arms are built."""
+def test_an_arm_with_a_closed_form_can_be_fitted() -> None:
+    """The arm has a yaw, three parallel pitches and a roll; with the tool turn like a UR arm."""
     five = arms.arm(
         [arms.UP, arms.LEFT, arms.LEFT, arms.LEFT, arms.AHEAD],
         [(0, 0, 0.3), (0, 0, 0), (0.3, 0, 0), (0.3, 0, 0), (0.1, 0, 0)],
@@ -73,8 +73,8 @@ def test_an_arm_with_a_closed_form_is_fitted_like_others() -> None:
         assert (counts > 0).all()
 
 
-def test_the_base_moves_no_farther_than_it_must() -> None:
-    """Beside a pose that fits, the pull's own direction is the telescope's to make up for."""
+def test_the_base_moves_no_farther_than_necessary() -> None:
+    """The telescope compensates offsets of the base along the pull."""
     ik, rng = build_ik(CHAIN), np.random.default_rng(3)
     states = np.tile([0.2, 0.0, 0.0, 0.0, 0.1], (3, 1))
     states[:, 1] = [0.1, 0.25, 0.4]

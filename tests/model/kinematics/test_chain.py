@@ -1,4 +1,4 @@
-"""Forward kinematics, held to pinocchio."""
+"""Forward kinematics agrees with pinocchio."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from exact_shapes import random_states
 from numpy.testing import assert_allclose
+from tests.model.collision.exact_hulls import random_states
 from tests.real import BUILT_IN, furniture
 
 from momapos.core.errors import RobotError, UnknownNameError
@@ -21,10 +21,10 @@ from momapos.model.urdf.reader import read_urdf
 
 
 class Twin:
-    """A URDF as pinocchio reads it."""
+    """A URDF in pinocchio."""
 
     def __init__(self, path: Path) -> None:
-        # Pinocchio insists on an effort and a speed in every limit.
+        # Pinocchio requires effort and velocity in every limit.
         text = re.sub(
             r"<limit (?![^>]*effort)", '<limit effort="1" velocity="1" ', path.read_text()
         )
@@ -32,7 +32,7 @@ class Twin:
         self.data = self.model.createData()
 
     def poses(self, values: dict[str, float]) -> dict[str, np.ndarray]:
-        """Link poses in the root's frame; joints not named are at zero."""
+        """Return link poses in the root's frame; other joints are at zero."""
         q = pin.neutral(self.model)
         for name, value in values.items():
             joint = self.model.joints[self.model.getJointId(name)]
@@ -52,7 +52,7 @@ def random_values(model: Articulated, rng: np.random.Generator) -> dict[str, flo
     return {n: rng.uniform(lower[n], upper[n]) for n in model.joints}
 
 
-def test_tool_poses_of_a_batch_are_those_of_pinocchio(robot: Robot) -> None:
+def test_tool_poses_of_a_batch_agree_with_pinocchio(robot: Robot) -> None:
     q = random_states(robot.chain, 60, np.random.default_rng(0)).reshape(3, 20, -1)
     twin, expected = Twin(robot.model.urdf.path), np.empty((3, 20, 4, 4))
     for index in np.ndindex(3, 20):
@@ -62,7 +62,7 @@ def test_tool_poses_of_a_batch_are_those_of_pinocchio(robot: Robot) -> None:
     assert_allclose(robot.chain.tool_poses(q), expected, atol=1e-9)
 
 
-def test_link_poses_of_a_robot_are_those_of_pinocchio(robot: Robot) -> None:
+def test_link_poses_of_a_robot_agree_with_pinocchio(robot: Robot) -> None:
     rng, twin = np.random.default_rng(1), Twin(robot.model.urdf.path)
     for _ in range(5):
         values = random_values(robot.model, rng)
@@ -73,7 +73,7 @@ def test_link_poses_of_a_robot_are_those_of_pinocchio(robot: Robot) -> None:
 
 @pytest.mark.parametrize("name", [*BUILT_IN, "OvenCounter/101773", "Microwave/7128"])
 @pytest.mark.parametrize("scale", [1.0, 0.7])
-def test_link_poses_of_furniture_grow_with_its_scale(name: str, scale: float) -> None:
+def test_link_poses_of_furniture_scale_with_the_model(name: str, scale: float) -> None:
     path, rng = furniture(name), np.random.default_rng(2)
     model, twin = Articulated(read_urdf(path, scale=scale)), Twin(path)
     for _ in range(10):
@@ -87,8 +87,8 @@ def test_link_poses_of_furniture_grow_with_its_scale(name: str, scale: float) ->
             assert_allclose(T[:3, 3], scale * expected[link][:3, 3], atol=1e-9)
 
 
-def test_segments_carry_their_links(robot: Robot) -> None:
-    """Each link keeps its pose relative to the joint origin that its segment stands for."""
+def test_links_are_rigidly_attached_to_their_segments(robot: Robot) -> None:
+    """Each link keeps its pose relative to its segment."""
     rng, chain = np.random.default_rng(3), robot.chain
     q = random_states(chain, 1, rng)[0]
     still = robot.model.link_poses(robot.model.rest | dict.fromkeys(robot.arm_joints, 0.0))
@@ -107,13 +107,13 @@ def test_segments_carry_their_links(robot: Robot) -> None:
             assert_allclose(T_base_segment[:3, 3], origin[:3, 3], atol=1e-9)
 
 
-def test_a_chain_that_is_none_is_refused_in_words(robot: Robot) -> None:
+def test_joints_that_form_no_chain_are_rejected(robot: Robot) -> None:
     model, joints = robot.model, list(robot.arm_joints)
     ends = robot.base_link, robot.tool_link
     for wrong, words in (
         ([], "empty"),
-        (joints[::-1], "does not follow"),
-        ([joints[1], joints[0], *joints[2:]], "does not follow"),
+        (joints[::-1], "does not move with"),
+        ([joints[1], joints[0], *joints[2:]], "does not move with"),
         ([*joints, joints[-1]], "twice"),
     ):
         with pytest.raises(RobotError, match=words):

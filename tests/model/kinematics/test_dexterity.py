@@ -1,4 +1,4 @@
-"""Laws of Jacobians and of what is made of them."""
+"""Laws of Jacobians, dexterity and joint travel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from momapos.model.robots.robot import load_robot
 
 
 @pytest.mark.parametrize("name", ["segway_ur5e", "fetch"])
-def test_a_jacobian_says_where_a_small_motion_leads(name: str) -> None:
+def test_a_jacobian_predicts_small_motions(name: str) -> None:
     chain, rng = load_robot(name).chain, np.random.default_rng(0)
     q = np.clip(rng.uniform(-1.5, 1.5, (40, chain.size)), chain.lower, chain.upper)
     dq, length = 1e-4 * rng.normal(size=q.shape), 0.7
@@ -26,7 +26,7 @@ def test_a_jacobian_says_where_a_small_motion_leads(name: str) -> None:
         np.testing.assert_allclose(after, rotation_about(turn / angle, angle) @ R, atol=1e-6)
 
 
-def test_a_straight_elbow_has_no_dexterity_and_the_worst_state_counts() -> None:
+def test_a_straight_elbow_has_no_dexterity_and_the_smallest_counts() -> None:
     chain = load_robot("segway_ur5e").chain
     bent = np.array([0.3, -1.2, 1.4, -1.0, -1.3, 0.2])
     straight = bent.copy()
@@ -37,7 +37,7 @@ def test_a_straight_elbow_has_no_dexterity_and_the_worst_state_counts() -> None:
     assert least_dexterity(chain, np.stack([bent, straight]), 1.0) < 1e-4
 
 
-def test_dexterity_does_not_change_with_the_size_of_the_arm() -> None:
+def test_dexterity_is_independent_of_the_arms_size() -> None:
     chain, rng = load_robot("segway_ur5e").chain, np.random.default_rng(1)
     larger = replace(chain, d=3.0 * chain.d, tool_offset=3.0 * chain.tool_offset)
     for q in rng.uniform(-1.5, 1.5, (10, 1, chain.size)):
@@ -45,7 +45,7 @@ def test_dexterity_does_not_change_with_the_size_of_the_arm() -> None:
         assert one == pytest.approx(other, abs=1e-5)
 
 
-def test_an_arm_travels_there_and_back_twice_as_far() -> None:
+def test_the_travel_there_and_back_is_twice_the_travel_there() -> None:
     chain = load_robot("fetch").chain  # its torso slides
     q = np.zeros((3, chain.size))
     q[1] = 0.1

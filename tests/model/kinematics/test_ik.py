@@ -1,4 +1,4 @@
-"""Inverse kinematics: every solution holds, and none is missed."""
+"""Inverse kinematics: all solutions are correct and complete."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_shapes import directions, random_states, rotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 from numpy.testing import assert_allclose
 from tests import optional
+from tests.model.collision.exact_hulls import directions, random_states, rotations
 
 from momapos.core.geometry.transforms import rotation_angle, wrap_angle
 from momapos.model.kinematics.chain import Chain
@@ -46,7 +46,7 @@ LOCKED = {
 def states_on_samples(
     chain: Chain, ik: IkModel, count: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "m n"]:
-    """Random states whose locked joints stand at one of the sampled values."""
+    """Return random states with the locked joints at sampled values."""
     q = random_states(chain, count, rng)
     locked = np.setdiff1d(np.arange(chain.size), ik.active)
     q[:, locked] = ik.samples[rng.integers(len(ik.samples), size=count)][:, locked]
@@ -61,12 +61,12 @@ def solutions(
 
 
 def misses(q: Float[np.ndarray, "b n"], wanted: Float[np.ndarray, " n"]) -> float:
-    """How far the nearest of the solutions is from a state, up to full turns [rad]."""
+    """Return the distance from a state to the nearest solution, up to full turns [rad]."""
     return float(np.abs(wrap_angle(q - wanted)).max(1).min(initial=np.inf))
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_each_library_arm_gets_its_closed_form(robots: Callable[[str], Robot], name: str) -> None:
+def test_each_library_arm_has_its_closed_form(robots: Callable[[str], Robot], name: str) -> None:
     robot = robots(name)
     names = np.array(robot.chain.names)
     assert robot.ik.kind == KINDS[name]
@@ -91,22 +91,22 @@ def test_every_solution_reproduces_the_pose_within_limits(robot: Robot) -> None:
             assert np.unique(branches, axis=0, return_counts=True)[1].max() <= MAX_BRANCHES
 
 
-def test_the_state_that_made_a_pose_is_found_again(robot: Robot) -> None:
-    """Up to full turns, and where the locked joints stand at a sampled value."""
+def test_the_solutions_for_a_pose_include_its_state(robot: Robot) -> None:
+    """Up to full turns, and with the locked joints at sampled values."""
     q = states_on_samples(robot.chain, robot.ik, 500, np.random.default_rng(1))
     found = solutions(robot.chain, robot.ik, robot.chain.tool_poses(q))
     worst = max(misses(branches, state) for branches, state in zip(found, q, strict=True))
-    # Near a singularity a pose known to 1e-9 tells the angles to its square root only.
+    # Near a singularity, a pose error of 1e-9 gives angle errors of its square root.
     assert worst < 1e-3
     assert np.median([misses(b, s) for b, s in zip(found, q, strict=True)]) < 1e-9
 
 
 @settings(max_examples=200, deadline=None)
 @given(q=st.lists(st.floats(-TURN, TURN), min_size=6, max_size=6))
-def test_a_ur5e_is_inverted_wherever_it_stands(
+def test_a_ur5e_has_solutions_in_every_state(
     robots: Callable[[str], Robot], q: list[float]
 ) -> None:
-    """Straight arms and aligned wrists included, where branches meet."""
+    """This includes straight arms and aligned wrists, where branches meet."""
     chain, ik = robots("segway_ur5e").chain, robots("segway_ur5e").ik
     state = np.clip(q, chain.lower, chain.upper)
     T = chain.tool_poses(state[None])
@@ -115,8 +115,8 @@ def test_a_ur5e_is_inverted_wherever_it_stands(
     assert_allclose(chain.tool_poses(found), np.broadcast_to(T, (len(found), 4, 4)), atol=1e-6)
 
 
-def test_no_aligned_or_straight_arm_is_left_without_solution(robot: Robot) -> None:
-    """Where axes align, branches meet and angles are not told: some solution must remain."""
+def test_singular_states_have_at_least_one_solution(robot: Robot) -> None:
+    """Where axes align, branches meet and angles are not unique."""
     rng, chain = np.random.default_rng(8), robot.chain
     q = states_on_samples(chain, robot.ik, 1000, rng)
     corners = rng.choice([0.0, np.pi / 2, -np.pi / 2, 1e-6, 1e-4], q.shape)
@@ -127,7 +127,7 @@ def test_no_aligned_or_straight_arm_is_left_without_solution(robot: Robot) -> No
     assert (solve_ik(chain, robot.ik, Ts)[1] > 0).all()
 
 
-def test_branches_are_different_from_each_other(robots: Callable[[str], Robot]) -> None:
+def test_branches_are_distinct(robots: Callable[[str], Robot]) -> None:
     chain, ik = robots("segway_ur5e").chain, robots("segway_ur5e").ik
     Ts = chain.tool_poses(random_states(chain, 100, np.random.default_rng(2)))
     for q in solutions(chain, ik, Ts):
@@ -135,10 +135,10 @@ def test_branches_are_different_from_each_other(robots: Callable[[str], Robot]) 
         assert (apart + TURN * np.eye(len(q)) > 1e-4).all()
 
 
-def test_poses_out_of_reach_have_no_solution(robot: Robot) -> None:
+def test_unreachable_poses_have_no_solution(robot: Robot) -> None:
     rng, chain = np.random.default_rng(3), robot.chain
     first = int(np.argmin(chain.prismatic))
-    # No tool is farther from the first revolute axis than the links are long.
+    # The tool's distance from the first revolute axis is at most the total link length.
     q = random_states(chain, 2000, rng)
     tools = chain.tool_poses(q)[:, :3, 3]
     shoulder = chain.d[: first + 1].sum(0) + np.where(
@@ -154,15 +154,13 @@ def test_poses_out_of_reach_have_no_solution(robot: Robot) -> None:
 
 
 def ideal(chain: Chain) -> Chain:
-    """The arm without the rounding of its file: axes along 0 or 1, offsets in micrometers."""
+    """Return the arm without rounding errors: axes of 0 and 1, offsets in micrometers."""
     return replace(chain, h=np.round(chain.h, 3), d=np.round(chain.d, 5))
 
 
 @pytest.mark.parametrize("name", ["segway_ur5e", "ranger_rm63", "fetch"])
-def test_what_is_reachable_is_what_eaik_finds_reachable(
-    robots: Callable[[str], Robot], name: str
-) -> None:
-    """At one value of the locked joints; EAIK knows no limits, so ours are asked for none."""
+def test_reachability_agrees_with_eaik(robots: Callable[[str], Robot], name: str) -> None:
+    """The locked joints have one value. EAIK ignores limits, so ours are removed."""
     eaik = optional.module("eaik.IK_HP")
     rng, robot = np.random.default_rng(4), robots(name)
     chain = ideal(robot.chain)
@@ -187,7 +185,7 @@ def test_what_is_reachable_is_what_eaik_finds_reachable(
 def axes_of(
     chain: Chain, sample: Float[np.ndarray, " n"], active: np.ndarray
 ) -> tuple[Float[np.ndarray, "a 3"], Float[np.ndarray, "4 4"]]:
-    """Origins of the active joints and the tool's pose at a sample, by chains cut short."""
+    """Return origins of the active joints and the tool pose at a sample, by shortened chains."""
     origins = []
     for j in active:
         cut = {k: getattr(chain, k)[: j + 1] for k in PER_JOINT}
@@ -196,8 +194,8 @@ def axes_of(
     return np.array(origins), chain.tool_poses(sample)
 
 
-def test_a_long_rail_is_not_taken_for_an_angle(robots: Callable[[str], Robot]) -> None:
-    """A rail's values beyond pi meters are distances, and never turned round."""
+def test_values_of_a_long_rail_are_not_wrapped(robots: Callable[[str], Robot]) -> None:
+    """Values beyond pi meters are distances, not angles."""
     chain = robots("segway_ur5e").chain
     along = np.array([[1.0, 0.0, 0.0]])
     railed = replace(
@@ -218,7 +216,7 @@ def test_a_long_rail_is_not_taken_for_an_angle(robots: Callable[[str], Robot]) -
 
 @settings(max_examples=500, deadline=None)
 @given(q=st.floats(-20, 20), lower=st.floats(-TURN, TURN), width=st.floats(0.0, 2 * TURN))
-def test_an_angle_comes_into_its_limits_by_full_turns_or_not_at_all(
+def test_an_angle_is_shifted_into_its_limits_by_full_turns_or_rejected(
     q: float, lower: float, width: float
 ) -> None:
     upper = min(lower + width, TURN)
@@ -235,7 +233,7 @@ def test_an_angle_comes_into_its_limits_by_full_turns_or_not_at_all(
 
 
 @given(q=st.floats(-100, 100))
-def test_a_continuous_joint_comes_into_one_turn(q: float) -> None:
+def test_a_continuous_joint_is_shifted_into_one_turn(q: float) -> None:
     value, infinite = np.array([q]), np.array([np.inf])
     assert into_limits(value, -infinite, infinite, np.array([False]))
     assert abs(value[0]) <= np.pi + 1e-9
@@ -243,7 +241,7 @@ def test_a_continuous_joint_comes_into_one_turn(q: float) -> None:
 
 
 @given(q=st.floats(-TURN, TURN))
-def test_a_joint_of_two_turns_takes_the_shorter_way(q: float) -> None:
+def test_a_joint_of_two_turns_uses_the_value_nearest_to_zero(q: float) -> None:
     value = np.array([q])
     assert into_limits(value, np.array([-TURN]), np.array([TURN]), np.array([False]))
     assert abs(value[0]) <= np.pi + 1e-9

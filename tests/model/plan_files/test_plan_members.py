@@ -1,4 +1,4 @@
-"""A plan names all that verify and run need, and comes back as it was written."""
+"""Plans round-trip and name all files that verify and run need."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import load_robot
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.verification.plan_check import verify_files
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
@@ -26,7 +26,7 @@ CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A room, and a robot file away from its URDF, with an SRDF of its own."""
+    """Return a folder with a scene, and a robot file in another folder than its URDF."""
     folder = tmp_path_factory.mktemp("own")
     robot = load_robot("segway_ur5e")
     urdf = robot.model.urdf.path
@@ -52,7 +52,7 @@ def plan(folder: Path) -> PlacementPlan:
     return found.plan
 
 
-def test_a_plan_comes_back_as_it_was_written(plan: PlacementPlan, folder: Path) -> None:
+def test_a_plan_with_all_members_round_trips(plan: PlacementPlan, folder: Path) -> None:
     write_plan(plan, folder / "plan.json")
     again = read_plan(folder / "plan.json")
     assert plan_to_dict(again) == plan_to_dict(plan)
@@ -65,7 +65,7 @@ def test_a_plan_comes_back_as_it_was_written(plan: PlacementPlan, folder: Path) 
     assert data["robot"]["srdf"] == "mine.srdf"
 
 
-def test_where_other_joints_of_the_robot_rest_is_seen_by_the_check(
+def test_the_check_uses_the_rest_values_of_the_robots_other_joints(
     plan: PlacementPlan, folder: Path
 ) -> None:
     path = folder / "rest.json"
@@ -93,7 +93,7 @@ def test_verify_finds_the_srdf_that_the_plan_names(plan: PlacementPlan, folder: 
     write_plan(plan, path)
     report = verify_files(path)
     assert report.valid
-    assert "start and way, arm at home" in [check.name for check in report.checks]
+    assert "start and base path collision, arm at home" in [check.name for check in report.checks]
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_verify_finds_the_srdf_that_the_plan_names(plan: PlacementPlan, folder: 
         ("feasible_from", [1.0, 2.0, 3.0], "feasible_from"),
     ],
 )
-def test_a_new_member_that_is_malformed_is_refused(
+def test_a_malformed_member_is_rejected(
     plan: PlacementPlan, folder: Path, key: str, value: object, words: str
 ) -> None:
     path = folder / "wrong.json"
@@ -121,7 +121,7 @@ def test_a_new_member_that_is_malformed_is_refused(
     assert "\n" not in str(caught.value)
 
 
-def test_a_plan_of_before_that_has_none_of_them_is_read(plan: PlacementPlan, folder: Path) -> None:
+def test_an_old_plan_without_these_members_is_read(plan: PlacementPlan, folder: Path) -> None:
     path = folder / "old.json"
     write_plan(plan, path)
     data = json.loads(path.read_text())

@@ -1,4 +1,4 @@
-"""What becomes of a base pose is said in words that tell what and where."""
+"""Outcomes of base poses have texts that name the obstacle and the waypoint."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from momapos.model.records.outcomes import PoseOutcome, PoseStatus
 @pytest.mark.parametrize(
     ("outcome", "words", "summary"),
     [
-        (PoseOutcome(PoseStatus.BASE_BLOCKED), "base blocked", "base blocked"),
+        (PoseOutcome(PoseStatus.BASE_BLOCKED), "base in collision", "base in collision"),
         (
             PoseOutcome(PoseStatus.WAYPOINT_OUT_OF_REACH, where="waypoint 12"),
             "out of reach at waypoint 12", "out of reach at a waypoint",
@@ -33,7 +33,7 @@ from momapos.model.records.outcomes import PoseOutcome, PoseStatus
         ),
     ],
 )  # fmt: skip
-def test_an_outcome_is_said_in_full_and_in_short(
+def test_an_outcome_has_a_full_text_and_a_summary(
     outcome: PoseOutcome, words: str, summary: str
 ) -> None:
     assert str(outcome) == words

@@ -1,4 +1,4 @@
-"""A URDF as a robot file amends it: frames, mounts, packages; and plans with such robots."""
+"""URDFs with a robot file's frames, mounts and packages, and plans with such robots."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from momapos.core.errors import InputError, MomaposError, RobotError, UrdfError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.tasks import Task
-from momapos.model.robots.amended_urdf import BOX, Amendments, Frame, Mount
-from momapos.model.robots.derive import Source, derive_robot
+from momapos.model.robots.amended_urdf import BOX, AddedFrame, Amendments, Mount
+from momapos.model.robots.derive import RobotSource, derive_robot
 from momapos.model.robots.gripper_guess import points_of
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_writer import write_robot
@@ -41,8 +41,8 @@ def save_mesh(path: Path) -> None:
     trimesh.creation.box((0.1, 0.1, 0.04)).export(path)
 
 
-def test_an_arm_without_a_base_gets_a_reason_and_what_would_help(arm: Path) -> None:
-    with pytest.raises(RobotError, match=r"an arm without a base.*--on-box") as caught:
+def test_an_arm_without_a_base_is_refused_with_a_remedy(arm: Path) -> None:
+    with pytest.raises(RobotError, match=r"the arm has no base.*set mount\.box") as caught:
         write_robot(arm)
     assert "\n" not in str(caught.value)
     assert list(arm.parent.iterdir()) == [arm]
@@ -50,7 +50,7 @@ def test_an_arm_without_a_base_gets_a_reason_and_what_would_help(arm: Path) -> N
 
 def test_an_arm_on_a_box_stands_on_it(arm: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert robot_check(arm, on_box="0.6x0.5x0.9") == 0
-    assert "a box, 0.6 x 0.5 x 0.9 m" in capsys.readouterr().out
+    assert "a driving box of 0.6 x 0.5 x 0.9 m" in capsys.readouterr().out
     robot = load_robot(arm.with_suffix(".toml"))
     assert robot.base_link == BOX
     assert_allclose(np.ptp(robot.footprint, axis=0), [0.6, 0.5])
@@ -60,19 +60,21 @@ def test_an_arm_on_a_box_stands_on_it(arm: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize("size", ["0.6x0.5", "axbxc", "0.6x0.5x-1", "1x1x100"])
-def test_a_box_that_cannot_be_is_refused(arm: Path, size: str) -> None:
+def test_an_invalid_box_is_refused(arm: Path, size: str) -> None:
     with pytest.raises(RobotError, match=r"0\.6x0\.5x0\.9"):
         robot_check(arm, on_box=size)
 
 
-def test_an_arm_on_a_base_keeps_both_and_renames_what_they_share(tmp_path: Path, arm: Path) -> None:
+def test_an_arm_on_a_base_keeps_both_and_renames_shared_names(tmp_path: Path, arm: Path) -> None:
     base = tmp_path / "base.urdf"
     wheel = joint("j0", "continuous", "plate", "wheel", "0 0.2 0.1", "0 1 0")
     base.write_text(
         f'<robot name="base">{link("plate", box(0.5, 0.4, 0.3), "0 0 0.15")}'
         f"{link('wheel', box(0.1, 0.1, 0.1))}{wheel}</robot>"
     )
-    made, _ = write_robot(Source(arm, Mount((0.1, 0.0, 0.3), urdf=base)), tmp_path / "both.toml")
+    made, _ = write_robot(
+        RobotSource(arm, Mount((0.1, 0.0, 0.3), urdf=base)), tmp_path / "both.toml"
+    )
     robot = load_robot(made)
     assert {"plate", "mount_plate", "wheel"} <= set(robot.model.links)
     assert {"j0", "mount_j0"} <= set(robot.model.joints)
@@ -89,12 +91,12 @@ def test_an_arm_on_a_base_keeps_both_and_renames_what_they_share(tmp_path: Path,
         ("[mount]\nxyz = [0, 0, 1]", r"\[mount\] needs either box"),
         ('[mount]\nurdf = "none.urdf"', "no such file"),
         ('[frames.tip]\nparent = "nobody"', "no link 'nobody'"),
-        ('[frames.tcp]\nparent = "palm"', "is a link of the URDF already"),
+        ('[frames.tcp]\nparent = "palm"', "already is a link of the URDF"),
         ('[packages]\nshapes = "none"', "which is no folder"),
-        ("[packages]\nshapes = 3", "must be a text"),
+        ("[packages]\nshapes = 3", "must be a non-empty string"),
     ],
 )
-def test_amendments_that_cannot_be_are_refused(tmp_path: Path, table: str, words: str) -> None:
+def test_invalid_additions_are_refused(tmp_path: Path, table: str, words: str) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(mobile_manipulator())
     made, _ = write_robot(path)
@@ -104,21 +106,21 @@ def test_amendments_that_cannot_be_are_refused(tmp_path: Path, table: str, words
     assert "\n" not in str(caught.value)
 
 
-def test_a_package_elsewhere_is_named_once_and_known_from_then_on(tmp_path: Path) -> None:
+def test_a_package_folder_is_given_once_and_stored_in_the_robot_file(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "c" / "d" / "e" / "f" / "robot.urdf"
     path.parent.mkdir(parents=True)
     path.write_text(mobile_manipulator().replace(box(0.06, 0.12, 0.05), MESH))
-    with pytest.raises(UrdfError, match=r"package 'shapes'.*looked in .*--package shapes=DIR"):
+    with pytest.raises(UrdfError, match=r"package 'shapes'.*searched in .*--package shapes=DIR"):
         derive_robot(path)
     save_mesh(tmp_path / "elsewhere" / "plate.stl")
-    made, _ = write_robot(Source(path, packages={"shapes": tmp_path / "elsewhere"}))
+    made, _ = write_robot(RobotSource(path, packages={"shapes": tmp_path / "elsewhere"}))
     robot = load_robot(made)
     assert robot.model.urdf.links["palm"].collisions[0].mesh == (
         tmp_path / "elsewhere" / "plate.stl"
     )
 
 
-def test_meshes_that_are_only_seen_need_not_exist(tmp_path: Path) -> None:
+def test_visual_meshes_need_not_exist(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     visual = f"<visual><geometry>{MESH}</geometry></visual></link>"
     path.write_text(mobile_manipulator().replace("</link>", visual, 1))
@@ -128,19 +130,19 @@ def test_meshes_that_are_only_seen_need_not_exist(tmp_path: Path) -> None:
         derive_robot(path)
 
 
-def test_the_amended_urdf_is_the_same_robot_with_more_frames(tmp_path: Path) -> None:
+def test_an_amended_urdf_is_the_same_robot_with_more_frames(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(mobile_manipulator())
     plain, more = (
         read_urdf(path),
-        Amendments((Frame("tip", "palm", (0.1, 0.0, 0.02)),)).read(path)[0],
+        Amendments((AddedFrame("tip", "palm", (0.1, 0.0, 0.02)),)).read(path)[0],
     )
     assert set(more.links) == {*plain.links, "tip"}
     assert len(more.joints) == len(plain.joints) + 1
     assert_allclose(more.joints[-1].T_parent_joint[:3, 3], [0.1, 0.0, 0.02])
 
 
-def test_a_plan_brings_the_urdf_that_its_robot_file_amends(tmp_path: Path) -> None:
+def test_a_plan_includes_the_amended_urdf(tmp_path: Path) -> None:
     path = tmp_path / "robot" / "robot.urdf"
     save_mesh(path.parent / "shapes" / "plate.stl")
     path.write_text(mobile_manipulator(tool=False).replace(box(0.06, 0.12, 0.05), MESH))
@@ -172,7 +174,7 @@ def test_a_plan_brings_the_urdf_that_its_robot_file_amends(tmp_path: Path) -> No
     assert urdf.links["palm"].collisions[0].mesh == path.parent / "shapes" / "plate.stl"
     assert json.loads(file.read_text())["version"] == 1
     deep = tmp_path / "1" / "2" / "3" / "4" / "5" / "6" / "plan.json"
-    with pytest.raises(RobotError, match="lies outside"):
+    with pytest.raises(RobotError, match="is outside"):
         write_plan(replace(plan, robot_arm=None), deep)
     assert not deep.exists()
 
@@ -181,7 +183,7 @@ def test_options_for_a_urdf_are_refused_for_a_robot_file(tmp_path: Path) -> None
     path = tmp_path / "robot.urdf"
     path.write_text(mobile_manipulator())
     made, _ = write_robot(path)
-    with pytest.raises(RobotError, match="are for a URDF"):
+    with pytest.raises(RobotError, match="need a URDF"):
         robot_check(made, on_box="1x1x1")
     with pytest.raises(InputError, match="is not NAME=VALUE"):
         robot_check(path, package=("shapes",))
@@ -189,15 +191,15 @@ def test_options_for_a_urdf_are_refused_for_a_robot_file(tmp_path: Path) -> None
         robot_check(path, package=(f"shapes={tmp_path}/none",))
 
 
-def test_a_robot_of_a_library_name_is_called_otherwise(tmp_path: Path) -> None:
+def test_a_robot_with_the_name_of_a_library_robot_is_renamed(tmp_path: Path) -> None:
     path = tmp_path / "mine.urdf"
     path.write_text(re.sub('robot name="[^"]*"', 'robot name="fetch"', mobile_manipulator()))
     made, derived = write_robot(path)
     assert load_robot(made).name == "mine"
-    assert any("a robot of the library is called fetch" in text for text in derived.assumptions)
+    assert any("because fetch is a library robot" in text for text in derived.assumptions)
 
 
-def test_prefixes_that_a_urdf_does_not_declare_are_passed_over(tmp_path: Path) -> None:
+def test_undeclared_xml_prefixes_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(
         mobile_manipulator().replace(

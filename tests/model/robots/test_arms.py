@@ -1,4 +1,4 @@
-"""Robots with several arms, telescopes and hands: what is found, and how files hold it."""
+"""Robots with several arms, telescopes and hands, and their robot files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator, telescope, twin_armed
+from tests.urdf_parts import LIMIT, box, dual_armed, joint, link, mobile_manipulator, telescope
 
 from momapos.apps.cli.robot import robot_check, robot_show
 from momapos.core.errors import MomaposError, RobotError, UnknownNameError
@@ -23,11 +23,11 @@ from momapos.model.robots.robot_writer import write_robot
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("twin") / "robot.urdf"
-    path.write_text(twin_armed())
+    path.write_text(dual_armed())
     return write_robot(path)[0]
 
 
-def test_arms_are_named_by_the_side_that_they_begin_on(twin: Path) -> None:
+def test_arms_are_named_by_the_side_of_their_first_link(twin: Path) -> None:
     left, right = load_robot(twin, arm="left"), load_robot(twin, arm="right")
     assert left.arms == right.arms
     assert set(left.arms) == {"left", "right"}
@@ -53,7 +53,7 @@ def test_both_arms_are_free_at_home_and_compact(twin: Path) -> None:
 
 
 def lowered(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Whether each state touches nothing while what the arms share goes from end to end."""
+    """Mark the states that stay free while the joint that the arms share moves end to end."""
     (lift,) = (i for i, name in enumerate(robot.arm_joints) if name in robot.other_arms)
     states = np.repeat(q[:, None], 15, axis=1)
     states[:, :, lift] = np.linspace(robot.chain.lower[lift], robot.chain.upper[lift], 15)
@@ -61,12 +61,12 @@ def lowered(robot: Robot, q: np.ndarray) -> np.ndarray:
     return ~hit.reshape(len(q), -1).any(1)
 
 
-def test_both_arms_of_tiago_dual_let_the_torso_go_from_end_to_end() -> None:
+def test_both_arms_of_tiago_dual_let_the_torso_move_end_to_end() -> None:
     for robot in load_arms("tiago_dual"):
         assert lowered(robot, robot.home[None]).all()
 
 
-def test_an_arm_rests_where_the_lift_may_go_from_end_to_end(twin: Path) -> None:
+def test_the_home_of_an_arm_lets_the_lift_move_end_to_end(twin: Path) -> None:
     robot = load_robot(twin)
     q = sample_states(robot.chain, np.random.default_rng(1))
     q = q[~touches(robot.chain, robot.spheres, q, floor=True)]
@@ -80,7 +80,7 @@ def test_an_arm_rests_where_the_lift_may_go_from_end_to_end(twin: Path) -> None:
     reach = np.hypot(*robot.chain.tool_poses(q[clear])[:, :2, 3].T)
     near, wide = rest(q[~clear]), q[clear][np.argsort(reach)[len(reach) // 4]]
     pair = np.stack([near, wide])
-    assert np.array_equal(rest(pair), near), "the compact one, which is in the lift's way"
+    assert np.array_equal(rest(pair), near), "the compact state, which blocks the lift"
     assert np.array_equal(rest(pair, [0]), wide)
 
 
@@ -104,13 +104,15 @@ def test_an_arm_that_does_not_exist_is_refused(twin: Path, tmp_path: Path) -> No
     ("change", "words"),
     [
         (lambda text: text.replace('base_link = "', 'tool_link = "tcp"\nbase_link = "', 1),
-         "belongs into the tables of the arms"),
-        (lambda text: re.sub(r"(?m)^home = .*", "home = [0.0]", text), "home has 1 values"),
-        (lambda text: text.replace('[arms."left"', '[arms."any"'), "no arm can be named 'any'"),
-        (lambda text: text.replace("version = 1", "version = 2"), "version 2 of the robot file"),
+         "must be in the tables of the arms"),
+        (lambda text: re.sub(r"(?m)^home = .*", "home = [0.0]", text),
+         "home must have one value per joint"),
+        (lambda text: text.replace('[arms."left"', '[arms."any"'),
+         "an arm must not be named 'any'"),
+        (lambda text: text.replace("version = 1", "version = 2"), "version of the robot file is 2"),
     ],
 )  # fmt: skip
-def test_a_file_of_arms_that_cannot_be_is_refused(
+def test_an_invalid_file_with_arms_is_refused(
     twin: Path, tmp_path: Path, change: object, words: str
 ) -> None:
     assert callable(change)
@@ -127,7 +129,7 @@ def test_stages_of_a_telescope_are_one_joint(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(telescope())
     made, derived = write_robot(path)
-    assert any("t0, t1, t2 are the stages of a telescope" in text for text in derived.assumptions)
+    assert any("t0, t1, t2 are stages of a telescope" in text for text in derived.assumptions)
     robot = load_robot(made)
     assert robot.arm_joints[:3] == ("lift", "t0", "j0")
     assert robot.moved_joints[:5] == ("lift", "t0", "t1", "t2", "j0")
@@ -137,7 +139,7 @@ def test_stages_of_a_telescope_are_one_joint(tmp_path: Path) -> None:
     assert np.linalg.norm(ends[0] - ends[1]) == pytest.approx(0.3)
 
 
-def test_joints_that_slide_apart_are_no_telescope(tmp_path: Path) -> None:
+def test_joints_that_slide_in_different_directions_are_no_telescope(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     text = telescope(2)
     t1 = re.search(r'<joint name="t1".*?</joint>', text)
@@ -157,7 +159,7 @@ def test_joints_that_slide_apart_are_no_telescope(tmp_path: Path) -> None:
         ('"t1" = 3', r"\[coupled.t1\] must be a table"),
     ],
 )
-def test_a_coupling_that_cannot_be_is_refused(tmp_path: Path, line: str, words: str) -> None:
+def test_an_invalid_coupling_is_refused(tmp_path: Path, line: str, words: str) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(telescope(2))
     made, _ = write_robot(path)
@@ -169,7 +171,7 @@ def test_a_coupling_that_cannot_be_is_refused(tmp_path: Path, line: str, words: 
 
 
 def hand(count: int) -> str:
-    """The mobile manipulator with a hand of long fingers in place of its gripper."""
+    """Return the mobile manipulator with a hand of long fingers instead of its gripper."""
     text = mobile_manipulator(fingers=False)
     parts = []
     for k in range(count):
@@ -194,10 +196,10 @@ def test_an_arm_ends_where_its_hand_begins(tmp_path: Path) -> None:
     made, derived = write_robot(path)
     assert load_robot(made).arm_joints == ("lift", "j0", "j1", "j2", "j3", "j4", "j5")
     assert any("a hand of 4 fingers" in text for text in derived.assumptions)
-    assert abs(load_robot(made).closing_axis[1]) > 0.7, "thumb and fingers are at its sides"
+    assert abs(load_robot(made).closing_axis[1]) > 0.7, "thumb and fingers close sideways"
 
 
-def test_the_closing_force_is_that_of_the_urdf_where_it_can_be(tmp_path: Path) -> None:
+def test_the_closing_force_is_that_of_the_urdf_if_it_is_plausible(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     text = mobile_manipulator()
     path.write_text(text)
@@ -218,7 +220,7 @@ def test_a_tool_that_no_arm_moves_is_refused_in_one_line(tmp_path: Path) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_two_robots_of_one_name_are_told_apart(
+def test_an_ambiguous_robot_name_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -241,7 +243,7 @@ def test_two_robots_of_one_name_are_told_apart(
         ("[rest]", "[rest]\nnothing = 0.1"),
     ],
 )
-def test_a_name_that_the_urdf_does_not_have_is_told_with_the_robot_file(
+def test_an_unknown_name_is_reported_with_the_robot_file(
     tmp_path: Path, was: str, is_: str
 ) -> None:
     path = tmp_path / "robot.urdf"
@@ -253,7 +255,7 @@ def test_a_name_that_the_urdf_does_not_have_is_told_with_the_robot_file(
     assert "\n" not in str(caught.value)
 
 
-def test_a_word_is_a_name_and_what_has_a_slash_a_path(
+def test_a_word_is_a_name_and_a_source_with_a_slash_is_a_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""A robot derived from its URDF alone, held to robots whose answer is known."""
+"""Robots derived from a URDF alone, compared with known robots."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def urdf(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_arm_starts_with_the_lift_and_leaves_out_wheels_head_and_fingers(urdf: Path) -> None:
+def test_the_arm_includes_the_lift_and_excludes_wheels_head_and_fingers(urdf: Path) -> None:
     path, _ = write_robot(urdf)
     robot = load_robot(path)
     assert robot.arm_joints == ("lift", "j0", "j1", "j2", "j3", "j4", "j5")
@@ -50,7 +50,7 @@ def test_the_arm_starts_with_the_lift_and_leaves_out_wheels_head_and_fingers(urd
     assert examine(robot) == []
 
 
-def test_every_guess_is_put_into_words(urdf: Path) -> None:
+def test_every_assumption_is_reported(urdf: Path) -> None:
     words = " ".join(derive_robot(urdf).assumptions)
     for key in ("arm_joints", "base_link", "tool_link", "gripper_links", "approach_axis", "home",
                 "footprint", "drive: differential", "opening", "grips"):  # fmt: skip
@@ -64,7 +64,7 @@ def test_home_is_free_and_compact(urdf: Path) -> None:
     assert np.hypot(*tool[:2]) < 0.6, "the arm reaches 1.1 m"
 
 
-def test_the_footprint_holds_the_whole_base(urdf: Path) -> None:
+def test_the_footprint_contains_the_whole_base(urdf: Path) -> None:
     robot = load_robot(write_robot(urdf)[0])
     points = points_of(robot.model, "base_link", ["base_link", "wheel_left"])[:, :2]
     edge = np.roll(robot.footprint, -1, 0) - robot.footprint
@@ -79,7 +79,7 @@ def test_virtual_driving_joints_are_not_part_of_the_arm(tmp_path: Path) -> None:
     derived = derive_robot(path)
     assert 'base_link = "base_link"' in derived.toml
     assert '["lift", "j0"' in derived.toml
-    assert "drive_x, drive_y, drive_yaw stand for driving" in derived.assumptions[0]
+    assert "drive_x, drive_y, drive_yaw represent driving" in derived.assumptions[0]
 
 
 def test_a_base_above_the_floor_gets_a_frame_there(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_a_tool_link_behind_the_fingers_gets_a_frame_between_them(tmp_path: Path
     path = tmp_path / "robot.urdf"
     path.write_text(mobile_manipulator(tool=False))
     made, derived = write_robot(path)
-    assert any("behind the finger tips" in text for text in derived.assumptions)
+    assert any("behind the fingertips" in text for text in derived.assumptions)
     robot = load_robot(made)
     assert robot.tool_link == "grasp_frame"
     fingers = points_of(robot.model, "grasp_frame", ["left_finger", "right_finger"])
@@ -104,7 +104,7 @@ def test_a_tool_link_behind_the_fingers_gets_a_frame_between_them(tmp_path: Path
     assert_allclose((fingers.min(0) + fingers.max(0))[1:], 0.0, atol=1e-4)
 
 
-def test_a_gripper_without_fingers_points_where_the_arm_does(tmp_path: Path) -> None:
+def test_a_gripper_without_fingers_points_along_the_arm(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(mobile_manipulator(fingers=False))
     derived = derive_robot(path)
@@ -113,7 +113,7 @@ def test_a_gripper_without_fingers_points_where_the_arm_does(tmp_path: Path) -> 
     read_robot(write_robot(path)[0])
 
 
-def test_links_that_always_touch_are_put_into_an_srdf(tmp_path: Path) -> None:
+def test_links_in_permanent_contact_are_written_to_an_srdf(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     thick = mobile_manipulator().replace(
         link("arm_1", box(0.26, 0.06, 0.06), "0.15 0 0"),
@@ -126,7 +126,7 @@ def test_links_that_always_touch_are_put_into_an_srdf(tmp_path: Path) -> None:
     assert examine(robot) == []
 
 
-def test_an_srdf_that_exists_is_believed_and_kept(urdf: Path) -> None:
+def test_an_existing_srdf_is_used_and_unchanged(urdf: Path) -> None:
     srdf = urdf.with_suffix(".srdf")
     srdf.write_text('<robot name="r"><disable_collisions link1="torso" link2="arm_1"/></robot>')
     before = srdf.read_bytes()
@@ -160,7 +160,9 @@ def test_the_same_urdf_gives_the_same_robot(urdf: Path) -> None:
         ("<robot", "not well-formed"),
     ],
 )  # fmt: skip
-def test_what_is_no_robot_is_refused_in_one_line(tmp_path: Path, text: str, word: str) -> None:
+def test_a_urdf_without_a_robot_is_refused_in_one_line(
+    tmp_path: Path, text: str, word: str
+) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(text)
     with pytest.raises(MomaposError, match=word) as caught:
@@ -170,7 +172,7 @@ def test_what_is_no_robot_is_refused_in_one_line(tmp_path: Path, text: str, word
 
 
 @pytest.mark.parametrize("name", library_names())
-def test_the_library_robots_are_what_their_urdf_alone_says(name: str) -> None:
+def test_library_robots_can_be_derived_from_their_urdf(name: str) -> None:
     arms = load_arms(name)
     robot = arms[0]
     assert robot.model.urdf.path is not None
@@ -187,7 +189,7 @@ def test_the_library_robots_are_what_their_urdf_alone_says(name: str) -> None:
 
 
 @optional.needs("real data", FETCH.is_dir())
-def test_the_fetch_of_its_maker_is_understood(tmp_path: Path) -> None:
+def test_the_manufacturers_fetch_is_derived_correctly(tmp_path: Path) -> None:
     shutil.copytree(FETCH, tmp_path / "fetch", copy_function=shutil.copyfile)
     (tmp_path / "fetch").chmod(0o755)
     (tmp_path / "fetch" / "fetch.srdf").unlink()
@@ -199,7 +201,7 @@ def test_the_fetch_of_its_maker_is_understood(tmp_path: Path) -> None:
     assert examine(robot) == []
 
 
-def test_checking_a_urdf_prints_what_was_assumed(
+def test_checking_a_urdf_prints_the_assumptions(
     urdf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     picture = tmp_path / "pictures" / "robot.png"
@@ -217,7 +219,7 @@ def test_checking_a_urdf_prints_what_was_assumed(
     assert "closed form" in facts["ik"] or "numerical" in facts["ik"]
 
 
-def test_checking_a_robot_file_says_what_looks_wrong(
+def test_checking_a_robot_file_reports_likely_mistakes(
     urdf: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, _ = write_robot(urdf)
@@ -227,8 +229,8 @@ def test_checking_a_robot_file_says_what_looks_wrong(
     path.write_text(re.sub(r"footprint = .*", "footprint = [[0, 0], [0.1, 0], [0, 0.1]]", text))
     assert robot_check(path) == 0
     out = capsys.readouterr().out
-    assert "sticks" in out
-    assert "at home" in out
+    assert "protrudes" in out
+    assert "in its home state" in out
     with pytest.raises(RobotError, match="--out"):
         robot_check(path, out=path.with_name("b.toml"))
 
@@ -257,7 +259,7 @@ def test_the_library_is_listed_shown_and_exported(
     assert not (tmp_path / "other").exists()
 
 
-def test_with_out_nothing_is_written_beside_the_urdf(tmp_path: Path) -> None:
+def test_with_out_nothing_is_written_next_to_the_urdf(tmp_path: Path) -> None:
     package, mine = tmp_path / "package", tmp_path / "mine"
     package.mkdir()
     path = package / "robot.urdf"
@@ -278,23 +280,23 @@ def test_with_out_nothing_is_written_beside_the_urdf(tmp_path: Path) -> None:
         load_robot(made)
 
 
-def test_what_cannot_be_read_back_leaves_nothing_and_can_be_tried_again(
+def test_a_robot_that_cannot_be_read_back_leaves_no_files(
     urdf: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(path: Path, **_: object) -> None:
         assert path.exists()
-        raise RobotError(f"{path}: is no good")
+        raise RobotError(f"{path}: is invalid")
 
     with monkeypatch.context() as patch:
         patch.setattr("momapos.model.robots.robot_writer.load_arms", broken)
-        with pytest.raises(RobotError, match=r"robot\.toml: is no good"):
+        with pytest.raises(RobotError, match=r"robot\.toml: is invalid"):
             write_robot(urdf)
     assert list(urdf.parent.iterdir()) == [urdf]
     load_robot(write_robot(urdf)[0])
 
 
-def test_links_that_touch_only_where_the_arm_is_folded_at_rest_stay_checked(tmp_path: Path) -> None:
-    """At zero the forearm lies on the lower arm; elsewhere the two are apart."""
+def test_links_that_touch_only_in_the_folded_rest_state_stay_checked(tmp_path: Path) -> None:
+    """At zero the forearm touches the lower arm; in other states it does not."""
     text = mobile_manipulator()
     folded = joint("j2", "revolute", "arm_1", "arm_2", "0.3 0 0", "0 1 0", LIMIT.format(-2.5, 2.5))
     assert folded in text
@@ -316,17 +318,17 @@ def test_links_that_touch_only_where_the_arm_is_folded_at_rest_stay_checked(tmp_
     assert all(shares.get(frozenset(pair), 1.0) >= 0.1 for pair in pairs)
 
 
-def test_an_arm_without_a_base_is_asked_first_whether_it_is_a_mobile_robot(
+def test_a_robot_without_wheels_is_first_reported_to_need_a_base(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "robot.urdf"
     text = mobile_manipulator().replace("wheel_left", "foot_left")
     path.write_text(text.replace('name="a" type="continuous"', 'name="a" type="fixed"'))
     assert robot_check(path) == 0
-    assert "is this a mobile robot?" in capsys.readouterr().out.splitlines()[0]
+    assert "a mobile robot needs a base" in capsys.readouterr().out.splitlines()[0]
 
 
-def test_an_arm_of_five_joints_is_told_to_have_no_reachability_map(tmp_path: Path) -> None:
+def test_an_arm_of_five_joints_is_reported_to_have_no_reachability_map(tmp_path: Path) -> None:
     text = mobile_manipulator()
     for name in ("lift", "j2"):
         found = re.search(rf'<joint name="{name}".*?</joint>', text)
@@ -340,7 +342,7 @@ def test_an_arm_of_five_joints_is_told_to_have_no_reachability_map(tmp_path: Pat
 
 
 def two_armed() -> str:
-    """The mobile manipulator with a second, longer arm on its torso that stands out to a side."""
+    """Return the mobile manipulator with a second, longer arm to the side of its torso."""
     other = [
         link("side_0", box(0.1, 0.06, 0.06), "0.05 0 0"),
         joint("s0", "revolute", "torso", "side_0", "0 -0.25 0.5", "0 0 1", LIMIT.format(-3, 3)),
@@ -350,7 +352,7 @@ def two_armed() -> str:
     return mobile_manipulator().replace("</robot>", "".join(other) + "</robot>")
 
 
-def test_a_passive_arm_does_not_count_in_how_compact_the_arm_is_at_home(tmp_path: Path) -> None:
+def test_a_passive_arm_does_not_affect_the_compactness_of_home(tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
     (tmp_path / "one" / "robot.urdf").write_text(mobile_manipulator())
@@ -364,7 +366,7 @@ def test_a_passive_arm_does_not_count_in_how_compact_the_arm_is_at_home(tmp_path
     assert reaches[0] < 0.6
 
 
-def test_home_keeps_away_from_the_limits_of_turning_joints(urdf: Path) -> None:
+def test_home_keeps_away_from_the_limits_of_revolute_joints(urdf: Path) -> None:
     robot = load_robot(write_robot(urdf)[0])
     gap = np.minimum(robot.home - robot.chain.lower, robot.chain.upper - robot.home)
     assert gap[~robot.chain.prismatic].min() > 0.1
@@ -379,7 +381,7 @@ def test_home_keeps_away_from_the_limits_of_turning_joints(urdf: Path) -> None:
         ('"nobody" = 0.1', "no movable joint 'nobody'"),
     ],
 )
-def test_a_rest_that_cannot_be_is_refused(urdf: Path, line: str, words: str) -> None:
+def test_an_invalid_rest_value_is_refused(urdf: Path, line: str, words: str) -> None:
     path, _ = write_robot(urdf)
     derived = path.read_text()
     assert derived.count("\n[rest]\n") == 1
@@ -388,7 +390,7 @@ def test_a_rest_that_cannot_be_is_refused(urdf: Path, line: str, words: str) -> 
         load_robot(path)
 
 
-def test_what_a_file_leaves_out_about_the_gripper_is_assumed_and_said(urdf: Path) -> None:
+def test_missing_gripper_values_are_assumed_and_reported(urdf: Path) -> None:
     path, _ = write_robot(urdf)
     derived = load_robot(path)
     assert derived.grips is Grip.FINGERS
@@ -410,7 +412,7 @@ def test_what_a_file_leaves_out_about_the_gripper_is_assumed_and_said(urdf: Path
         ('grips = "teeth"', "'teeth'; it must be fingers or suction or hook"),
     ],
 )
-def test_a_gripper_that_cannot_be_is_refused(urdf: Path, line: str, words: str) -> None:
+def test_an_invalid_gripper_is_refused(urdf: Path, line: str, words: str) -> None:
     path, _ = write_robot(urdf)
     key = line.split(" ", 1)[0]
     kept = [row for row in path.read_text().splitlines() if not row.startswith(key)]
@@ -422,9 +424,7 @@ def test_a_gripper_that_cannot_be_is_refused(urdf: Path, line: str, words: str) 
 @pytest.mark.parametrize(
     ("name", "grips"), [("vacuum_cup", Grip.SUCTION), ("door_hook", Grip.HOOK)]
 )
-def test_a_tool_without_fingers_that_is_named_so_holds_by_that(
-    tmp_path: Path, name: str, grips: Grip
-) -> None:
+def test_a_tool_without_fingers_holds_by_its_name(tmp_path: Path, name: str, grips: Grip) -> None:
     path = tmp_path / "robot.urdf"
     text = mobile_manipulator(fingers=False).replace('"palm"', f'"{name}"')
     path.write_text(text)
@@ -432,7 +432,7 @@ def test_a_tool_without_fingers_that_is_named_so_holds_by_that(
 
 
 @pytest.mark.parametrize("name", library_names())
-def test_the_library_states_how_far_its_robots_reach_and_what_they_carry(name: str) -> None:
+def test_library_robots_state_their_reach_and_payload(name: str) -> None:
     for robot in load_arms(name):
         data = tomllib.loads(robot.path.read_text())
         stated = data["arms"][robot.arm] if robot.arm else data
@@ -440,7 +440,7 @@ def test_the_library_states_how_far_its_robots_reach_and_what_they_carry(name: s
         assert robot.payload is not None
 
 
-def test_the_grippers_of_the_library_state_their_force_where_one_is_published() -> None:
+def test_library_grippers_state_their_force_if_it_is_published() -> None:
     robots = [robot for name in library_names() for robot in load_arms(name)]
     assert all(robot.grips is Grip.FINGERS for robot in robots)
     assert {robot.name: robot.grip_force for robot in robots if not robot.assumed} == {
@@ -452,7 +452,7 @@ def test_the_grippers_of_the_library_state_their_force_where_one_is_published() 
     assert all(len(texts) == 1 and "force" in texts[0] for texts in assumed.values())
 
 
-def test_a_hand_whose_fingers_have_as_many_joints_as_arms_is_no_arm(tmp_path: Path) -> None:
+def test_a_hand_with_as_many_finger_joints_as_an_arm_is_no_arm(tmp_path: Path) -> None:
     parts = [link("base", box(0.1, 0.1, 0.1), "0 0 0.05")]
     for finger in range(4):
         before = "base"
@@ -468,5 +468,5 @@ def test_a_hand_whose_fingers_have_as_many_joints_as_arms_is_no_arm(tmp_path: Pa
             before = name
     path = tmp_path / "hand.urdf"
     path.write_text(f'<robot name="hand">{"".join(parts)}</robot>')
-    with pytest.raises(RobotError, match="a hand alone: all that moves is fingers; give the URDF"):
+    with pytest.raises(RobotError, match="a hand alone: only fingers move; give the URDF"):
         derive_robot(path)

@@ -1,4 +1,4 @@
-"""What is derived of fingers: how far they open, where they rest, how hard they close."""
+"""Derived openings, rest values and closing forces of fingers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from tests.urdf_parts import box, joint, link, mobile_manipulator, telescope
 
 from momapos.core.geometry.transforms import apply, invert
-from momapos.model.robots.fingers import LEAN
+from momapos.model.robots.fingers import MAX_PAD_ANGLE
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.robots.robot_writer import write_robot
 from momapos.model.urdf.hulls import hull_around, slab
@@ -20,18 +20,18 @@ from momapos.planning.grasps.hand_boxes import empty_handed, hand_of
 
 STRONG = '<limit lower="{}" upper="{}" effort="{}" velocity="1"/>'
 FINGER = 0.15
-"""Length of the fingers that turn [m]."""
+"""Length of the rotating fingers [m]."""
 
 
 def with_fingers(*parts: str) -> str:
-    """The mobile manipulator with other fingers."""
+    """Return the mobile manipulator with other fingers."""
     text = mobile_manipulator(fingers=False, tool=False)
     more = [*parts, link("tcp"), joint("tcp_joint", "fixed", "palm", "tcp", "0.2 0 0")]
     return text.replace("</robot>", "".join(more) + "</robot>")
 
 
 def turning(lower: float, upper: float, effort: float = 20.0) -> str:
-    """Fingers that turn about axes beside each other, parallel and 3 cm apart at zero."""
+    """Return fingers that rotate about adjacent axes, parallel and 3 cm apart at zero."""
     parts = []
     for side, sign in (("left", 1), ("right", -1)):
         limit = STRONG.format(lower, upper, effort)
@@ -47,7 +47,7 @@ def turning(lower: float, upper: float, effort: float = 20.0) -> str:
 
 
 def sliding(tip: str, effort: float = 50.0) -> str:
-    """Fingers that slide, with a link of some kind at their tips."""
+    """Return sliding fingers with separate tip links, rotated by `tip` [rad]."""
     parts = []
     for side, sign in (("left", 1), ("right", -1)):
         parts += [
@@ -71,7 +71,7 @@ def derived(folder: Path, text: str) -> Robot:
 
 
 def tips(robot: Robot) -> list[np.ndarray]:
-    """Corners of the fingers' boxes in the tool's frame, left and right, where they rest."""
+    """Return the vertices of the left and right finger at rest, in the tool frame."""
     T = invert(robot.model.rest_poses[robot.tool_link])
     return [
         np.concatenate(
@@ -84,12 +84,12 @@ def tips(robot: Robot) -> list[np.ndarray]:
     ]
 
 
-def test_fingers_that_turn_rest_open_where_their_pads_still_face_each_other(tmp_path: Path) -> None:
+def test_rotating_fingers_rest_open_with_facing_pads(tmp_path: Path) -> None:
     robot = derived(tmp_path, turning(-0.6, 0.6))
     rest = tomllib.loads(robot.path.read_text())["rest"]
     assert rest["left_finger_joint"] == rest["right_finger_joint"] > 0.0
     meet = -np.arcsin(0.015 / FINGER)
-    assert rest["left_finger_joint"] - meet <= LEAN + 0.02
+    assert rest["left_finger_joint"] - meet <= MAX_PAD_ANGLE + 0.02
     left, right = tips(robot)
     ends = (
         left[left[:, 0] > left[:, 0].max() - 0.015, 1],
@@ -100,7 +100,7 @@ def test_fingers_that_turn_rest_open_where_their_pads_still_face_each_other(tmp_
 
 
 @pytest.mark.parametrize("ends", [(-0.3, 0.1), (0.0, 0.5), (-0.6, 0.6)])
-def test_a_hand_that_turns_its_fingers_has_pads_its_opening_apart(
+def test_the_pads_of_rotating_fingers_are_the_opening_apart(
     tmp_path: Path, ends: tuple[float, float]
 ) -> None:
     robot = derived(tmp_path, turning(*ends))
@@ -110,12 +110,12 @@ def test_a_hand_that_turns_its_fingers_has_pads_its_opening_apart(
     assert hand.rest == pytest.approx(0.0, abs=2e-3), "it rests open"
 
 
-def test_the_force_of_fingers_that_turn_is_effort_over_their_length(tmp_path: Path) -> None:
+def test_the_force_of_rotating_fingers_is_effort_over_length(tmp_path: Path) -> None:
     robot = derived(tmp_path, turning(-0.6, 0.6, effort=15.0))
     assert robot.grip_force == pytest.approx(15.0 / FINGER, rel=0.1)
 
 
-def test_a_joint_that_spreads_fingers_does_not_say_how_hard_they_close(tmp_path: Path) -> None:
+def test_the_effort_of_a_spread_joint_is_no_closing_force(tmp_path: Path) -> None:
     parts = []
     for side, sign in (("left", 1), ("right", -1)):
         parts += [
@@ -134,7 +134,7 @@ def test_a_joint_that_spreads_fingers_does_not_say_how_hard_they_close(tmp_path:
 
 
 def one_jaw(side: int, effort: float = 50.0) -> str:
-    """A jaw that slides to and from one that does not move, on either side; closed at zero."""
+    """Return a jaw that slides toward a fixed one on a given side, closed at zero."""
     return with_fingers(
         link("fixed_jaw", box(0.06, 0.01, 0.02), "0.03 0 0"),
         joint("jaw_mount", "fixed", "palm", "fixed_jaw", f"0.06 {0.05 * side} 0"),
@@ -161,7 +161,7 @@ def test_a_jaw_that_closes_on_a_fixed_one_is_a_gripper(tmp_path: Path, side: int
     assert hand.closed_to(np.array([0.03]))[0] == pytest.approx(0.05, abs=4e-3)
 
 
-def test_a_jaw_closes_on_what_is_drawn_in_one_with_the_last_link_of_the_arm(
+def test_a_jaw_closes_on_a_fixed_jaw_in_the_last_link_of_the_arm(
     tmp_path: Path,
 ) -> None:
     text = one_jaw(1)
@@ -181,7 +181,7 @@ def test_a_jaw_closes_on_what_is_drawn_in_one_with_the_last_link_of_the_arm(
     assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
 
 
-def test_a_hand_closes_until_both_sides_meet_what_they_hold(tmp_path: Path) -> None:
+def test_a_hand_closes_until_both_sides_touch_the_object(tmp_path: Path) -> None:
     way = np.array([[0.03, 0.01], [0.002, 0.001], [0.0, 0.05]])
     for side in (1, -1, 0):
         text = one_jaw(side) if side else sliding("0")
@@ -198,14 +198,14 @@ def test_a_hand_closes_until_both_sides_meet_what_they_hold(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("turn", ["0.5", "-0.4", "0.1"])
-def test_tips_that_lean_are_pads_that_face_what_they_hold(tmp_path: Path, turn: str) -> None:
+def test_leaning_tips_become_pads_that_face_the_object(tmp_path: Path, turn: str) -> None:
     hand = hand_of(derived(tmp_path, sliding(turn)))
     assert hand.closes
     along = np.einsum("bij,i->bj", hand.boxes.rotation[hand.pad], hand.closing)
     assert_allclose(np.abs(along).max(1), 1.0)
 
 
-def test_links_of_a_hand_that_touch_at_rest_are_not_checked_against_each_other(
+def test_hand_links_that_touch_at_rest_are_not_checked(
     tmp_path: Path,
 ) -> None:
     text = sliding("0").replace('size="0.04 0.01 0.02"', 'size="0.04 0.06 0.02"')
@@ -215,7 +215,7 @@ def test_links_of_a_hand_that_touch_at_rest_are_not_checked_against_each_other(
     assert frozenset(("left_tip", "right_tip")) not in disabled
 
 
-def test_stages_of_a_telescope_are_never_checked_against_each_other(tmp_path: Path) -> None:
+def test_stages_of_a_telescope_are_not_checked(tmp_path: Path) -> None:
     robot = derived(tmp_path, telescope(4))
     stages = ["torso", *(f"stage_{k}" for k in range(4))]
     checked = {
@@ -225,7 +225,7 @@ def test_stages_of_a_telescope_are_never_checked_against_each_other(tmp_path: Pa
     assert frozenset(("stage_0", "arm_4")) in checked
 
 
-def test_neighbors_that_touch_in_most_states_of_the_arm_are_not_checked(tmp_path: Path) -> None:
+def test_neighbors_that_touch_in_most_states_are_not_checked(tmp_path: Path) -> None:
     fat = link("arm_5", '<sphere radius="0.1"/>')  # touches arm_3 once the wrist is bent by 50 deg
     coarse = re.sub('<link name="arm_5">.*?</link>', fat, mobile_manipulator())
     robot = derived(tmp_path, coarse)
@@ -233,7 +233,7 @@ def test_neighbors_that_touch_in_most_states_of_the_arm_are_not_checked(tmp_path
     assert frozenset(("torso", "arm_5")) not in robot.disabled
 
 
-def test_a_flange_without_fingers_is_told_to_hold_nothing(tmp_path: Path) -> None:
+def test_a_flange_without_fingers_is_reported_to_hold_nothing(tmp_path: Path) -> None:
     text = mobile_manipulator(fingers=False)
     (tmp_path / "robot.urdf").write_text(text)
     made, found = write_robot(tmp_path / "robot.urdf")
@@ -243,7 +243,7 @@ def test_a_flange_without_fingers_is_told_to_hold_nothing(tmp_path: Path) -> Non
     assert empty_handed(load_robot(made)) == ""
 
 
-def test_a_slab_of_a_body_is_what_lies_between_its_planes() -> None:
+def test_a_slab_of_a_body_is_its_part_between_two_planes() -> None:
     rng = np.random.default_rng(3)
     hull = hull_around(rng.normal(size=(40, 3)), "body")
     axis = np.array([0.6, 0.0, 0.8])

@@ -1,4 +1,4 @@
-"""The library's robots, held to their manufacturers' files and to the rules of robot files.
+"""Library robots match their manufacturers' files and the rules of robot files.
 
 Everything is computed here from the files alone: pinocchio and coal for kinematics and contact,
 a few lines of numpy for the distance to boxes, cylinders and spheres.
@@ -31,9 +31,9 @@ SCENE_IO = DATA.parent / "tools" / "scene_io.py"
 ROBOTS = ("fetch", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "stretch", "tiago")
 
 COVERED = 0.010
-"""How far a vertex of the manufacturer's mesh may lie outside the shapes [m]."""
+"""Maximum distance of a manufacturer's mesh vertex from the shapes [m]."""
 CLEAR = 0.010
-"""Distance that the links keep at home [m]."""
+"""Minimum distance between links at home [m]."""
 
 
 # ------------------------------------------------------------------------------------ files
@@ -48,7 +48,7 @@ class Shape:
     T_link_shape: np.ndarray
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Signed distance of points in the link frame; negative inside."""
+        """Return the signed distance of points in the link frame; negative inside."""
         p = (points - self.T_link_shape[:3, 3]) @ self.T_link_shape[:3, :3]
         if self.kind == "sphere":
             return np.linalg.norm(p, axis=1) - self.size[0]
@@ -60,7 +60,7 @@ class Shape:
         return np.linalg.norm(np.maximum(gap, 0), axis=1) + np.minimum(gap.max(axis=1), 0)
 
     def support(self, T_frame_link: np.ndarray, direction: np.ndarray) -> float:
-        """How far the shape reaches along a unit vector, both in the same frame [m]."""
+        """Return the support of the shape along a unit vector in the same frame [m]."""
         T = T_frame_link @ self.T_link_shape
         d = direction @ T[:3, :3]
         if self.kind == "sphere":
@@ -73,7 +73,7 @@ class Shape:
 
 
 class Urdf:
-    """As much of a URDF as the tests need."""
+    """The parts of a URDF that the tests need."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -88,7 +88,7 @@ class Urdf:
         return pin.buildModelFromXML(ET.tostring(self.root, encoding="unicode"))
 
     def leader(self, joint: str) -> str:
-        """The joint that a joint follows one to one; none where it is empty."""
+        """Return the joint that a joint follows one to one; "" for none."""
         mimic = self.joints[joint].find("mimic")
         if mimic is None:
             return ""
@@ -99,7 +99,7 @@ class Urdf:
         return self.above[link].find("parent").get("link")
 
     def rest_pose(self, link: str, anchor: str | None = None) -> np.ndarray:
-        """Pose of a link in an ancestor (the root where None), every joint at zero."""
+        """Return the pose of a link in an ancestor (None for the root), all joints at zero."""
         T = np.eye(4)
         while link != anchor and link in self.above:
             T, link = pose_of(self.above[link]) @ T, self.parent(link)
@@ -116,7 +116,7 @@ class Urdf:
         return found
 
     def vertices(self, link: str, tag: str) -> np.ndarray:
-        """Vertices of the meshes of a link, in its frame."""
+        """Return the mesh vertices of a link, in its frame."""
         clouds = [np.empty((0, 3))]
         for item in self.links[link].findall(tag):
             geometry = item.find("geometry")[0]
@@ -127,12 +127,12 @@ class Urdf:
         return np.concatenate(clouds)
 
     def mesh(self, name: str) -> Path:
-        """The file of a mesh; packages lie beside the folder of the URDF's own."""
+        """Return the file of a mesh; packages are siblings of the URDF's own package."""
         inside = name.removeprefix("package://example-robot-data/robots/")
         return self.path.parents[2] / inside if inside != name else self.path.parent / name
 
     def pose(self, link: str, base: str, q: Mapping[str, float]) -> np.ndarray:
-        """Pose of a link in the frame of another, by pinocchio."""
+        """Return the pose of a link in the frame of another, by pinocchio."""
         data = self.model.createData()
         pin.framesForwardKinematics(self.model, data, configuration(self.model, q))
         frames = [data.oMf[self.model.getFrameId(n, pin.FrameType.BODY)] for n in (base, link)]
@@ -140,7 +140,7 @@ class Urdf:
 
 
 def configuration(model: pin.Model, q: Mapping[str, float]) -> np.ndarray:
-    """All of pinocchio's numbers, from values of some joints; the others stand at zero."""
+    """Return pinocchio's configuration for some joint values, the others at zero."""
     full = pin.neutral(model)
     for name, value in q.items():
         joint = model.joints[model.getJointId(name)]
@@ -189,11 +189,11 @@ class Robot:
         self.home = self.state(dict(zip(self.leaders, self.table["home"], strict=True)))
 
     def state(self, q: Mapping[str, float]) -> dict[str, float]:
-        """Values of all joints of the arm: others follow those that the robot file names."""
+        """Return the values of all arm joints, including followers."""
         return {name: q.get(name, q.get(self.urdf.leader(name), 0.0)) for name in self.arm}
 
     def body(self, link: str) -> str:
-        """The link that a link is fixed to, with wheels, casters and fingers held at zero."""
+        """Return the link that a link is fixed to, with wheels, casters and fingers at zero."""
         while link in self.urdf.above:
             joint = self.urdf.above[link]
             held = joint.get("type") in ("fixed", "continuous", "prismatic")
@@ -210,7 +210,7 @@ class Robot:
         return True
 
     def body_shapes(self, body: str) -> list[Shape]:
-        """Shapes of everything fixed to a body, in its frame."""
+        """Return the shapes of everything fixed to a body, in its frame."""
         return [
             Shape(s.kind, s.size, self.urdf.rest_pose(link, body) @ s.T_link_shape)
             for link in self.urdf.links
@@ -252,7 +252,7 @@ SEGBOT = BESTMAN / "base/segbot/urdf/segbot.urdf"
 
 
 def installed(distribution: str, path: str) -> Path:
-    """A file of a package with robot descriptions; one that does not exist where it is missing."""
+    """Return a file of a robot description package; a missing file if it is not installed."""
     try:
         return Path(str(metadata.distribution(distribution).locate_file(path)))
     except metadata.PackageNotFoundError:
@@ -276,15 +276,15 @@ def moved(x: float = 0, y: float = 0, z: float = 0, yaw: float = 0) -> np.ndarra
 
 @dataclass(frozen=True)
 class Part:
-    """Links of a manufacturer's file, at rest, and where they are in our robot."""
+    """Links of a manufacturer's file at rest, and their place in our robot."""
 
     urdf: Path
     links: Sequence[str]
-    """Theirs."""
+    """Links of the manufacturer."""
     anchor: str = ""
-    """The link of theirs that sits on ours; each link itself where empty."""
+    """Manufacturer's link that coincides with ours; "" for each link itself."""
     ours: str = ""
-    """The link of ours; the same name where empty."""
+    """Our link; "" for the same name."""
     T_ours_anchor: np.ndarray = field(default_factory=lambda: np.eye(4))
     tag: str = "collision"
 
@@ -398,7 +398,7 @@ def assert_same_pose(a: np.ndarray, b: np.ndarray) -> None:
     assert np.linalg.norm(pin.log3(a[:3, :3].T @ b[:3, :3])) < 1e-6
 
 
-def test_fetch_moves_its_gripper_as_the_manufacturer_says() -> None:
+def test_fetch_gripper_poses_match_the_manufacturer() -> None:
     ours, theirs = robot_named("fetch"), manufacturer(FETCH)
     for q in random_states(ours, 200):
         pair = [u.pose("gripper_link", "base_link", q) for u in (ours.urdf, theirs)]
@@ -413,7 +413,7 @@ def test_fetch_moves_its_gripper_as_the_manufacturer_says() -> None:
         ("tiago", TIAGO, "base_footprint", "wrist_ft_tool_link"),
     ],
 )
-def test_arms_of_installed_descriptions_move_as_those_say(
+def test_arms_match_the_installed_descriptions(
     name: str, file: Path, base: str, flange: str
 ) -> None:
     ours, theirs = robot_named(name), manufacturer(file)
@@ -424,15 +424,15 @@ def test_arms_of_installed_descriptions_move_as_those_say(
 
 
 @pytest.mark.parametrize("name", ["segway_ur5e", "husky_ur5e"])
-def test_the_ur5e_moves_its_flange_as_the_manufacturer_says(name: str) -> None:
+def test_ur5e_flange_poses_match_the_manufacturer(name: str) -> None:
     ours, theirs = robot_named(name), manufacturer(UR5E)
     for q in random_states(ours, 200):
         T = ours.urdf.pose("ee_link", "ur5e_base_link", q)
         assert_same_pose(T, theirs.pose("ee_link", "base_link", q))
 
 
-def test_the_rm63_on_its_rotary_moves_its_hand_as_the_manufacturers_say() -> None:
-    """Two files and the joint between them, whose origin is in neither.
+def test_rm63_hand_poses_match_the_manufacturers() -> None:
+    """Combine two files with the joint between them, whose origin is in neither.
 
     `rm63_6f_ag95.urdf` starts at Link1 and counts from there, so that its joint1 is our joint2.
     The origin of joint1 is that of the authors' `cobot_description_rm_63.urdf`.
@@ -449,7 +449,7 @@ def test_the_rm63_on_its_rotary_moves_its_hand_as_the_manufacturers_say() -> Non
         assert_same_pose(ours.urdf.pose("gripper_base_link", "chassis_link", q), T)
 
 
-def test_every_mesh_vertex_of_the_manufacturer_is_inside_the_shapes_or_1_cm_from_them(
+def test_manufacturers_mesh_vertices_are_inside_or_within_1_cm_of_the_shapes(
     robot: Robot,
 ) -> None:
     for part in PARTS[robot.table["name"]]:
@@ -462,13 +462,13 @@ def test_every_mesh_vertex_of_the_manufacturer_is_inside_the_shapes_or_1_cm_from
             points = transform(robot.urdf.rest_pose(ours, body), points)
             assert len(points), f"{link} has no mesh"
             outside = np.min([s.distance(points) for s in robot.body_shapes(body)], axis=0).max()
-            assert outside < COVERED, f"{link} sticks out by {1000 * outside:.1f} mm"
+            assert outside < COVERED, f"{link} protrudes by {1000 * outside:.1f} mm"
 
 
 # ------------------------------------------------------------------------- the robot files
 
 
-def test_the_library_holds_shapes_and_no_meshes(robot: Robot) -> None:
+def test_the_library_contains_shapes_and_no_meshes(robot: Robot) -> None:
     # Arms of fewer than six joints have no reachability map.
     files = {".urdf", ".toml", ".srdf"} | ({".reach"} if len(robot.leaders) >= 6 else set())
     assert {path.suffix for path in robot.folder.iterdir()} == files
@@ -479,14 +479,14 @@ def test_the_library_holds_shapes_and_no_meshes(robot: Robot) -> None:
         assert [s.size.tolist() for s in seen] == [s.size.tolist() for s in checked]
 
 
-def test_no_joint_has_a_lower_limit_above_its_upper_one(robot: Robot) -> None:
+def test_lower_limits_are_below_upper_limits(robot: Robot) -> None:
     for name, joint in robot.urdf.joints.items():
         if joint.get("type") in ("revolute", "prismatic"):
             lower, upper = limits_of(joint)
             assert lower < upper, name
 
 
-def test_every_mass_has_an_inertia_that_a_body_can_have(robot: Robot) -> None:
+def test_every_mass_has_a_physical_inertia(robot: Robot) -> None:
     for name, link in robot.urdf.links.items():
         if link.find("inertial") is None:
             assert not robot.urdf.shapes(name)
@@ -545,7 +545,7 @@ def test_the_pads_are_the_opening_apart_with_the_tool_frame_between_them(robot: 
 
 
 class Contact:
-    """Distances between links of a robot, by coal."""
+    """Distances between links of a robot, computed by coal."""
 
     def __init__(self, robot: Robot) -> None:
         self.model = robot.urdf.model
@@ -601,7 +601,7 @@ def test_at_home_the_arm_stays_within_10_cm_of_the_footprint(robot: Robot) -> No
             assert shape.support(T, normal) - normal[:2] @ corner < 0.1, link
 
 
-def test_pairs_said_never_to_meet_stay_apart_in_random_states(robot: Robot) -> None:
+def test_pairs_with_reason_never_have_no_contact_in_random_states(robot: Robot) -> None:
     known = set(all_pairs(robot))
     assert set(robot.disabled) <= known
     assert set(robot.disabled.values()) <= {"Adjacent", "Default", "Never"}
@@ -623,7 +623,7 @@ def shared_reader() -> ModuleType:
     return module
 
 
-def test_the_independent_checker_loads_the_robot_and_agrees_about_it(robot: Robot) -> None:
+def test_the_independent_checker_agrees_about_the_robot(robot: Robot) -> None:
     reader, table = shared_reader(), robot.table
     theirs = reader.Robot(robot.urdf.path, table["base_link"], table["tool_link"], robot.arm)
     for q in random_states(robot, 20):

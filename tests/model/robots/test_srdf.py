@@ -1,4 +1,4 @@
-"""SRDFs: where they are found, and what is taken from them."""
+"""SRDFs are found in the usual folders and read."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PAIR = frozenset(("torso", "arm_1"))
         "my_moveit_config/config/other.srdf", "../my_moveit_config/config/other.srdf",
     ],
 )  # fmt: skip
-def test_an_srdf_is_found_where_they_usually_lie(tmp_path: Path, place: str) -> None:
+def test_an_srdf_is_found_in_the_usual_folders(tmp_path: Path, place: str) -> None:
     package = tmp_path / "package"
     urdf = package / "urdf" / "robot.urdf"
     srdf = (package / place).resolve()
@@ -45,7 +45,7 @@ def test_an_srdf_is_found_where_they_usually_lie(tmp_path: Path, place: str) -> 
     assert robot.disabled == {PAIR}
 
 
-def test_an_srdf_of_another_robot_is_left_alone(tmp_path: Path) -> None:
+def test_an_srdf_of_another_robot_is_ignored(tmp_path: Path) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(mobile_manipulator())
     (tmp_path / "other.srdf").write_text(TEXT.replace("test robot", "other"))
@@ -56,7 +56,7 @@ def test_an_srdf_of_another_robot_is_left_alone(tmp_path: Path) -> None:
         find_srdf(urdf, "test robot")
 
 
-def test_pairs_hands_states_and_groups_are_taken_from_it(tmp_path: Path) -> None:
+def test_pairs_hands_states_and_groups_are_read(tmp_path: Path) -> None:
     urdf = tmp_path / "robot.urdf"
     (tmp_path / "robot.srdf").write_text(TEXT)
     found = find_srdf(urdf, "test robot")
@@ -80,17 +80,17 @@ def test_pairs_hands_states_and_groups_are_taken_from_it(tmp_path: Path) -> None
         ('<chain base_link="arm_5" tip_link="palm"/><joint name="j5"/>', None),
     ],
 )
-def test_arms_are_held_against_the_groups_of_an_srdf(
+def test_arms_are_compared_with_the_groups_of_an_srdf(
     tmp_path: Path, inner: str, words: str | None
 ) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(mobile_manipulator())
     urdf.with_suffix(".srdf").write_text(f'<robot name="r"><group name="g">{inner}</group></robot>')
-    told = [note for note in derive_robot(urdf).assumptions if "SRDF's group" in note]
-    assert told == ([] if words is None else [f"arm_joints: the SRDF's group 'g' has {words}"])
+    found = [note for note in derive_robot(urdf).assumptions if "SRDF's group" in note]
+    assert found == ([] if words is None else [f"arm_joints: the SRDF's group 'g' has {words}"])
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_a_written_srdf_round_trips(tmp_path: Path) -> None:
     path = tmp_path / "robot.srdf"
     path.write_text(srdf_text('a "b" & c', {("x<y", "z"): "Always"}))
     assert read_srdf(path) == {frozenset(("x<y", "z"))}

@@ -1,4 +1,4 @@
-"""Xacro files: expanded, with their packages, in a process with limits."""
+"""Xacro files are expanded with their packages in a process with limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.urdf_parts import mobile_manipulator
 
 from momapos.core.errors import MomaposError, RobotError
 from momapos.model.robots import xacro
-from momapos.model.robots.derive import Source
+from momapos.model.robots.derive import RobotSource
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_writer import write_robot
 from momapos.model.robots.xacro import expand_xacro
@@ -25,7 +25,7 @@ needs_xacrodoc = optional.needs("xacrodoc", find_spec("xacrodoc") is not None)
 
 
 @needs_xacrodoc
-def test_a_xacro_file_becomes_a_urdf_beside_the_robot_file(tmp_path: Path) -> None:
+def test_a_xacro_file_becomes_a_urdf_next_to_the_robot_file(tmp_path: Path) -> None:
     package = tmp_path / "robots" / "my_description"
     macro, main = package / "parts" / "all.xacro", package / "robots" / "main.urdf.xacro"
     for path in (macro, main):
@@ -46,16 +46,19 @@ def test_a_xacro_file_becomes_a_urdf_beside_the_robot_file(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (f'{HEAD}<xacro:include filename="$(find nobody)/x.xacro"/></robot>', "--package nobody"),
+        (
+            f'{HEAD}<xacro:include filename="$(find nobody)/x.xacro"/></robot>',
+            "package 'nobody' was not found",
+        ),
         (f"{HEAD}<xacro:nothing/></robot>", "cannot be expanded"),
         ("<robot", "cannot be expanded"),
         (f'{HEAD}<xacro:property name="x" value="${{9**9**9**9}}"/>${{x}}</robot>', "expand"),
     ],
 )
-def test_what_cannot_be_expanded_is_refused_in_one_line(
+def test_a_file_that_cannot_be_expanded_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
 ) -> None:
-    monkeypatch.setattr(xacro, "SECONDS", 5)
+    monkeypatch.setattr(xacro, "MAX_SECONDS", 5)
     path = tmp_path / "robot.xacro"
     path.write_text(text)
     with pytest.raises(RobotError, match=words) as caught:
@@ -65,7 +68,7 @@ def test_what_cannot_be_expanded_is_refused_in_one_line(
 
 
 @needs_xacrodoc
-def test_all_runs_of_one_file_share_its_time(
+def test_all_runs_of_a_file_share_its_time_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names, given = ("a_description", "b_description", "c_description"), []
@@ -82,7 +85,7 @@ def test_all_runs_of_one_file_share_its_time(
     monkeypatch.setattr(xacro.subprocess, "run", noted)
     expand_xacro(path, {}, {})
     assert len(given) == 1 + len(names)
-    assert all(later < earlier for earlier, later in pairwise([xacro.SECONDS, *given]))
+    assert all(later < earlier for earlier, later in pairwise([xacro.MAX_SECONDS, *given]))
 
 
 @needs_xacrodoc
@@ -93,11 +96,11 @@ def test_arguments_reach_the_file(tmp_path: Path) -> None:
     assert 'name="chosen"' in expand_xacro(path, {}, {"a": "chosen"})[0]
 
 
-def test_without_the_program_that_expands_it_says_how_to_get_it(
+def test_a_missing_xacrodoc_is_reported_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "xacrodoc", None)
     path = tmp_path / "robot.xacro"
     path.write_text(HEAD + "</robot>")
-    with pytest.raises(MomaposError, match=r"pip install 'momapos\[xacro\]'"):
-        write_robot(Source(path))
+    with pytest.raises(MomaposError, match=r"pip install xacrodoc"):
+        write_robot(RobotSource(path))

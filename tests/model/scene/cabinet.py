@@ -1,4 +1,4 @@
-"""A cabinet with a door and a drawer, as a URDF and as what an importer made of it."""
+"""A cabinet with a door and a drawer, as a URDF and as an imported object."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ CABINET = """<robot name="cabinet">
   <joint name="slide" type="prismatic"><parent link="body"/><child link="drawer"/>
     <origin xyz="0.21 0 -0.2"/><axis xyz="1 0 0"/><limit lower="0" upper="0.4"/></joint>
 </robot>"""  # noqa: E501
-"""Of `expected`, with what differs between the formats."""
+"""URDF of `expected`; the fields differ between formats."""
 
 
 def expected(folder: Path, xyz: tuple[float, float, float], yaw: float = 0.0, *, bar: float,
              turn: float, axis: str, lower: float, upper: float) -> SceneObject:  # fmt: skip
-    """The cabinet as its URDF says.
+    """Return the cabinet of the URDF.
 
     Args:
-        folder: Where the URDF is written.
-        xyz: Where it stands [m].
-        yaw: How it is turned [rad].
-        bar: Turn of the drawer's bar [rad].
-        turn: Turn of the hinge's frame [rad].
-        axis: The hinge's axis.
-        lower, upper: Its limits [rad].
+        folder: Folder of the URDF.
+        xyz: Position [m].
+        yaw: Rotation about z [rad].
+        bar: Roll of the drawer's bar [rad].
+        turn: Yaw of the hinge's frame [rad].
+        axis: Axis of the hinge.
+        lower, upper: Limits of the hinge [rad].
     """
     text = CABINET.format(bar=bar, turn=turn, axis=axis, lower=lower, upper=upper)
     (folder / "cabinet.urdf").write_text(text)
@@ -46,7 +46,7 @@ def expected(folder: Path, xyz: tuple[float, float, float], yaw: float = 0.0, *,
 def assert_moves_alike(
     found: SceneObject, truth: SceneObject, values: tuple[tuple[float, float], ...]
 ) -> None:
-    """Every part is where the URDF has it, for each value of hinge and slide."""
+    """Check that every part is at its pose in the URDF, for each value of hinge and slide."""
     for name, joint in truth.model.joints.items():
         ours = found.model.joints[name]
         assert (ours.kind, ours.lower) == (joint.kind, pytest.approx(joint.lower))
@@ -65,7 +65,7 @@ def assert_moves_alike(
 def assert_refused(
     folder: Path, read: Callable[[Path, str], Scene], text: str, message: str
 ) -> None:
-    """A reader refuses a file in one line and leaves nothing written in its folder."""
+    """Check that a reader refuses a file in one line and writes nothing."""
     inside = folder / "inside"
     inside.mkdir()
     with pytest.raises(MomaposError, match=message) as caught:

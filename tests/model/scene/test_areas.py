@@ -1,4 +1,4 @@
-"""Laws of areas of the floor: named, in a file, or written out."""
+"""Areas of the floor: named, in a file, or given by corners."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_an_area_is_found_by_name_in_a_file_or_by_its_corners(room: Scene, tmp_p
         ("nowhere.json", "nowhere.json"),
     ],
 )
-def test_what_is_no_area_is_refused_in_one_line(words: str, hint: str, room: Scene) -> None:
+def test_an_invalid_area_is_refused_in_one_line(words: str, hint: str, room: Scene) -> None:
     with pytest.raises(MomaposError, match=hint) as refused:
         find_area(words, room, "--keep-in")
     assert "\n" not in str(refused.value)
@@ -59,7 +59,7 @@ def test_areas_of_another_form_are_refused(value: object) -> None:
         read_areas(value, "room.json: areas")
 
 
-def test_the_answer_keeps_to_the_areas_and_the_plan_names_them(
+def test_the_base_pose_respects_the_areas_and_the_plan_contains_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kitchen = load_scene("kitchen_small")
@@ -76,5 +76,5 @@ def test_the_answer_keeps_to_the_areas_and_the_plan_names_them(
     assert max(abs(plan.base_pose[0] - x), abs(plan.base_pose[1] - y)) > 0.2
     capsys.readouterr()
     assert main([*question, "--most-driving", "10cm"]) == 3
-    assert "farther to drive than allowed" in capsys.readouterr().out
+    assert "longer drive than allowed" in capsys.readouterr().out
     assert replace(plan.region, keep_out=()) == free.region

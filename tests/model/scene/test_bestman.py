@@ -1,4 +1,4 @@
-"""BestMan scenes, held to what a physics engine measured in them."""
+"""BestMan scenes match the measurements of a physics engine."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ SCENES = (
     "derived/kitchen_v2.json",
 )
 TOLERANCE = 0.005
-"""[m]; the engine's boxes hold a margin of 1 to 3 mm."""
+"""[m]; the engine's boxes have a margin of 1 to 3 mm."""
 needs_data = optional.needs("real data", BESTMAN.is_dir())
 CUBE = '<robot name="c"><link name="c"><collision><geometry><box size="1 1 1"/></geometry></collision></link></robot>'  # noqa: E501
 
 
 def measured(scene: str) -> dict[str, dict[str, Any]]:
-    """What the physics engine measured, by object."""
+    """Return the measurements of the physics engine by object."""
     data = json.loads((BESTMAN / "derived" / "scene_articulations.json").read_text())
     return {item["name"]: item for item in data[scene.removeprefix("Asset/Scene/Scene/")]}
 
 
 def bounds_of(item: SceneObject, links: tuple[str, ...]) -> np.ndarray:
-    """Axis-aligned box around links at rest, in the world."""
+    """Return the world-aligned bounding box of links at rest."""
     poses = item.link_poses()
     points = np.concatenate([
         hull.vertices @ poses[link][:3, :3].T + poses[link][:3, 3]
@@ -55,7 +55,7 @@ def pair(request: pytest.FixtureRequest) -> tuple[Scene, dict[str, dict[str, Any
     return load_scene(optional.there(BESTMAN / request.param)), measured(request.param)
 
 
-def test_objects_are_as_large_as_the_engine_finds_them(pair: tuple[Scene, dict]) -> None:
+def test_object_bounds_match_the_engine(pair: tuple[Scene, dict]) -> None:
     scene, truth = pair
     assert [item.name for item in scene.objects] == list(truth)
     for item in scene.objects:
@@ -63,7 +63,7 @@ def test_objects_are_as_large_as_the_engine_finds_them(pair: tuple[Scene, dict])
             assert_allclose(item.bounds, truth[item.name]["aabb"], atol=TOLERANCE)
 
 
-def test_joints_have_the_kind_limits_axis_and_origin_of_the_engine(
+def test_joints_match_the_engine(
     pair: tuple[Scene, dict],
 ) -> None:
     scene, truth = pair
@@ -82,7 +82,7 @@ def test_joints_have_the_kind_limits_axis_and_origin_of_the_engine(
             assert_allclose(T[:3, 3], row["world_origin"], atol=TOLERANCE)
 
 
-def test_moving_parts_and_handles_lie_where_the_engine_finds_them(
+def test_bounds_of_moving_parts_and_handles_match_the_engine(
     pair: tuple[Scene, dict],
 ) -> None:
     scene, truth = pair
@@ -98,7 +98,7 @@ def test_moving_parts_and_handles_lie_where_the_engine_finds_them(
 
 
 @needs_data
-def test_missing_models_stand_on_what_is_below_them() -> None:
+def test_boxes_for_missing_models_rest_on_what_is_below_them() -> None:
     scene = load_scene(BESTMAN / "derived/kitchen_v2.json")
     table = scene.object("elementF").bounds[1, 2]
     assert len(scene.warnings) == 8
@@ -156,13 +156,15 @@ def test_a_missing_model_of_unknown_size_is_a_small_cube_on_the_floor(tmp_path: 
         )
     )
     assert_allclose(scene.object("cup").bounds, [[-0.04, -0.04, 0], [0.04, 0.04, 0.08]], atol=1e-9)
-    assert scene.object("lamp").bounds.mean(0)[2] == pytest.approx(2.0), "fixed things hang"
+    assert scene.object("lamp").bounds.mean(0)[2] == pytest.approx(2.0), (
+        "fixed objects stay at their position"
+    )
     assert len(scene.warnings) == 2
     assert "unknown size" in scene.warnings[0]
     assert (scene.floor_polygon, scene.start) == (None, None)
 
 
-def test_the_root_is_found_upwards_or_given(tmp_path: Path) -> None:
+def test_the_root_is_found_in_the_parents_or_given(tmp_path: Path) -> None:
     path = _write(tmp_path, [_item("a")])
     other = tmp_path / "elsewhere"
     other.mkdir()
@@ -192,7 +194,7 @@ def test_a_missing_mesh_of_an_existing_urdf_is_an_error(tmp_path: Path) -> None:
         ({"scale": 0}, "scale"),
         ({"scale": "math.inf"}, "scale"),
         ({"model_path": "../../etc/passwd"}, "leaves"),
-        ({"model_path": 3}, "model_path must be a printable text"),
+        ({"model_path": 3}, "model_path must be printable"),
     ],
 )
 def test_a_wrong_entry_is_named(tmp_path: Path, change: dict[str, Any], message: str) -> None:
@@ -200,7 +202,7 @@ def test_a_wrong_entry_is_named(tmp_path: Path, change: dict[str, Any], message:
         load_scene(_write(tmp_path, [_item("fine"), _item("bad", **change)]))
 
 
-def test_two_objects_of_one_name_are_refused_with_both_places(tmp_path: Path) -> None:
+def test_duplicate_names_are_refused_with_both_places(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="objects 0 and 2 are both named 'a'"):
         load_scene(_write(tmp_path, [_item("a"), _item("b"), _item("a")]))
 

@@ -1,4 +1,4 @@
-"""How sure a scan is of its objects survives a scene file; nonsense is refused."""
+"""Confidences of a scan round-trip through scene files, and invalid ones are refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from momapos.model.scene.scene_files import load_scene, save_scene
 BOX = SceneObject.box("a", (1, 1, 1), (0, 0, 0.5), category="cabinet")
 
 
-def test_a_scene_file_keeps_how_sure_a_scan_is(tmp_path: Path) -> None:
+def test_confidences_round_trip(tmp_path: Path) -> None:
     sure = Confidence(0.62, 0.94)
     save_scene(
         Scene("room", (replace(BOX, confidence=sure), replace(BOX, name="b"))), tmp_path / "s.json"
@@ -26,7 +26,7 @@ def test_a_scene_file_keeps_how_sure_a_scan_is(tmp_path: Path) -> None:
     assert second.confidence is None
 
 
-def test_parts_are_told_by_their_joints(tmp_path: Path) -> None:
+def test_confidences_of_parts_are_read_by_joint(tmp_path: Path) -> None:
     kitchen = load_scene("kitchen_small")
     door = kitchen.object("fridge")
     joint = next(iter(door.model.joints))
@@ -47,13 +47,13 @@ def test_parts_are_told_by_their_joints(tmp_path: Path) -> None:
     [
         ([], SceneError, "confidence must be"),
         ({"object": 0.5}, SceneError, "'label' must be a number"),
-        ({"object": 2, "label": 0}, SceneError, "between 0 and 1"),
-        ({"object": True, "label": 0}, SceneError, "between 0 and 1"),
+        ({"object": 2, "label": 0}, SceneError, "a number from 0 to 1"),
+        ({"object": True, "label": 0}, SceneError, "a number from 0 to 1"),
         ({"object": 0, "label": 0, "joints": [1]}, SceneError, "joints must be"),
         ({"object": 0, "label": 0, "handles": {"door": 1}}, UnknownNameError, "'door'"),
     ],
 )
-def test_what_is_no_confidence_is_refused(value, error, hint: str, tmp_path: Path) -> None:
+def test_an_invalid_confidence_is_refused(value, error, hint: str, tmp_path: Path) -> None:
     path = tmp_path / "s.json"
     save_scene(Scene("room", (BOX,)), path)
     data = json.loads(path.read_text())

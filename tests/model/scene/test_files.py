@@ -32,7 +32,7 @@ CUPBOARD = """<robot name="cupboard">
 
 
 def write(folder: Path, **changes: Any) -> Path:
-    """A scene of a cupboard and a box, with some top-level keys changed."""
+    """Write a scene of a cupboard and a box, with some top-level keys changed."""
     (folder / "cupboard.urdf").write_text(CUPBOARD)
     data = {
         "format": "momapos-scene",
@@ -58,7 +58,7 @@ def write(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def test_a_scene_is_read_as_it_is_written_down(tmp_path: Path) -> None:
+def test_a_scene_is_read_as_written(tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path))
     assert (scene.name, scene.warnings) == ("room", ())
     assert scene.object("cupboard").values() == {"hinge": 0.5}
@@ -72,7 +72,7 @@ def test_a_scene_is_read_as_it_is_written_down(tmp_path: Path) -> None:
     assert_allclose(scene.start, [0, -1, 1.57])
 
 
-def test_saving_and_loading_changes_nothing(tmp_path: Path) -> None:
+def test_a_saved_scene_round_trips(tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path))
     save_scene(scene, tmp_path / "again.json")
     again = load_scene(tmp_path / "again.json")
@@ -116,7 +116,7 @@ def test_the_built_in_kitchens_load() -> None:
         assert scene.warnings == ()
 
 
-def test_an_unknown_kitchen_offers_the_known_ones() -> None:
+def test_an_unknown_kitchen_suggests_the_known_ones() -> None:
     with pytest.raises(UnknownNameError, match="no kitchen 'gallery'"):
         load_scene("gallery")
     with pytest.raises(FileFormatError, match="no such scene file"):
@@ -134,7 +134,7 @@ def test_a_urdf_is_a_scene_of_one_object_on_the_floor(tmp_path: Path) -> None:
     assert list(item.model.joints) == ["hinge"]
 
 
-def test_the_kind_of_a_file_is_its_content_not_its_name(tmp_path: Path) -> None:
+def test_the_content_determines_the_kind_of_a_file(tmp_path: Path) -> None:
     path = write(tmp_path)
     path.rename(tmp_path / "room.txt")
     assert load_scene(tmp_path / "room.txt").name == "room"
@@ -153,7 +153,7 @@ def test_unknown_keys_are_reported(tmp_path: Path) -> None:
     items = [{"name": "a", "pose": {"xyz": [0, 0, 0]}, "box": [1, 1, 1], "joint": {}}]
     scene = load_scene(write(tmp_path, objects=items, color="red"))
     assert "'color' is not known" in scene.warnings[0]
-    assert "'joints' meant" in scene.warnings[1]
+    assert "did you mean 'joints'" in scene.warnings[1]
 
 
 def test_a_scene_is_not_saved_away_from_its_models(tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_paths_go_below_the_given_root(tmp_path: Path) -> None:
     assert load_scene(path, root=tmp_path).objects[0].name == "cupboard"
 
 
-def test_converting_copies_what_the_scene_needs(tmp_path: Path) -> None:
+def test_converting_copies_the_files_of_the_scene(tmp_path: Path) -> None:
     source, out = tmp_path / "source", tmp_path / "target" / "room.json"
     source.mkdir()
     path = write(source)
@@ -186,7 +186,7 @@ def test_converting_copies_what_the_scene_needs(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace('"cupboard.urdf"', '"sub/cupboard.urdf"'))
     with pytest.raises(SceneError, match="--copy") as caught:
         scene_convert(str(path), out)
-    assert str(source) in str(caught.value), "says where it could stand"
+    assert str(source) in str(caught.value), "suggests another folder"
     assert not out.parent.exists()
     assert scene_convert(str(path), out, copy=True) == 0
     shutil.rmtree(source / "sub")
@@ -199,7 +199,7 @@ def test_converting_copies_what_the_scene_needs(tmp_path: Path) -> None:
         scene_convert(str(out), out, copy=True)
 
 
-def test_converting_copies_no_file_that_only_a_stranger_names(tmp_path: Path) -> None:
+def test_converting_copies_no_private_file_that_an_untrusted_urdf_names(tmp_path: Path) -> None:
     (tmp_path / "home" / "download").mkdir(parents=True)
     for place, name, content in (
         ("home", "private.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"),
@@ -235,7 +235,7 @@ def test_converting_copies_the_meshes_of_a_package(tmp_path: Path) -> None:
     assert len(load_scene(out).objects[0].model.hulls["body"][0].vertices) == 4
 
 
-def test_converting_that_is_cut_off_can_be_done_again(
+def test_an_interrupted_conversion_can_be_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "source").mkdir()
@@ -256,11 +256,11 @@ def test_converting_that_is_cut_off_can_be_done_again(
             with pytest.raises(KeyboardInterrupt):
                 scene_convert(str(path), out, copy=True)
         assert not list(out.parent.iterdir())
-    assert folders == [False, True], "the folder is there whole, or not at all"
+    assert folders == [False, True], "the folder is complete, or missing"
     assert scene_convert(str(path), out, copy=True) == 0
 
 
-def test_showing_a_scene_tells_its_joints_and_draws_it(
+def test_showing_a_scene_prints_its_joints_and_draws_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, picture = write(tmp_path, color="red"), tmp_path / "new" / "room.png"
@@ -268,7 +268,7 @@ def test_showing_a_scene_tells_its_joints_and_draws_it(
     text = capsys.readouterr()
     assert "hinge" in text.out
     assert "0.00 to 1.50 rad, at 0.50" in text.out
-    assert "'color'" in text.err, "what was assumed goes to stderr"
+    assert "'color'" in text.err, "assumptions go to stderr"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert scene_show(str(path), json=True) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -292,9 +292,9 @@ CABINET = {"name": "a", "pose": {"xyz": [0, 0, 0]}, "urdf": "cupboard.urdf"}
     ("item", "message"),
     [
         ([], "must be a JSON object"),
-        ({**BOX, "name": ""}, "name must be a printable text"),
-        ({**BOX, "name": 3}, "name must be a printable text"),
-        ({**BOX, "category": 3}, "category must be a text"),
+        ({**BOX, "name": ""}, "name must be a printable string"),
+        ({**BOX, "name": 3}, "name must be a printable string"),
+        ({**BOX, "category": 3}, "category must be a string"),
         ({**BOX, "pose": None}, "pose must be"),
         ({**BOX, "pose": {"xyz": [0, 0]}}, "xyz must be 3 numbers"),
         ({**BOX, "pose": {"xyz": [0, 0, True]}}, "xyz must be 3 numbers"),
@@ -314,7 +314,7 @@ CABINET = {"name": "a", "pose": {"xyz": [0, 0, 0]}, "urdf": "cupboard.urdf"}
         ({**CABINET, "joints": [0.1]}, "joints must be"),
     ],
 )
-def test_a_wrong_object_is_named(tmp_path: Path, item: Any, message: str) -> None:
+def test_an_invalid_object_is_named(tmp_path: Path, item: Any, message: str) -> None:
     with pytest.raises((SceneError, FileFormatError), match=message) as caught:
         load_scene(write(tmp_path, objects=[{**BOX, "name": "fine"}, item]))
     assert "object 1" in str(caught.value)
@@ -336,12 +336,14 @@ def test_a_wrong_object_is_named(tmp_path: Path, item: Any, message: str) -> Non
         ({"start": {"x": 0, "y": 0, "yaw": "north"}}, "start must be"),
     ],
 )
-def test_a_wrong_scene_says_why(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+def test_an_invalid_scene_is_refused_with_the_reason(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises((SceneError, FileFormatError), match=message):
         load_scene(write(tmp_path, **changes))
 
 
-def test_a_joint_that_does_not_exist_offers_the_nearest(tmp_path: Path) -> None:
+def test_an_unknown_joint_suggests_the_nearest(tmp_path: Path) -> None:
     items = [{**CABINET, "joints": {"hing": 0.1}}]
     with pytest.raises(UnknownNameError, match="did you mean hinge"):
         load_scene(write(tmp_path, objects=items))

@@ -1,4 +1,4 @@
-"""Ways in which a part may move are kept in the scene, and are held to what they must be."""
+"""Motion hypotheses of parts are saved in scenes and checked."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ DOOR = """<robot name="cupboard">
 
 
 def written(folder: Path, hypotheses: Any) -> Path:
-    """A scene of one cupboard, with what is said of its hinge."""
+    """Write a scene of one cupboard with hypotheses of its hinge."""
     (folder / "cupboard.urdf").write_text(DOOR)
-    thing = {
+    item = {
         "name": "cupboard", "pose": {"xyz": [0, 0, 0.4]}, "urdf": "cupboard.urdf",
         "hypotheses": hypotheses,
     }  # fmt: skip
     path = folder / "room.json"
-    data = {"format": "momapos-scene", "version": 1, "objects": [thing]}
+    data = {"format": "momapos-scene", "version": 1, "objects": [item]}
     path.write_text(json.dumps(data))
     return path
 
 
-def test_hypotheses_are_read_and_saved_as_they_were_written(tmp_path: Path) -> None:
+def test_hypotheses_round_trip(tmp_path: Path) -> None:
     path = written(tmp_path, {"hinge": hypotheses_to_json([LEFT, RIGHT])})
     scene = load_scene(path)
     assert scene.warnings == ()
@@ -58,19 +58,19 @@ def row(**changes: Any) -> dict[str, Any]:
         ([], "must be {joint"),
         ({"hinge": []}, "a list of 1 to 16"),
         ({"hinge": [3]}, "must be a JSON object"),
-        ({"hinge": [row(kind="lid")]}, "kind 'lid' is none of door_left"),
-        ({"hinge": [row(kind=["door_left"])]}, "is none of door_left"),
+        ({"hinge": [row(kind="lid")]}, "kind 'lid' must be one of door_left"),
+        ({"hinge": [row(kind=["door_left"])]}, "must be one of door_left"),
         ({"hinge": [row(probability=0.6)]}, "sum to 0.6; they must sum to 1"),
         ({"hinge": [row(), row()]}, "sum to 2; they must sum to 1"),
-        ({"hinge": [row(probability=-1.0)]}, "is not between 0 and 1"),
+        ({"hinge": [row(probability=-1.0)]}, "must be from 0 to 1"),
         ({"hinge": [row(probability="1")]}, "probability must be a number"),
         ({"hinge": [row(axis=[0, 0, 2])]}, "axis must have length 1"),
         ({"hinge": [row(axis=[0, 0])]}, "axis must be 3 numbers"),
         ({"hinge": [row(point=[0, 0, 10**400])]}, "point must be a finite number"),
-        ({"hinge": [row(upper=-1)]}, "upper -1 must be 0 or more"),
+        ({"hinge": [row(upper=-1)]}, "upper must be 0 or more, not -1"),
     ],
 )
-def test_hypotheses_that_cannot_be_are_refused_in_one_line(
+def test_invalid_hypotheses_are_refused_in_one_line(
     tmp_path: Path, value: Any, message: str
 ) -> None:
     with pytest.raises(SceneError) as error:
@@ -79,6 +79,6 @@ def test_hypotheses_that_cannot_be_are_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_hypotheses_of_a_joint_that_does_not_exist_offer_the_nearest(tmp_path: Path) -> None:
+def test_hypotheses_of_an_unknown_joint_suggest_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="hinge"):
         load_scene(written(tmp_path, {"hinges": [row()]}))

@@ -1,4 +1,4 @@
-"""Joints that are set on the command line, and remembered by the plan."""
+"""Joints set on the command line are stored in the plan."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from momapos.model.scene.joint_values import set_joints
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.verification.plan_check import verify_files
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
 
 
-def test_a_joint_that_is_set_stands_so_and_is_remembered() -> None:
+def test_a_set_joint_has_its_value_and_is_recorded() -> None:
     scene = load_scene("kitchen_small")
     ajar = set_joints(scene, ["fridge/door_hinge=60deg", "cabinet_left/drawer_slide=10cm"])
     assert ajar.object("fridge").values()["door_hinge"] == pytest.approx(np.pi / 3)
@@ -41,14 +41,14 @@ def test_a_joint_that_is_set_stands_so_and_is_remembered() -> None:
     [
         ("fridge/door_hinge", "not OBJECT/JOINT=VALUE"),
         ("fridge=60deg", "not OBJECT/JOINT=VALUE"),
-        ("fridge/door_hinge=30cm", "30cm is no angle"),
+        ("fridge/door_hinge=30cm", "30cm is not an angle"),
         ("fridge/door_hinge=300deg", "outside its limits"),
-        ("fridge/door_hinge=1e999", "no finite number"),
+        ("fridge/door_hinge=1e999", "must be finite"),
         ("fridge/dor_hinge=1", "did you mean door_hinge"),
         ("frige/door_hinge=1", "did you mean fridge"),
     ],
 )
-def test_a_joint_that_cannot_be_set_is_refused_in_one_line(
+def test_an_invalid_joint_value_is_refused_in_one_line(
     text: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(MomaposError, match=words):
@@ -66,7 +66,7 @@ def test_a_scene_is_shown_with_its_doors_open(capsys: pytest.CaptureFixture[str]
     assert at["door_hinge"] == pytest.approx(np.pi / 3)
 
 
-def test_a_plan_to_close_a_door_that_was_set_open_is_verified_and_comes_back_whole(
+def test_a_plan_to_close_a_door_that_was_set_open_is_verified_and_round_trips(
     tmp_path: Path,
 ) -> None:
     ajar = set_joints(cabinet_room(tmp_path), ["cabinet/hinge=60deg"])
@@ -80,7 +80,7 @@ def test_a_plan_to_close_a_door_that_was_set_open_is_verified_and_comes_back_who
     assert again.scene_joints == {"cabinet": {"hinge": pytest.approx(np.pi / 3)}}
     assert plan_to_dict(again) == plan_to_dict(plan)
     assert verify_files(path).valid
-    # Without the joint that was set, the door does not stand where the plan takes hold.
+    # Without the set joint, the door is not where the plan grasps it.
     data = json.loads(path.read_text())
     del data["scene_joints"]
     path.write_text(json.dumps(data))

@@ -1,6 +1,6 @@
-"""Built-in kitchens: everything opens, nothing collides, and a seed says it all.
+"""Built-in kitchens: everything opens, nothing collides, and the seed determines the result.
 
-The scenes are judged by an independent reader, pinocchio's and coal's.
+The scenes are checked by an independent reader, with pinocchio and coal.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from momapos.core.errors import InputError, MissingExtraError, UnknownNameError
 from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.model.scene.library import kitchen_writer as writer
 from momapos.model.scene.library.box_furniture import (
-    TOUCH,
+    MAX_TOUCH_OVERLAP,
     Box,
     FurniturePart,
     JointMotion,
@@ -36,21 +36,21 @@ from momapos.model.scene.library.box_furniture import (
 )
 
 REPOSITORY = Path(__file__).parents[3]
-LIBRARY = REPOSITORY / "src" / "momapos" / "scene" / "library"
+LIBRARY = REPOSITORY / "src" / "momapos" / "model" / "scene" / "library"
 SHIPPED = ("kitchen_small", "kitchen_island")
 CHEAPEST = "single_wall"
 
 
 @pytest.fixture(scope="module")
 def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One generated kitchen."""
+    """Generate a kitchen."""
     out = tmp_path_factory.mktemp("generated") / "kitchen.json"
     return generate_kitchen(CHEAPEST, seed=3, out=out)
 
 
 @pytest.fixture(params=[*SHIPPED, "generated"], scope="module")
 def kitchen(request: pytest.FixtureRequest) -> Path:
-    """The scene file of each shipped kitchen, and of a generated one."""
+    """Return the scene file of each shipped kitchen, and of a generated one."""
     if request.param == "generated":
         path: Path = request.getfixturevalue("generated")
         return path
@@ -58,13 +58,13 @@ def kitchen(request: pytest.FixtureRequest) -> Path:
 
 
 def bounds(shapes: Sequence[Placed]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corners [m] of the axis-aligned boxes around shapes."""
+    """Return the corners of the world-aligned boxes around shapes [m]."""
     corners = np.array([shape.corners for shape in shapes])
     return corners.min(1), corners.max(1)
 
 
 def least_distance(some: Sequence[Placed], others: Sequence[Placed]) -> float:
-    """Least signed distance [m] between two sets of shapes that is below 3 mm; else 3 mm."""
+    """Return the minimum signed distance of two sets of shapes [m], capped at 3 mm."""
     margin, least = 0.003, 0.003
     low, high = bounds(others)
     for shape, its_low, its_high in zip(some, *bounds(some), strict=True):
@@ -74,7 +74,7 @@ def least_distance(some: Sequence[Placed], others: Sequence[Placed]) -> float:
 
 
 def moving_parts(path: Path) -> Iterator[tuple[Item, str, list[Placed]]]:
-    """Every object and joint of a scene, with all that stands still while it moves."""
+    """Yield every object and joint of a scene, with the shapes that the joint does not move."""
     room = Room.read(path)
     for item in room.items:
         rest = [shape for other in room.items if other is not item for shape in other.shapes()]
@@ -84,11 +84,11 @@ def moving_parts(path: Path) -> Iterator[tuple[Item, str, list[Placed]]]:
 
 
 def shapes_at(item: Item, joint: str, value: float) -> list[Placed]:
-    """The shapes that a joint moves, at a value of it."""
+    """Return the shapes that a joint moves, at a joint value."""
     return [s for s in item.shapes(item.at(joint, value)) if item.moved_by(joint, s)]
 
 
-def test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(kitchen: Path) -> None:
+def test_a_kitchen_has_closed_objects_with_unique_names_and_categories(kitchen: Path) -> None:
     items = Room.read(kitchen).items
     names = [item.name for item in items]
     assert len(set(names)) == len(names)
@@ -97,7 +97,7 @@ def test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(kitche
     assert sum(len(item.q) for item in items) >= 8
 
 
-def test_every_file_of_a_kitchen_lies_in_its_own_folder(kitchen: Path) -> None:
+def test_every_file_of_a_kitchen_is_in_its_own_folder(kitchen: Path) -> None:
     entries = json.loads(kitchen.read_text())["objects"]
     named = {entry["urdf"] for entry in entries if "urdf" in entry}
     folder = f"{kitchen.stem}_urdf"
@@ -155,12 +155,12 @@ def test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(kitchen: Path
         assert beside if item.category == "wall" else inside, item.name
 
 
-def test_there_are_things_to_pick_that_rest_on_something(kitchen: Path) -> None:
+def test_there_are_objects_to_pick_that_rest_on_something(kitchen: Path) -> None:
     items = Room.read(kitchen).items
     small = {"cup", "apple", "cereal box", "bottle", "can"}
-    things = [item for item in items if item.category in small]
-    assert 3 <= len(things) <= 5
-    for item in things:
+    objects = [item for item in items if item.category in small]
+    assert 3 <= len(objects) <= 5
+    for item in objects:
         others = [s for other in items if other is not item for s in other.shapes()]
         assert 0 < least_distance(item.shapes(), others) <= 0.002, item.name
 
@@ -171,7 +171,7 @@ def test_the_shipped_kitchens_are_small() -> None:
     assert sum(path.stat().st_size for path in files) < 300_000
 
 
-def test_the_same_seed_gives_the_same_bytes_and_leaves_no_trace(
+def test_generation_is_reproducible_and_without_side_effects(
     generated: Path, tmp_path: Path
 ) -> None:
     def left_behind() -> set[Path]:
@@ -200,13 +200,13 @@ def test_every_layout_opens_without_hitting_anything(
     layout: str, seed: int, tmp_path: Path
 ) -> None:
     out = generate_kitchen(layout, seed=seed, out=tmp_path / "kitchen.json")
-    test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(out)
+    test_a_kitchen_has_closed_objects_with_unique_names_and_categories(out)
     test_a_moving_part_hits_nothing_along_its_whole_opening(out)
     test_a_closed_part_leaves_a_gap_all_around(out)
     test_every_moving_part_has_a_bar_that_fingers_fit_behind(out)
     test_the_start_is_on_the_floor_and_clear_of_everything(out)
     test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(out)
-    test_there_are_things_to_pick_that_rest_on_something(out)
+    test_there_are_objects_to_pick_that_rest_on_something(out)
 
 
 def test_an_unknown_layout_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
@@ -224,13 +224,13 @@ def test_without_scene_synthesizer_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "scene_synthesizer", None)
-    with pytest.raises(MissingExtraError, match=r"momapos\[kitchens\]"):
+    with pytest.raises(MissingExtraError, match="pip install scene-synthesizer"):
         generate_kitchen(CHEAPEST, seed=0, out=tmp_path / "kitchen.json")
     assert list(tmp_path.iterdir()) == []
 
 
 def cupboard(name: str, upper: float = 1.0) -> Piece:
-    """A body with one door."""
+    """Return a body with one door."""
     body = Box("wall", (0.0, 0.0, 0.0), (1.0, 0.5, 1.0))
     door = Box("panel", (0.0, -0.03, 0.0), (1.0, -0.01, 1.0))
     motion = JointMotion("revolute", (0.0, -0.03, 0.0), (0.0, 0.0, -1.0), upper)
@@ -244,12 +244,12 @@ def cupboard(name: str, upper: float = 1.0) -> Piece:
 
 
 def write(out: Path, *pieces: Piece) -> Path:
-    """A scene of these pieces."""
+    """Write a scene of some pieces."""
     return writer.write_kitchen(out, "k", pieces, [(0, 0), (1, 0), (1, 1)], (0.0, 0.0, 0.0))
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """The files in a folder and what is in them."""
+    """Return the files in a folder with their content."""
     return {
         str(path.relative_to(folder)): path.read_text()
         for path in folder.rglob("*")
@@ -257,7 +257,7 @@ def contents(folder: Path) -> dict[str, str]:
     }
 
 
-def test_a_kitchen_that_cannot_be_finished_leaves_the_old_one_whole(
+def test_a_failed_write_keeps_the_old_kitchen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = write(tmp_path / "kitchen.json", cupboard("old_one"), cupboard("old_two"))
@@ -273,13 +273,13 @@ def test_a_kitchen_that_cannot_be_finished_leaves_the_old_one_whole(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kitchen.json", "kitchen_urdf"]
 
 
-def test_a_new_kitchen_replaces_all_of_the_old_one(tmp_path: Path) -> None:
+def test_a_new_kitchen_replaces_the_old_one_completely(tmp_path: Path) -> None:
     out = write(tmp_path / "kitchen.json", cupboard("old"))
     write(out, cupboard("new"))
     assert set(contents(tmp_path)) == {"kitchen.json", "kitchen_urdf/new.urdf"}
 
 
-def test_a_folder_of_other_files_is_never_replaced(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "kitchen_urdf").mkdir()
     (tmp_path / "kitchen_urdf" / "thesis.tex").write_text("precious")
     with pytest.raises(InputError, match=r"thesis\.tex"):
@@ -294,7 +294,7 @@ def test_a_folder_of_other_files_is_never_replaced(tmp_path: Path) -> None:
     turns=st.integers(0, 3),
 )
 @settings(deadline=None, max_examples=60)
-def test_hits_are_those_that_coal_finds(
+def test_hits_match_coal(
     center: tuple[float, float, float],
     size: tuple[float, float, float],
     axis: tuple[float, float, float],
@@ -320,5 +320,5 @@ def test_hits_are_those_that_coal_finds(
             request,
             coal.DistanceResult(),
         )
-        if abs(distance + TOUCH) > 1e-4:
-            assert hit == (distance < -TOUCH)
+        if abs(distance + MAX_TOUCH_OVERLAP) > 1e-4:
+            assert hit == (distance < -MAX_TOUCH_OVERLAP)

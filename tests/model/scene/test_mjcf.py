@@ -1,4 +1,4 @@
-"""Rooms in MJCF: what MuJoCo moves, our scene moves alike; what is not kept is counted."""
+"""Rooms in MJCF: parts move as in MuJoCo, and dropped elements are counted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, MomaposError, SceneError, UnknownNameError
 from momapos.model.scene.formats import mjcf_files
-from momapos.model.scene.formats.imported_room import Room
+from momapos.model.scene.formats.imported_room import ImportedRoom
 from momapos.model.scene.formats.importing import write_room
 from momapos.model.scene.formats.mjcf import read_room
 from momapos.model.scene.scene import Scene
@@ -91,7 +91,7 @@ CABINET = """<mujoco><worldbody><body name="cabinet"><geom type="box" size="0.3 
 
 
 def write(folder: Path, text: str = ROOM) -> Path:
-    """The room and the files that it names."""
+    """Write the room and the files that it names."""
     for name, content in (
         ("room.xml", text.replace('<keyframe><key qpos=""/></keyframe>', "")),
         ("models/wedge.obj", WEDGE),
@@ -103,7 +103,7 @@ def write(folder: Path, text: str = ROOM) -> Path:
     return folder / "room.xml"
 
 
-def read(folder: Path, text: str = ROOM) -> tuple[Room, Scene]:
+def read(folder: Path, text: str = ROOM) -> tuple[ImportedRoom, Scene]:
     path = write(folder, text)
     room = read_room(path, folder)
     return room, write_room(room, path, folder / "out.json")
@@ -124,32 +124,32 @@ def test_every_joint_moves_its_part_as_in_mujoco(tmp_path: Path) -> None:
     assert found["door_hinge"].limits < 1e-9
 
 
-def test_what_is_not_kept_is_counted(tmp_path: Path) -> None:
+def test_dropped_elements_are_counted(tmp_path: Path) -> None:
     room, scene = read(tmp_path)
-    report = room.told()
+    report = room.final_report()
     assert {item.name for item in scene.objects} == {
         "wall", "cabinet", "drawers", "swing", "cup", "arm",
     }  # fmt: skip
     assert report.kept["hinges"] == 4
     assert report.kept["slides"] == 2
-    assert report.kept["joints that follow others"] == 1
+    assert report.kept["mimic joints"] == 1
     assert report.approximated == {
         "ellipsoids as meshes": 1,
         "ball joints as fixed": 1,
-        "joints beyond their limits, put at these": 1,
+        "joint values outside their limits, clipped": 1,
     }
     assert {key: count for key, count in report.dropped.items() if count} == {
-        "floors": 2, "objects that nothing can touch": 1, "sites": 1, "lights": 1, "textures": 1,
+        "floors": 2, "objects without collision shapes": 1, "sites": 1, "lights": 1, "textures": 1,
         "materials": 1, "actuators": 2, "tendons": 1, "sensors": 1,
         "equality constraints (joint)": 1, "equality constraints (weld)": 1,
     }  # fmt: skip
     assert report.notes == [
         "moved by 0.5 m along z, so that the floor is at 0",
-        "actuators drive 1 joints of 'arm'; if that is a robot, leave it out with --without arm",
+        "actuators drive 1 joints of 'arm'; if it is a robot, exclude it: without arm",
     ]
 
 
-def test_joints_stand_where_the_file_has_them_and_keep_their_resistance(tmp_path: Path) -> None:
+def test_joints_keep_their_values_and_resistance(tmp_path: Path) -> None:
     _, scene = read(tmp_path)
     assert scene.object("cabinet").joints == {"door_hinge": pytest.approx(np.deg2rad(20))}
     assert scene.object("swing").values() == {"swing_hinge": pytest.approx(np.deg2rad(10))}
@@ -158,7 +158,7 @@ def test_joints_stand_where_the_file_has_them_and_keep_their_resistance(tmp_path
     assert '<dynamics damping="0.0" friction="3.0" />' in texts["drawers"]
 
 
-def test_names_that_a_program_set_before_all_parts_of_a_model_are_left_out(tmp_path: Path) -> None:
+def test_model_prefixes_of_part_names_are_removed(tmp_path: Path) -> None:
     text = CABINET.format(
         '<body name="cabinet/door"><joint name="cabinet/hinge" axis="0 0 1" range="0 1"/>'
         '<geom name="cabinet/door/door_handle#3" size="0.1"/></body>'
@@ -169,21 +169,21 @@ def test_names_that_a_program_set_before_all_parts_of_a_model_are_left_out(tmp_p
     assert item.model.urdf.links["door"].collisions[0].name == "door_handle"
 
 
-def test_the_command_tells_what_became_of_a_room(
+def test_the_command_reports_the_conversion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, out = write(tmp_path), tmp_path / "out.json"
     assert main(["scene", "convert", str(path), str(out), "--without", "arm", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["report"]["dropped"]["tendons"] == 1
-    assert told["report"]["kept"]["objects"] == len(load_scene(out).objects) == 5
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["report"]["dropped"]["tendons"] == 1
+    assert printed["report"]["kept"]["objects"] == len(load_scene(out).objects) == 5
     assert main(["scene", "convert", str(path), str(tmp_path / "two.json")]) == 0
-    assert "floors 2, objects that nothing can touch 1" in capsys.readouterr().out
+    assert "2 floors, 1 objects without collision shapes" in capsys.readouterr().out
     assert main(["scene", "show", str(path)]) == 2
     assert "is in the format MJCF; convert it first" in capsys.readouterr().err
 
 
-def test_an_object_that_is_not_there_cannot_be_left_out(tmp_path: Path) -> None:
+def test_a_missing_object_cannot_be_left_out(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean cabinet"):
         read(tmp_path)[0].without(["cabinets"])
 
@@ -201,24 +201,24 @@ HOSTILE = {
     ),
     "a mesh of another kind": (
         '<mujoco><asset><mesh name="m" file="models/m.xml"/></asset></mujoco>',
-        "is none of .obj, .stl, .msh",
+        "must be one of .obj, .stl, .msh",
     ),
     "a link out of the root": (
         '<mujoco><asset><mesh name="m" file="linked.stl"/></asset></mujoco>',
         "leaves",
     ),
-    "a NUL": (CABINET.format(f'<include file="{"x" * 5000}"/>'), "cannot be looked up"),
+    "a NUL": (CABINET.format(f'<include file="{"x" * 5000}"/>'), "is not a valid path"),
     "a bomb of copies": (
         CABINET.format('<replicate count="999"><replicate count="999"><geom size="1"/></replicate>'
                        "</replicate>"),
         "more than 200000 elements",
     ),
-    "a count that is none": (CABINET.format('<replicate count="-1"/>'), "no usable number"),
+    "a count that is none": (CABINET.format('<replicate count="-1"/>'), "must be a number from 1"),
     "deep": (CABINET.format("<frame>" * 200 + "</frame>" * 200), "nested deeper than 100"),
-    "what MuJoCo refuses": (CABINET.format('<geom type="box" size="-1 1 1"/>'), "MuJoCo does not"),
+    "what MuJoCo refuses": (CABINET.format('<geom type="box" size="-1 1 1"/>'), "MuJoCo rejects"),
     "another model": (CABINET.format('<attach model="m" body="b" prefix="p"/>'), "attaches"),
     "nothing that is finite": (CABINET.format('<geom size="1" pos="nan 0 0"/>'), "must be finite"),
-    "vast": (CABINET.format('<geom size="400"/>'), "makes no usable scene: out.json: the room"),
+    "vast": (CABINET.format('<geom size="400"/>'), "makes no valid scene: out.json: the room"),
 }  # fmt: skip
 
 
@@ -243,11 +243,11 @@ def test_meshes_that_are_too_large_are_refused_before_mujoco_reads_them(
     with pytest.raises(FileFormatError, match="its meshes have more than"):
         read_room(path, tmp_path)
     monkeypatch.setattr(mjcf_files, "MAX_MESH_BYTES", 10)
-    with pytest.raises(FileFormatError, match="larger than such a file can be"):
+    with pytest.raises(FileFormatError, match="larger than the limit"):
         read_room(path, tmp_path)
 
 
-def test_a_folder_that_is_there_is_not_written_over(tmp_path: Path) -> None:
+def test_an_existing_folder_is_not_overwritten(tmp_path: Path) -> None:
     _, scene = read(tmp_path)
     with pytest.raises(SceneError, match="exists already"):
         read(tmp_path)

@@ -1,4 +1,4 @@
-"""Scenes as MJCF: MuJoCo takes them, and what is read back is the same room."""
+"""Scenes as MJCF: MuJoCo reads them, and they round-trip."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from momapos.model.scene.formats.mjcf_writer import write_mjcf
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, object_members
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 
 MESHED = """<robot name="chest">
   <link name="box"><collision name="a&quot;b"><geometry><box size="1 0.5 0.4"/></geometry></collision></link>
@@ -60,7 +60,7 @@ def chest(folder: Path) -> Scene:
     return load_scene(folder / "attic.json")
 
 
-def test_meshes_couplings_and_what_mjcf_has_no_word_for_come_back(tmp_path: Path) -> None:
+def test_meshes_couplings_and_custom_data_round_trip(tmp_path: Path) -> None:
     scene = chest(tmp_path)
     again = round_trip(scene, tmp_path)
     (old,), (new,) = scene.objects, again.objects
@@ -80,7 +80,7 @@ def test_meshes_couplings_and_what_mjcf_has_no_word_for_come_back(tmp_path: Path
 
 
 @pytest.mark.parametrize("name", ["kitchen_small", "kitchen_island"])
-def test_mujoco_moves_every_part_of_a_kitchen_as_we_do(name: str, tmp_path: Path) -> None:
+def test_every_part_of_a_kitchen_moves_alike_in_mujoco(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)
     write_mjcf(scene, tmp_path / "room.xml")
     found = list(compare(Truth(tmp_path / "room.xml"), scene))
@@ -98,7 +98,7 @@ def test_furniture_stands_still_in_mujoco(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("target", [("fridge", "door_hinge"), ("oven", "door_hinge")])
-def test_answers_are_the_same_after_a_round_trip(target: tuple[str, str], tmp_path: Path) -> None:
+def test_plans_are_the_same_after_a_round_trip(target: tuple[str, str], tmp_path: Path) -> None:
     robot, scene = load_robot("segway_ur5e"), load_scene("kitchen_small")
     plans = [
         plan_base_placement(room, robot, make_task(room, "open", *target)).plan
@@ -110,7 +110,7 @@ def test_answers_are_the_same_after_a_round_trip(target: tuple[str, str], tmp_pa
     assert plans[0].candidates == plans[1].candidates
 
 
-def test_the_command_writes_mjcf_and_refuses_what_it_cannot_write(
+def test_the_command_writes_mjcf_and_refuses_unknown_formats(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "room.xml"
@@ -120,14 +120,14 @@ def test_the_command_writes_mjcf_and_refuses_what_it_cannot_write(
     assert "scenes are written as .json (momapos), .xml (MJCF)" in capsys.readouterr().err
 
 
-def test_a_custom_text_of_a_stranger_is_checked(tmp_path: Path) -> None:
+def test_an_untrusted_custom_text_is_checked(tmp_path: Path) -> None:
     write_mjcf(chest(tmp_path), tmp_path / "room.xml")
     text = (tmp_path / "room.xml").read_text()
     for was, now, message in (
-        ('{"floor"', "[", "is damaged"),
-        ('"objects": {', '"objects": {"a": 1, ', "is damaged"),
+        ('{"floor"', "[", "is invalid"),
+        ('"objects": {', '"objects": {"a": 1, ', "is invalid"),
         ("[[-3.0, -3.0]", "[[1e99, -3.0]", "floor"),
-        ('"trunk"', "[]", "category must be a text"),
+        ('"trunk"', "[]", "category must be a string"),
     ):
         was, now = (words.replace('"', "&quot;") for words in (was, now))
         (tmp_path / "room.xml").write_text(text.replace(was, now, 1))

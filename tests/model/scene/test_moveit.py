@@ -1,4 +1,4 @@
-"""Planning scenes of MoveIt: what is read is what was written, and old files are read too."""
+"""MoveIt planning scenes round-trip, and old files are read."""
 
 from __future__ import annotations
 
@@ -107,12 +107,12 @@ def test_poses_of_objects_and_of_their_shapes_are_kept(tmp_path: Path) -> None:
     assert_allclose(scene.object("wedge").bounds, [[0, 0, 1], [0.3, 0.2, 1.1]], atol=1e-9)
 
 
-def test_what_a_planning_scene_has_beside_is_counted(tmp_path: Path) -> None:
+def test_dropped_elements_of_a_planning_scene_are_counted(tmp_path: Path) -> None:
     (tmp_path / "room.scene").write_text(SCENE)
-    report = read_room(tmp_path / "room.scene", tmp_path).told()
+    report = read_room(tmp_path / "room.scene", tmp_path).final_report()
     assert report.dropped == {"subframes": 1, "floors": 1, "colors": 1}
     assert report.approximated["cones as cylinders"] == 1
-    assert report.kept["solid shapes"] == 4
+    assert report.kept["collision shapes"] == 4
 
 
 def test_files_without_poses_of_objects_are_read(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_files_without_poses_of_objects_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["kitchen_small", "kitchen_island"])
-def test_a_kitchen_comes_back_with_all_its_hulls(name: str, tmp_path: Path) -> None:
+def test_a_kitchen_round_trips_with_all_its_hulls(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)
     T = pose_planar(np.array([0.3, -0.2, 0.7]))
     write_scene(scene, T, tmp_path / "room.scene")
@@ -144,28 +144,30 @@ def test_a_kitchen_comes_back_with_all_its_hulls(name: str, tmp_path: Path) -> N
         assert_allclose(b, a, atol=1e-6)
 
 
-def test_the_command_goes_both_ways(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_converts_both_ways(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     there, back = tmp_path / "room.scene", tmp_path / "room.json"
     assert main(["scene", "convert", "kitchen_small", str(there)]) == 0
     assert kind_of_file(there) == "MoveIt"
     assert main(["scene", "convert", str(there), str(back), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out.partition("objects\n")[2])
-    assert told["report"]["kept"]["objects"] == len(load_scene(back).objects)
+    printed = json.loads(capsys.readouterr().out.partition("objects\n")[2])
+    assert printed["report"]["kept"]["objects"] == len(load_scene(back).objects)
 
 
 BAD = {
-    "cut": (SCENE[:60], "line 4: the file ends where"),
-    "no object": ("a\n* b\n1\nbox\n1 1 1\n0 0 0\n0 0 0 1\n0 0 0 0\nc\n", "'c' where an object"),
-    "a shape of another kind": ("a\n* b\n1\ntorus\n1\n.\n", "line 4: 'torus' is no shape"),
+    "cut": (SCENE[:60], "line 4: the file ends before"),
+    "no object": (
+        "a\n* b\n1\nbox\n1 1 1\n0 0 0\n0 0 0 1\n0 0 0 0\nc\n", "'c' instead of an object",
+    ),
+    "a shape of another kind": ("a\n* b\n1\ntorus\n1\n.\n", "line 4: unknown shape 'torus'"),
     "too few numbers": ("a\n* b\n1\nbox\n1 1\n.\n", "line 5: '1 1' is not the size of a box"),
-    "no number": ("a\n* b\n1\nbox\n1 1 x\n.\n", "line 5: '1 1 x' where"),
+    "no number": ("a\n* b\n1\nbox\n1 1 x\n.\n", "line 5: '1 1 x' instead of"),
     "nothing finite": ("a\n* b\n1\nbox\n1 1 nan\n.\n", "3 finite numbers"),
     "no size": ("a\n* b\n1\nbox\n1 1 0\n0 0 0\n0 0 0 1\n0 0 0 0\n.\n", "must be > 0"),
     "no orientation": ("a\n* b\n1\nbox\n1 1 1\n0 0 0\n0 0 0 0\n0 0 0 0\n.\n", "has length 0"),
     "a mesh without end": ("a\n* b\n1\nmesh\n999999 9\n0 0 0\n.\n", "has no 999999 lines"),
     "corners that are not there": (
         "a\n* b\n1\nmesh\n3 1\n0 0 0\n1 0 0\n0 1 0\n0 1 3\n0 0 0\n0 0 0 1\n0 0 0 0\n.\n",
-        "a triangle names corner 3 of 3",
+        "a triangle names vertex 3 of 3",
     ),
     "shapes without end": ("a\n* b\n1e5\nbox\n", "the file ends"),
     "half a shape": ("a\n* b\n1.5\nbox\n", "a number of shapes"),

@@ -1,4 +1,4 @@
-"""Rooms in SDF: joints move as in the URDF of the same thing; what is not kept is counted."""
+"""Rooms in SDF: joints move as in the equivalent URDF, and dropped elements are counted."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from momapos.model.scene.formats.sdf import read_room
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 
-# The same cabinet 0.4 m up: its links stand elsewhere than their joints, and poses are said in
-# other frames.
+# The same cabinet 0.4 m up: its link frames differ from the joint frames, and poses are relative to
+# several frames.
 ROOM = """<?xml version="1.0"?>
 <sdf version="1.9"><world name="room">
   <physics type="ode"/><light name="sun" type="directional"/><plugin name="p" filename="p.so"/>
@@ -79,25 +79,25 @@ def test_joints_move_parts_as_in_the_urdf_of_the_same_cabinet(tmp_path: Path) ->
     assert_moves_alike(found, truth, ((0.0, 0.0), (-0.2, 0.1), (1.5, 0.4)))
 
 
-def test_models_that_are_included_stand_where_the_include_says(tmp_path: Path) -> None:
+def test_included_models_are_at_the_pose_of_the_include(tmp_path: Path) -> None:
     cup = read(tmp_path).object("my_cup")
     assert_allclose(cup.bounds, [[0, 1, 0.5], [0.03, 1.02, 0.51]], atol=1e-6)
 
 
-def test_a_joint_that_follows_another_is_counted(tmp_path: Path) -> None:
+def test_mimic_joints_are_counted(tmp_path: Path) -> None:
     path = write(tmp_path, ROOM.replace("</axis>", "<mimic joint='hinge'/></axis>", 1))
-    assert read_room(path, tmp_path).told().dropped["mimicked joints"] == 1
+    assert read_room(path, tmp_path).final_report().dropped["mimic joints"] == 1
 
 
-def test_what_is_not_kept_is_counted(tmp_path: Path) -> None:
+def test_dropped_elements_are_counted(tmp_path: Path) -> None:
     path = write(tmp_path)
-    report = read_room(path, tmp_path).told()
+    report = read_room(path, tmp_path).final_report()
     assert {key: count for key, count in report.dropped.items() if count} == {
-        "lights": 1, "plugins": 1, "sensors": 1, "drawn meshes": 1, "floors": 1,
-        "objects that nothing can touch": 1,
+        "lights": 1, "plugins": 1, "sensors": 1, "visual meshes": 1, "floors": 1,
+        "objects without collision shapes": 1,
     }  # fmt: skip
     assert {key: count for key, count in report.approximated.items() if count} == {
-        "planes with edges as boxes": 1,
+        "bounded planes as boxes": 1,
         "ball joints as fixed": 1,
     }
     scene = write_room(read_room(path, tmp_path), path, tmp_path / "out.json")
@@ -108,7 +108,7 @@ def test_what_is_not_kept_is_counted(tmp_path: Path) -> None:
     assert '<dynamics damping="2.0" friction="1.0" />' in text
 
 
-def test_older_files_may_say_axes_in_the_frame_of_the_model(tmp_path: Path) -> None:
+def test_older_files_can_define_axes_in_the_model_frame(tmp_path: Path) -> None:
     text = ROOM.replace('version="1.9"', 'version="1.6"').replace(
         '<xyz expressed_in="__model__">1 0 0</xyz>',
         "<xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame>",
@@ -125,7 +125,7 @@ def test_the_command_converts_a_world(tmp_path: Path, capsys: pytest.CaptureFixt
     path, out = write(tmp_path), tmp_path / "out.json"
     assert kind_of_file(path) == "SDF"
     assert main(["scene", "convert", str(path), str(out), "--without", "wall"]) == 0
-    assert "objects, as asked 1" in capsys.readouterr().out
+    assert "1 objects, as requested" in capsys.readouterr().out
     assert {item.name for item in load_scene(out).objects} == {"cabinet", "my_cup"}
 
 
@@ -147,7 +147,7 @@ BAD = {
         '<sdf version="1.9"><world name="w"><include><uri>room.sdf</uri></include></world></sdf>',
         "includes itself",
     ),
-    "models in a model": (MODEL.format(BOX, '<model name="n"/>'), "holds other models"),
+    "models in a model": (MODEL.format(BOX, '<model name="n"/>'), "contains other models"),
     "a frame that is not there": (
         MODEL.format('<pose relative_to="x">0 0 0 0 0 0</pose>' + BOX, ""),
         "there is no frame 'x'",
@@ -156,7 +156,9 @@ BAD = {
         MODEL.format('<pose relative_to="a">0 0 0 0 0 0</pose>' + BOX, ""),
         "relative to itself",
     ),
-    "a joint of nothing": (MODEL.format(BOX, JOINT.format("a", "b", "")), "link 'b' that is not"),
+    "a joint of nothing": (
+        MODEL.format(BOX, JOINT.format("a", "b", "")), "link 'b', which does not",
+    ),
     "a loop": (
         MODEL.format(BOX, '<link name="b"/>' + JOINT.format("a", "b", "<axis/>")
                      + JOINT.format("b", "a", "<axis/>").replace('"j"', '"k"')),
@@ -166,12 +168,12 @@ BAD = {
     "a zero axis": (
         MODEL.format(BOX, '<link name="b"/>'
                      + JOINT.format("a", "b", "<axis><xyz>0 0 0</xyz></axis>")),
-        "is zero",
+        "must not be zero",
     ),
     "no size": (MODEL.format(BOX.replace("1 1 1", "1 1 0"), ""), "sizes must be > 0"),
-    "two numbers": (MODEL.format(BOX.replace("1 1 1", "1 1"), ""), "makes no usable scene"),
-    "no number": (MODEL.format("<pose>0 0 x 0 0 0</pose>" + BOX, ""), "'x' is no number"),
-    "nothing finite": (MODEL.format("<pose>0 0 nan 0 0 0</pose>" + BOX, ""), "no finite number"),
+    "two numbers": (MODEL.format(BOX.replace("1 1 1", "1 1"), ""), "makes no valid scene"),
+    "no number": (MODEL.format("<pose>0 0 x 0 0 0</pose>" + BOX, ""), "'x' is not a number"),
+    "nothing finite": (MODEL.format("<pose>0 0 nan 0 0 0</pose>" + BOX, ""), "must be finite"),
     "deep": (MODEL.format("<a>" * 60 + "</a>" * 60, ""), "nested deeper"),
 }  # fmt: skip
 

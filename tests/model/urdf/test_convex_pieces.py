@@ -1,4 +1,4 @@
-"""Pieces hold all of a mesh, and leave the room free that a hand reaches."""
+"""Convex pieces contain the whole mesh, and leave the space free that a hand reaches."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ ROOM = {
 def held(
     pieces: list[Float[np.ndarray, "n 3"]], points: Float[np.ndarray, "m 3"], slack: float
 ) -> Bool[np.ndarray, " m"]:
-    """Which points lie in some piece, or so near to it [m]."""
+    """Return which points are in some piece, or within a distance of it [m]."""
     hulls = [convex_of(hull_around(piece, ""), np.eye(4)) for piece in pieces]
     return np.any([hull.depth(points) > -slack for hull in hulls], axis=0)
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_pieces_hold_the_whole_surface_and_all_that_is_solid(name: str) -> None:
+def test_pieces_contain_the_whole_surface_and_all_solid_parts(name: str) -> None:
     rng, boxes = np.random.default_rng(0), SHAPES[name]
     triangles = given.triangles_of(boxes)
     pieces = convex_pieces(triangles)
@@ -52,7 +52,7 @@ def test_pieces_hold_the_whole_surface_and_all_that_is_solid(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_pieces_leave_room_where_a_finger_goes(name: str) -> None:
+def test_pieces_leave_space_for_fingers(name: str) -> None:
     triangles = given.triangles_of(SHAPES[name])
     inner = np.array(ROOM[name]) + 1e-3 * np.array([[1], [-1]])
     points = given.points_in((tuple(inner[0]), tuple(inner[1])), 500, np.random.default_rng(0))
@@ -60,7 +60,7 @@ def test_pieces_leave_room_where_a_finger_goes(name: str) -> None:
     assert not held(convex_pieces(triangles), points, 0.0).any()
 
 
-def test_a_mesh_that_is_convex_stays_one_whatever_it_is_like() -> None:
+def test_a_convex_mesh_stays_one_piece() -> None:
     rng = np.random.default_rng(0)
     box = given.triangles_of((given.PANEL,))
     ball = np.asarray(trimesh.creation.icosphere(2, 0.2).triangles)
@@ -71,7 +71,7 @@ def test_a_mesh_that_is_convex_stays_one_whatever_it_is_like() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pieces_do_not_depend_on_order_side_or_repetition_of_triangles(seed: int) -> None:
+def test_pieces_do_not_depend_on_order_orientation_or_repetition_of_triangles(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles = given.triangles_of(given.DOOR_WITH_BOW)
     other = np.concatenate([triangles, triangles[:, ::-1]])[rng.permutation(2 * len(triangles))]
@@ -81,7 +81,7 @@ def test_pieces_do_not_depend_on_order_side_or_repetition_of_triangles(seed: int
     np.testing.assert_array_equal(one, two)
 
 
-def test_a_turned_mesh_has_the_same_pieces_turned() -> None:
+def test_the_pieces_of_a_rotated_mesh_are_rotated() -> None:
     R = rotation_about(np.array([0.6, 0.0, 0.8]), 0.7)
     triangles = given.triangles_of(given.DOOR_WITH_BOW)
     points = given.points_in(BEHIND_THE_BOW, 500, np.random.default_rng(0))
@@ -90,7 +90,7 @@ def test_a_turned_mesh_has_the_same_pieces_turned() -> None:
     assert not held(pieces, points @ R.T, -1e-3).any()
 
 
-def test_a_bow_that_is_round_has_room_behind_its_middle() -> None:
+def test_a_round_bow_handle_has_free_space_behind_its_middle() -> None:
     angle = np.linspace(0, np.pi, 25)
     middle = np.column_stack([0 * angle, -0.05 * np.sin(angle), 0.1 * np.cos(angle)])
     across = np.array([[-1.0, 0, 0], [0, -1, 0], [1, 0, 0], [0, 1, 0]]) * 0.007
@@ -108,7 +108,7 @@ def test_a_bow_that_is_round_has_room_behind_its_middle() -> None:
 @pytest.mark.parametrize(
     ("name", "joint"), [("Microwave/7263", "joint_0"), ("OvenCounter/101773", "joint_0")]
 )
-def test_pieces_of_real_doors_hold_their_meshes(name: str, joint: str) -> None:
+def test_pieces_of_real_doors_contain_their_meshes(name: str, joint: str) -> None:
     rng = np.random.default_rng(0)
     model = Articulated(read_urdf(furniture(name)))
     cut = 0
@@ -125,14 +125,14 @@ def test_pieces_of_real_doors_hold_their_meshes(name: str, joint: str) -> None:
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_primitives_are_their_hulls(name: str) -> None:
+def test_a_primitive_has_its_hull_as_its_only_piece(name: str) -> None:
     model = Articulated(read_urdf(furniture(name)))
     for link in model.links:
         for k, hull in enumerate(model.hulls[link]):
             assert model.pieces(link, k) == (hull,)
 
 
-def test_pieces_are_kept_and_come_back_the_same(tmp_path: Path) -> None:
+def test_cached_pieces_equal_computed_ones(tmp_path: Path) -> None:
     given.write_obj(tmp_path / "door.obj", given.triangles_of(given.DOOR_WITH_BOW))
     (tmp_path / "door.urdf").write_text(
         '<robot name="door"><link name="door"><collision><geometry><mesh filename="door.obj"/>'

@@ -1,4 +1,4 @@
-"""Joints that follow others."""
+"""Mimic joints of URDFs, and joints coupled by a robot file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def joint(
 
 
 def telescope(mimics: bool) -> str:
-    """A turning base, a telescope of three joints of which two follow the first, and a wrist."""
+    """Return a revolute base, a telescope of a leader and two mimic joints, and a wrist."""
     slide = 'lower="0" upper="0.13" velocity="0.2"'
     follows = '<mimic joint="s0"/>' if mimics else ""
     half = '<mimic joint="s0" multiplier="0.5" offset="0.01"/>' if mimics else ""
@@ -62,7 +62,7 @@ def model(tmp_path: Path) -> Articulated:
     return model_of(telescope(mimics=True), tmp_path)
 
 
-def test_a_chain_with_followers_has_the_poses_of_the_tree(model: Articulated) -> None:
+def test_a_chain_with_mimic_joints_has_the_poses_of_the_tree(model: Articulated) -> None:
     chain, segments = build_chain(model, "base", "tool", LEADERS)
     assert (chain.size, chain.last, chain.coupled) == (6, 9, True)
     rng = np.random.default_rng(0)
@@ -79,14 +79,14 @@ def test_a_chain_with_followers_has_the_poses_of_the_tree(model: Articulated) ->
 
 
 def coupled_off(model: Articulated) -> Articulated:
-    """The same model in which nothing follows."""
+    """Return the same model without mimic relations."""
     from dataclasses import replace
 
     joints = tuple(replace(joint, mimic=None) for joint in model.urdf.joints)
     return Articulated(replace(model.urdf, joints=joints))
 
 
-def test_a_leader_keeps_the_limits_of_what_follows_it(model: Articulated) -> None:
+def test_a_leader_keeps_the_limits_of_its_mimic_joints(model: Articulated) -> None:
     chain, _ = build_chain(model, "base", "tool", LEADERS)
     # s2 = 0.5 s0 + 0.01 <= 0.05 leaves s0 at most 0.08, and its speed that of s1.
     assert chain.upper[2] == pytest.approx(0.08)
@@ -96,7 +96,9 @@ def test_a_leader_keeps_the_limits_of_what_follows_it(model: Articulated) -> Non
         assert record.lower - 1e-12 <= values.min() <= values.max() <= record.upper + 1e-12
 
 
-def test_inverse_kinematics_of_a_chain_with_followers_finds_its_poses(model: Articulated) -> None:
+def test_inverse_kinematics_of_a_chain_with_mimic_joints_finds_its_poses(
+    model: Articulated,
+) -> None:
     chain, _ = build_chain(model, "base", "tool", LEADERS)
     rng = np.random.default_rng(1)
     Ts = chain.tool_poses(rng.uniform(chain.lower, chain.upper, (200, 6)))
@@ -117,28 +119,25 @@ def tied_model(text: str, folder: Path, follows: dict[str, Mimic]) -> Articulate
     return Articulated(Amendments(coupled=follows).read(path)[0])
 
 
-def test_a_robot_file_couples_what_the_urdf_leaves_free(tmp_path: Path) -> None:
+def test_a_robot_file_can_couple_independent_joints(tmp_path: Path) -> None:
     tied = tied_model(telescope(mimics=False), tmp_path, FOLLOWS)
     assert tied.joint("s2").mimic == Mimic("s0", 0.5, 0.01)
     assert tied.rest["s2"] == 0.01
     assert "l4" in tied.moved_by("s0")
-    assert tied.followers("s0") == (
-        tied.joint("s1"),
-        tied.joint("s2"),
-    )
+    assert tied.followers("s0") == (tied.joint("s1"), tied.joint("s2"))
 
 
-def test_a_joint_that_follows_another_one_than_its_urdf_says_leaves_that_one_alone(
+def test_coupling_a_joint_to_a_new_leader_restores_the_limits_of_the_old_one(
     tmp_path: Path,
 ) -> None:
-    """The URDF has s2 <= 0.05 follow s0 at half its travel, which leaves s0 0.08 of 0.13."""
+    """In the URDF, s2 <= 0.05 follows s0 at half its travel, which limits s0 to 0.08 of 0.13."""
     tied = tied_model(telescope(mimics=True), tmp_path, {"s2": Mimic("lift", 0.1)})
     assert tied.joint("s2").mimic == Mimic("lift", 0.1)
     assert tied.joint("s0").upper == pytest.approx(0.13)
     assert tied.joint("lift").upper == pytest.approx(0.5)
 
 
-def test_an_amended_urdf_says_what_follows_what(tmp_path: Path) -> None:
+def test_an_amended_urdf_contains_the_couplings(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(telescope(mimics=False))
     text = Amendments(coupled=FOLLOWS).text(path)
@@ -152,12 +151,12 @@ def test_an_amended_urdf_says_what_follows_what(tmp_path: Path) -> None:
     assert sum(joint.mimic is not None for joint in again.joints) == 3
 
 
-def test_what_cannot_follow_is_refused_in_one_line(tmp_path: Path, model: Articulated) -> None:
+def test_an_impossible_coupling_is_rejected_in_one_line(tmp_path: Path, model: Articulated) -> None:
     wrong = {
         "follows itself": {"s1": Mimic("s2"), "s2": Mimic("s1")},
         "no movable joint 's9'": {"s1": Mimic("s9")},
-        "ratio other than 0": {"s1": Mimic("s0", 0.0)},
-        "no way to go": {"s1": Mimic("s0", -1.0)},
+        "nonzero ratio": {"s1": Mimic("s0", 0.0)},
+        "no range": {"s1": Mimic("s0", -1.0)},
     }
     for words, follows in wrong.items():
         with pytest.raises(MomaposError, match=words) as caught:
@@ -177,14 +176,14 @@ def test_what_cannot_follow_is_refused_in_one_line(tmp_path: Path, model: Articu
             model_of(text, tmp_path)
 
 
-def test_lengths_of_what_follows_grow_with_the_scale(tmp_path: Path) -> None:
+def test_mimic_relations_scale_with_the_model(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(telescope(mimics=True))
     assert Articulated(read_urdf(path, scale=2.0)).joint("s2").mimic == Mimic("s0", 0.5, 0.02)
 
 
 @pytest.mark.parametrize("kind", ["planar", "floating"])
-def test_a_joint_at_the_root_that_lets_the_base_move_is_fixed(tmp_path: Path, kind: str) -> None:
+def test_a_planar_or_floating_joint_at_the_root_is_fixed(tmp_path: Path, kind: str) -> None:
     drive = joint("drive", kind, "world", "base", "0 0 1")
     text = telescope(mimics=True).replace(HEAD, '<robot name="r"><link name="world"/>')
     model = model_of(text.replace("</robot>", drive + "</robot>"), tmp_path)

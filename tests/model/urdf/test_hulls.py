@@ -6,23 +6,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact_shapes import rotations, surface_points
 from jaxtyping import Bool, Float
 from numpy.testing import assert_allclose
+from tests.model.collision.exact_hulls import rotations, surface_points
 from tests.real import BUILT_IN, furniture
 
 from momapos.core.errors import UrdfError
 from momapos.core.geometry.transforms import pose
 from momapos.model.robots.robot import Robot
 from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.hulls import FLAT, Boxes, Hull, cover, cover_shape, fit_box, hull_of
+from momapos.model.urdf.hulls import (
+    FLAT_THICKNESS,
+    Boxes,
+    Hull,
+    cover,
+    cover_shape,
+    fit_box,
+    hull_of,
+)
 from momapos.model.urdf.reader import Geometry, read_urdf
 
 FURNITURE = (*BUILT_IN, "Fridge/10144", "Microwave/7128", "Faucet/14")
 
 
 def outside(hull: Hull, points: Float[np.ndarray, "n 3"]) -> float:
-    """How far the farthest point is out of a hull, by its faces [m]."""
+    """Return how far the farthest point is outside a hull, by its faces [m]."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     area = np.linalg.norm(normal, axis=1)
@@ -41,7 +49,7 @@ def volume(boxes: Boxes) -> float:
 
 
 def points_in(hull: Hull, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Its vertices, and random mixtures of a few and of all of them."""
+    """Return a hull's vertices, and random convex combinations of a few and of all of them."""
     v = hull.vertices
     few = rng.dirichlet(np.ones(3), count)
     mixed = np.einsum("nk,nki->ni", few, v[rng.integers(len(v), size=(count, 3))])
@@ -54,7 +62,7 @@ def write_obj(path: Path, points: Float[np.ndarray, "n 3"]) -> Geometry:
 
 
 def clouds(tmp_path: Path, count: int, rng: np.random.Generator) -> list[Hull]:
-    """Hulls of random clouds: round, long, flat and small."""
+    """Generate hulls of random point clouds: round, long, flat and small."""
     return [
         hull_of(write_obj(tmp_path / f"{i}.obj", points))
         for i in range(count)
@@ -70,7 +78,7 @@ def hulls_of(name: str) -> list[Hull]:
     return [hull for hulls in model.hulls.values() for hull in hulls]
 
 
-def test_faces_look_outward_and_close_the_hull(tmp_path: Path, robot: Robot) -> None:
+def test_faces_are_oriented_outward_and_close_the_hull(tmp_path: Path, robot: Robot) -> None:
     hulls = clouds(tmp_path, 20, np.random.default_rng(0))
     hulls += [hull for hulls in robot.model.hulls.values() for hull in hulls]
     for hull in hulls:
@@ -84,7 +92,7 @@ def test_faces_look_outward_and_close_the_hull(tmp_path: Path, robot: Robot) -> 
         assert {tuple(e) for e in edges} == {tuple(e) for e in edges[:, ::-1]}
 
 
-def test_a_mesh_lies_in_its_hull(tmp_path: Path) -> None:
+def test_a_hull_contains_its_mesh(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     for i in range(20):
         points = rng.normal(size=(50, 3)) * 10 ** rng.uniform(-2, 1, 3)
@@ -99,7 +107,7 @@ def test_a_mesh_lies_in_its_hull(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [*BUILT_IN, "Fridge/10144", "Faucet/14"])
-def test_furniture_lies_in_its_hulls(name: str) -> None:
+def test_hulls_contain_furniture(name: str) -> None:
     import trimesh
 
     model = Articulated(read_urdf(furniture(name)))
@@ -119,7 +127,7 @@ def test_furniture_lies_in_its_hulls(name: str) -> None:
     [("box", (0.3, 0.02, 1.0), 0.0), ("cylinder", (0.2, 0.5), 0.01),
      ("cylinder", (0.5, 0.01), 0.01), ("sphere", (0.3,), 0.03)],
 )  # fmt: skip
-def test_a_primitive_lies_in_its_hull_closely(
+def test_a_hull_contains_its_primitive_tightly(
     kind: str, size: tuple[float, ...], loose: float
 ) -> None:
     rng = np.random.default_rng(2)
@@ -134,23 +142,23 @@ def test_a_primitive_lies_in_its_hull_closely(
 
 
 @pytest.mark.parametrize("points", [3, 4, 30])
-def test_a_flat_mesh_gets_some_thickness(tmp_path: Path, points: int) -> None:
+def test_the_hull_of_a_flat_mesh_has_a_thickness(tmp_path: Path, points: int) -> None:
     rng = np.random.default_rng(3)
     R = rotations(1, rng)[0]
     flat = np.column_stack([rng.normal(size=(points, 2)), np.zeros(points)]) @ R.T + 0.3
     hull = hull_of(write_obj(tmp_path / "flat.obj", flat))
     assert outside(hull, flat) < 1e-6
-    assert_allclose(np.ptp(hull.vertices @ R[:, 2]), FLAT, rtol=0.01)
+    assert_allclose(np.ptp(hull.vertices @ R[:, 2]), FLAT_THICKNESS, rtol=0.01)
 
 
-def test_a_mesh_that_is_a_line_gets_some_thickness(tmp_path: Path) -> None:
+def test_the_hull_of_a_line_has_a_thickness(tmp_path: Path) -> None:
     line = np.linspace(0, 1, 5)[:, None] * np.array([0.3, -0.2, 0.9])
     hull = hull_of(write_obj(tmp_path / "line.obj", line))
     assert outside(hull, line) < 1e-6
     assert volume(cover(hull)) < 3e-6
 
 
-def test_a_mesh_without_points_or_numbers_is_refused(tmp_path: Path) -> None:
+def test_a_mesh_without_points_or_with_nan_is_rejected(tmp_path: Path) -> None:
     for points, words in (
         (np.zeros((0, 3)), "empty"), (np.full((4, 3), np.nan), "NaN"),
         (np.full((4, 3), 1e9), "damaged"),
@@ -169,7 +177,7 @@ def check_cover(hull: Hull, rng: np.random.Generator) -> None:
     assert_allclose(np.linalg.det(boxes.rotation), 1.0)
 
 
-def test_boxes_cover_a_hull_and_take_no_more_room_than_one(tmp_path: Path, robot: Robot) -> None:
+def test_boxes_cover_a_hull_and_have_no_more_volume_than_one(tmp_path: Path, robot: Robot) -> None:
     rng = np.random.default_rng(4)
     hulls = clouds(tmp_path, 30, rng)
     hulls += [hull for hulls in robot.model.hulls.values() for hull in hulls]
@@ -192,7 +200,7 @@ def test_boxes_cover_furniture(name: str) -> None:
         ("cylinder", (0.6, 0.02)), ("sphere", (0.2,)),
     ],
 )  # fmt: skip
-def test_a_primitive_lies_in_its_boxes(
+def test_boxes_contain_their_primitive(
     kind: str, size: tuple[float, ...], *, upright: bool
 ) -> None:
     rng = np.random.default_rng(9)
@@ -206,7 +214,7 @@ def test_a_primitive_lies_in_its_boxes(
 
 
 def test_a_wedge_is_covered_by_several_boxes() -> None:
-    """Cutting pays where one box would be mostly air."""
+    """A single box would be mostly empty."""
     wedge = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1.0], [0, 0.2, 0], [1, 0.2, 0], [0, 0.2, 1.0]])
     vertices, faces = wedge, hull_faces(wedge)
     boxes = cover(Hull(vertices, faces, "wedge"))
@@ -228,8 +236,8 @@ def test_a_fitted_box_contains_its_points() -> None:
         assert (np.abs((points - center) @ rotation) <= half + 1e-6).all()
 
 
-def test_a_box_is_its_own_fitted_box_however_it_is_turned() -> None:
-    """The diagonals of its faces must not mislead the fit."""
+def test_the_fitted_box_of_a_rotated_box_is_the_box() -> None:
+    """The diagonals of its triangulated faces must not mislead the fit."""
     rng = np.random.default_rng(7)
     for R in rotations(30, rng):
         half = rng.uniform(0.005, 0.5, 3)
@@ -240,8 +248,8 @@ def test_a_box_is_its_own_fitted_box_however_it_is_turned() -> None:
         assert_allclose(np.sort(fitted), np.sort(half), atol=1e-6)
 
 
-def test_a_box_along_the_axes_keeps_them() -> None:
-    """Boxes stay recognisable: no turn without gain."""
+def test_the_fitted_box_of_an_axis_aligned_box_is_axis_aligned() -> None:
+    """Boxes stay recognizable: no rotation without a smaller volume."""
     rng = np.random.default_rng(8)
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     for _ in range(20):

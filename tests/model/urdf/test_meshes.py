@@ -1,4 +1,4 @@
-"""Mesh files of strangers: what is read is right, what is damaged or a bomb is refused soon."""
+"""Untrusted mesh files are read correctly, or rejected quickly if damaged or malicious."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ ACCESSOR = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
         ("a.obj", b"mtllib pipe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
     ],
 )  # fmt: skip
-def test_a_mesh_is_read_and_nothing_beside_it(tmp_path: Path, name: str, content: bytes) -> None:
+def test_reading_a_mesh_opens_no_other_file(tmp_path: Path, name: str, content: bytes) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / name).write_bytes(content)
     np.testing.assert_allclose(np.unique(mesh_points(tmp_path / name), axis=0),
@@ -100,7 +100,7 @@ BAD: dict[str, tuple[str, bytes, str]] = {
                          '<node id="n"><instance_node url="#n0"/></node>').encode(), "1000 parts"),
     "a node in itself": (
         "a.dae", collada('<node id="m"><instance_node url="#m"/></node>',
-                         '<node id="n"><instance_node url="#m"/></node>').encode(), "hold them"),
+                         '<node id="n"><instance_node url="#m"/></node>').encode(), "contain them"),
     "deep nodes": ("a.dae", collada("", "<node>" * 5000 + "</node>" * 5000).encode(), "deeper"),
     "an entity": ("a.dae", b'<!DOCTYPE a [<!ENTITY e "x">]><COLLADA>&e;</COLLADA>', "entities"),
     "a zip": ("a.dae", b"PK\x03\x04", "DAE"),
@@ -126,7 +126,7 @@ BAD: dict[str, tuple[str, bytes, str]] = {
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", BAD)
-def test_a_hostile_mesh_is_refused_soon_and_quietly(
+def test_a_malicious_mesh_is_rejected_quickly_without_output(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], case: str
 ) -> None:
     name, content, word = BAD[case]
@@ -146,7 +146,7 @@ def test_a_hostile_mesh_is_refused_soon_and_quietly(
 
 
 @pytest.mark.parametrize("kind", ["fifo", "folder", "sparse", "gone"])
-def test_what_is_no_mesh_file_is_refused_unopened(tmp_path: Path, kind: str) -> None:
+def test_other_files_are_rejected_without_opening_them(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "a.stl"
     if kind == "fifo":
         os.mkfifo(path)
@@ -159,7 +159,7 @@ def test_what_is_no_mesh_file_is_refused_unopened(tmp_path: Path, kind: str) -> 
         mesh_points(path)
 
 
-def test_the_faces_of_an_obj_file_are_those_that_trimesh_reads(tmp_path: Path) -> None:
+def test_the_triangles_of_an_obj_file_agree_with_trimesh(tmp_path: Path) -> None:
     import trimesh
 
     file = tmp_path / "mesh.obj"
@@ -179,13 +179,15 @@ def test_the_faces_of_an_obj_file_are_those_that_trimesh_reads(tmp_path: Path) -
     assert area.sum() / 2 == pytest.approx(trimesh.triangles.area(known).sum())
 
 
-def test_a_mesh_of_points_alone_has_no_surface(tmp_path: Path) -> None:
+def test_a_mesh_without_faces_has_no_triangles(tmp_path: Path) -> None:
     (tmp_path / "cloud.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
     assert mesh_triangles(tmp_path / "cloud.obj").shape == (0, 3, 3)
 
 
 @pytest.mark.parametrize("face", ["f 1 2 4", "f 1 2 -4", "f 1 2 0"])
-def test_a_face_that_names_no_corner_is_refused_with_its_number(face: str, tmp_path: Path) -> None:
+def test_a_face_with_an_invalid_vertex_is_rejected_with_its_index(
+    face: str, tmp_path: Path
+) -> None:
     (tmp_path / "damaged.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
-    with pytest.raises(UrdfError, match=r"damaged.obj: a face names corner -?\d"):
+    with pytest.raises(UrdfError, match=r"damaged.obj: a face uses vertex -?\d"):
         mesh_triangles(tmp_path / "damaged.obj")

@@ -1,4 +1,4 @@
-"""What is kept of a model is, bit for bit, what would be computed anew."""
+"""Cached values of a model equal computed ones to the last bit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from momapos.model.urdf.reader import Geometry, box_urdf, read_urdf
 
 
 def assert_same(a: Any, b: Any) -> None:
-    """Two values agree in kind and in every bit."""
+    """Assert that two values agree in type and in every bit."""
     if isinstance(a, np.ndarray):
         assert (a.dtype, a.shape) == (b.dtype, b.shape)
         assert a.tobytes() == b.tobytes()
@@ -44,7 +44,7 @@ def assert_same(a: Any, b: Any) -> None:
 
 
 @pytest.mark.parametrize("name", library_names())
-def test_a_robot_from_the_cache_is_the_robot_from_its_files(name: str, tmp_path: Path) -> None:
+def test_a_robot_from_the_cache_equals_that_from_its_files(name: str, tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     fresh = load_arms(name)[0]
     for _ in range(2):
@@ -57,7 +57,7 @@ def test_a_robot_from_the_cache_is_the_robot_from_its_files(name: str, tmp_path:
 
 
 @pytest.mark.parametrize("name", builtin_names())
-def test_a_scene_from_the_cache_is_the_scene_from_its_files(name: str, tmp_path: Path) -> None:
+def test_a_scene_from_the_cache_equals_that_from_its_files(name: str, tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     fresh = load_scene(name)
     for _ in range(2):
@@ -69,20 +69,20 @@ def test_a_scene_from_the_cache_is_the_scene_from_its_files(name: str, tmp_path:
             assert_same(one.joints, other.joints)
 
 
-def test_a_second_start_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_load_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = Cache(tmp_path)
     spheres = load_robot("fetch", cache=cache).spheres
 
     def never(*_: object) -> None:
         raise AssertionError("computed again")
 
-    for name in ("articulated.hull_of", "articulated.cover_shape", "urdf._parse"):
-        monkeypatch.setattr(f"momapos.kinematics.{name}", never)
+    for name in ("articulated.hull_of", "articulated.cover_shape", "reader._parse"):
+        monkeypatch.setattr(f"momapos.model.urdf.{name}", never)
     monkeypatch.setattr("momapos.model.robots.robot.arm_spheres", never)
     assert_same(load_robot("fetch", cache=cache).spheres, spheres)
 
 
-def test_a_changed_file_is_computed_anew(tmp_path: Path) -> None:
+def test_a_changed_file_is_computed_again(tmp_path: Path) -> None:
     shutil.copytree(LIBRARY / "segway_ur5e", tmp_path / "robot")
     file, cache = tmp_path / "robot" / "segway_ur5e.toml", Cache(tmp_path / "cache")
     before = load_robot(file, cache=cache).spheres
@@ -99,7 +99,7 @@ def test_a_changed_file_is_computed_anew(tmp_path: Path) -> None:
     assert_same(load_robot(file, cache=cache).spheres, load_robot(file).spheres)
 
 
-def test_a_changed_mesh_is_computed_anew(tmp_path: Path) -> None:
+def test_a_changed_mesh_is_computed_again(tmp_path: Path) -> None:
     corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T
 
     def write(size: float) -> None:
@@ -119,7 +119,7 @@ def test_a_changed_mesh_is_computed_anew(tmp_path: Path) -> None:
         read_urdf(file, cache=cache)
 
 
-def test_what_was_kept_by_other_code_is_not_believed(
+def test_values_cached_by_other_code_are_ignored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cache = Cache(tmp_path)
@@ -130,19 +130,19 @@ def test_what_was_kept_by_other_code_is_not_believed(
     assert once(cache, "number", (1, "a"), lambda: 5.5) == 5.5
 
 
-def test_a_cache_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
+def test_a_read_only_cache_is_not_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert once(Cache(tmp_path / "file"), "number", (), lambda: 7) == 7
 
 
-def test_frozen_values_tell_numbers_apart() -> None:
+def test_serialized_values_distinguish_numbers_types_and_shapes() -> None:
     assert freeze((1.0, np.float64(2.0))) == freeze((1.0, 2.0))
     assert freeze(np.zeros(3)) != freeze(np.zeros((3, 1)))
     assert freeze(np.zeros(1)) != freeze(np.zeros(1, np.int64))
     assert freeze(0.1) != freeze(np.nextafter(0.1, 1.0))
 
 
-def test_the_hull_of_a_box_is_what_qhull_finds() -> None:
+def test_the_hull_of_a_box_agrees_with_qhull() -> None:
     from momapos.model.urdf.hulls import _convex, _primitive_points
 
     rng = np.random.default_rng(0)

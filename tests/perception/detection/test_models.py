@@ -1,4 +1,4 @@
-"""Weights are kept only whole and right; a file is served on the loopback address."""
+"""Only complete and correct weights are cached; the tests serve files on the loopback address."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from momapos.core.errors import InputError, UnknownNameError
 from momapos.perception.detection import detector_models as models
 from momapos.perception.detection.detector_models import (
     ModelFile,
+    cached_models,
     fetch,
     find_model,
-    kept_models,
     open_https,
 )
 
@@ -56,11 +56,11 @@ def files(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*") if path.is_file()]
 
 
-def test_right_weights_are_kept_and_not_fetched_again(address: str, tmp_path: Path) -> None:
+def test_correct_weights_are_cached_and_not_downloaded_again(address: str, tmp_path: Path) -> None:
     model = ModelFile("mine", f"{address}/weights.onnx", RIGHT)
     path = fetch(model, tmp_path, open_http)
     assert path.read_bytes() == CONTENT
-    assert kept_models(tmp_path) == ["mine"]
+    assert cached_models(tmp_path) == ["mine"]
     assert find_model("mine", tmp_path) == path
 
     def refuse(url: str) -> None:
@@ -71,12 +71,12 @@ def test_right_weights_are_kept_and_not_fetched_again(address: str, tmp_path: Pa
     assert fetch(model, tmp_path, open_http).read_bytes() == CONTENT
 
 
-def test_wrong_missing_and_endless_weights_leave_nothing(
+def test_wrong_missing_and_endless_weights_are_not_stored(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(InputError, match="has the SHA-256"):
         fetch(ModelFile("mine", f"{address}/weights.onnx", "0" * 64), tmp_path, open_http)
-    with pytest.raises(InputError, match="cannot be downloaded"):
+    with pytest.raises(InputError, match="download failed"):
         fetch(ModelFile("mine", f"{address}/other.onnx", RIGHT), tmp_path, open_http)
     monkeypatch.setattr(models, "MAX_BYTES", 100)
     with pytest.raises(InputError, match="larger than"):
@@ -85,17 +85,17 @@ def test_wrong_missing_and_endless_weights_leave_nothing(
 
 
 def test_only_https_is_opened(address: str, tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="no https"):
+    with pytest.raises(OSError, match="not an https"):
         open_https(f"{address}/weights.onnx")
-    with pytest.raises(InputError, match="no https address"):
+    with pytest.raises(InputError, match="not an https URL"):
         fetch(ModelFile("mine", "file:///etc/hostname", RIGHT), tmp_path)
     handler = models._HttpsOnly()
     request = urllib.request.Request("https://127.0.0.1/a")
-    with pytest.raises(OSError, match="no https"):
+    with pytest.raises(OSError, match="not an https"):
         handler.redirect_request(request, None, 302, "Found", {}, f"{address}/weights.onnx")
 
 
-def test_a_model_that_is_not_there_says_how_to_get_it(tmp_path: Path) -> None:
+def test_an_error_about_a_missing_model_says_how_to_get_it(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="momapos models get yolox_nano"):
         find_model("yolox_nano", tmp_path)
     with pytest.raises(UnknownNameError, match="did you mean yolox_nano"):
@@ -107,14 +107,14 @@ def test_a_model_that_is_not_there_says_how_to_get_it(tmp_path: Path) -> None:
     ("words", "hint"),
     [
         (["nothing_like_it"], "no model"),
-        (["mine", "--url", "https://127.0.0.1/x"], "belong together"),
-        (["yolox_nano", "--url", "https://127.0.0.1/x", "--sha256", RIGHT], "of its own"),
-        (["mine", "--url", "https://127.0.0.1/x", "--sha256", "12"], "64 small hexadecimal"),
+        (["mine", "--url", "https://127.0.0.1/x"], "need each other"),
+        (["yolox_nano", "--url", "https://127.0.0.1/x", "--sha256", RIGHT], "is already listed"),
+        (["mine", "--url", "https://127.0.0.1/x", "--sha256", "12"], "64 lowercase hexadecimal"),
         (["../mine", "--url", "https://127.0.0.1/x", "--sha256", RIGHT], "model name"),
-        (["mine", "--url", "http://127.0.0.1/x", "--sha256", RIGHT], "no https"),
+        (["mine", "--url", "http://127.0.0.1/x", "--sha256", RIGHT], "not an https"),
     ],
 )
-def test_what_cannot_be_fetched_is_one_line(
+def test_a_failed_download_is_reported_in_one_line(
     words: list[str], hint: str, tmp_path: Path, monkeypatch, capsys
 ) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
@@ -125,9 +125,7 @@ def test_what_cannot_be_fetched_is_one_line(
     assert files(tmp_path) == []
 
 
-def test_the_list_names_what_can_be_fetched_and_what_was(
-    tmp_path: Path, monkeypatch, capsys
-) -> None:
+def test_the_list_names_available_and_cached_models(tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "own.onnx").write_bytes(CONTENT)

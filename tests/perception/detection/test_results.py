@@ -1,4 +1,4 @@
-"""Files of 2-D detectors: a wrong one is refused in one line."""
+"""Wrong files of 2-D detections are refused in one line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def frames() -> list[Frame]:
         ("[", "JSON"),
         ('[{"bbox": [1, 2, 3]}]', "detection 0"),
         ('[{"image_id": 0, "bbox": [1, 2, 3, 4], "score": 1}]', "category_id"),
-        ('[{"image_id": 0, "category_id": 1, "bbox": [1, 2, -3, 4], "score": 1}]', "above 0"),
+        ('[{"image_id": 0, "category_id": 1, "bbox": [1, 2, -3, 4], "score": 1}]', "not empty"),
         ('[{"image_id": 0, "category_id": 1e999, "bbox": [1, 2, 3, 4], "score": 1}]', "infinity"),
         (
             f'[{{"image_id": 0, "category_id": 1, "bbox": [1, 2, 3, 1{"0" * 400}], "score": 1}}]',
@@ -32,7 +32,7 @@ def frames() -> list[Frame]:
         ),
         (
             '[{"image_id": [[]], "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1}]',
-            "whole number",
+            "an integer",
         ),
         ('[{"image_id": "x", "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1}]', "image_id"),
     ],

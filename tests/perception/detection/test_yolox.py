@@ -1,10 +1,9 @@
-"""The detector: what it decodes, keeps and refuses."""
+"""The YOLOX detector decodes, suppresses and refuses."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import momapos.reconstruction
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from tests import optional
 from tests.real import DATA
 
+import momapos.perception.reconstruction
 from momapos.core.errors import FileFormatError, InputError
 from momapos.model.records.scans import Frame, ImageDetection
 from momapos.perception.detection.coco import COCO80, LABELS, WITHOUT_DOORS, label_of_class
@@ -20,8 +20,8 @@ from momapos.perception.detection.votes import LONGEST_EDGE
 from momapos.perception.detection.yolox import YoloxDetector, decode, letterbox, suppress
 from momapos.perception.recordings.scan_reader import read_scan
 
-FRONT = Path(momapos.reconstruction.__file__).parent / "weights" / "front_face.onnx"
-"""A network, but of another layout."""
+FRONT = Path(momapos.perception.reconstruction.__file__).parent / "weights" / "front_face.onnx"
+"""A network of another layout."""
 
 
 def yolox() -> Path:
@@ -52,7 +52,7 @@ def test_decoding_undoes_the_encoding_of_boxes_by_cells() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_suppression_keeps_the_surest_of_each_group_and_nothing_twice(seed: int) -> None:
+def test_suppression_keeps_the_best_box_of_each_group(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low = rng.uniform(0, 60, (30, 2))
     boxes = np.hstack([low, low + rng.uniform(5, 60, (30, 2))])
@@ -67,7 +67,7 @@ def test_suppression_keeps_the_surest_of_each_group_and_nothing_twice(seed: int)
         assert (k in kept) == (not stronger)
 
 
-def test_an_image_keeps_its_proportions_and_is_padded_with_grey() -> None:
+def test_an_image_keeps_its_aspect_ratio_and_is_padded_with_gray() -> None:
     color = np.zeros((480, 640, 3), np.uint8)
     color[..., 0] = 200  # red
     padded, scale = letterbox(color, (416, 416))
@@ -79,7 +79,7 @@ def test_an_image_keeps_its_proportions_and_is_padded_with_grey() -> None:
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 3])
-def test_a_rectangle_of_a_turned_image_is_found_again_in_the_image_as_taken(turns: int) -> None:
+def test_a_rectangle_of_a_rotated_image_maps_back_to_the_original_image(turns: int) -> None:
     taken = np.zeros((40, 60))
     taken[5:12, 20:50] = 1
     rows, columns = np.nonzero(np.rot90(taken, turns))
@@ -89,8 +89,8 @@ def test_a_rectangle_of_a_turned_image_is_found_again_in_the_image_as_taken(turn
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 3])
-def test_a_camera_on_its_side_is_turned_until_up_is_up(turns: int) -> None:
-    # The mark lies toward the world's up; the camera is rolled.
+def test_the_image_of_a_camera_on_its_side_is_rotated_upright(turns: int) -> None:
+    # The mark points to the world's up; the camera is rolled.
     roll = turns * np.pi / 2
     R = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     c, s = np.cos(roll), np.sin(roll)
@@ -103,7 +103,7 @@ def test_a_camera_on_its_side_is_turned_until_up_is_up(turns: int) -> None:
     assert shown[5, 20].all()
 
 
-def test_what_is_found_is_told_in_the_image_as_taken() -> None:
+def test_detections_are_given_in_the_original_image() -> None:
     T = np.eye(4)
     T[:3, :3] = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]) @ np.diag([-1.0, -1.0, 1.0])
     frame = Frame("f", np.zeros((40, 60, 3), np.uint8), None, np.eye(3), T)
@@ -121,7 +121,7 @@ def test_what_is_found_is_told_in_the_image_as_taken() -> None:
     assert detect([frame], Bright())["f"] == [ImageDetection((3.0, 2.0, 9.0, 6.0), "cup", 0.5)]
 
 
-def test_every_label_has_a_size_and_people_are_no_things() -> None:
+def test_every_label_has_a_size_and_people_are_not_objects() -> None:
     assert len(COCO80) == 80
     assert set(LONGEST_EDGE) == LABELS - {""}
     assert WITHOUT_DOORS < LABELS
@@ -132,9 +132,13 @@ def test_every_label_has_a_size_and_people_are_no_things() -> None:
 
 @pytest.mark.parametrize(
     ("content", "word"),
-    [(b"", "no ONNX"), (b"\x08\x07" * 50, "no ONNX"), (FRONT.read_bytes(), "80 classes of COCO")],
+    [
+        (b"", "ONNX network"),
+        (b"\x08\x07" * 50, "ONNX network"),
+        (FRONT.read_bytes(), "80 classes of COCO"),
+    ],
 )
-def test_a_file_that_is_no_detector_of_these_classes_is_one_line(
+def test_a_file_that_is_not_such_a_detector_is_refused_in_one_line(
     content: bytes, word: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "network.onnx"
@@ -147,12 +151,12 @@ def test_a_file_that_is_no_detector_of_these_classes_is_one_line(
         YoloxDetector(tmp_path / "none.onnx")
 
 
-def test_thresholds_are_shares() -> None:
+def test_thresholds_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match="between 0 and 1"):
         YoloxDetector(FRONT, score=0.0)
 
 
-def test_in_a_real_kitchen_it_sees_chair_table_and_cup() -> None:
+def test_chair_table_and_cup_are_detected_in_a_real_kitchen() -> None:
     detector = YoloxDetector(yolox())
     scan = read_scan(optional.there(DATA / "redkitchen"), max_frames=2)
     found = detector(scan.frames[0].color)

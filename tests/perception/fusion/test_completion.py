@@ -1,4 +1,4 @@
-"""Laws of fronts without depth, which are completed from the planes around them."""
+"""Fronts without depth are completed from the planes around them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOTHING = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
 
 
 def frames_of(boxes: tuple[Corners, ...], dark: Corners | None) -> list[Frame]:
-    """Images of boxes, one of which returns no depth."""
+    """Return images of boxes, one of which has no depth."""
     frames = []
     for x, y, z in EYES:
         T = look_at((x, y, z), (0.5, 0.6, 0.6))
@@ -47,7 +47,7 @@ def test_a_front_without_depth_becomes_the_plane_of_its_neighbors(dark: Corners)
     assert len(cells) * 0.05**2 > 0.65 * (x1 - x0) * z1
 
 
-def test_where_every_front_has_depth_nothing_is_added() -> None:
+def test_nothing_is_added_if_every_front_has_depth() -> None:
     cloud = Cloud(np.ones((5, 3)), np.ones((5, 3)), np.zeros((5, 3), np.uint8))
     found = complete(cloud, frames_of(ROW, None))
     np.testing.assert_array_equal(found.points, cloud.points)
@@ -59,7 +59,7 @@ def test_images_without_depth_or_of_few_pixels_add_nothing() -> None:
     assert not len(complete(NOTHING, [replace(frame, depth=None), small] * 2).points)
 
 
-def test_what_an_image_sees_through_or_one_alone_shows_stays_open() -> None:
+def test_holes_that_are_seen_through_or_shown_by_one_image_stay_open() -> None:
     frames = frames_of(ROW, DARK)
     assert not len(complete(NOTHING, frames[:1]).points)
     through = frames_of((FLOOR, BACK, LEFT, RIGHT), None)[1]
@@ -67,7 +67,7 @@ def test_what_an_image_sees_through_or_one_alone_shows_stays_open() -> None:
     assert len(left) < 0.05 * len(complete(NOTHING, frames).points)
 
 
-def test_holes_in_walls_are_windows_and_below_tables_is_no_front() -> None:
+def test_holes_in_walls_and_below_tables_stay_open() -> None:
     window: Corners = ((-0.5, 0.99, 0.9), (0.5, 1.05, 1.5))
     boxes = (FLOOR, BACK, window)
     frames = frames_of(boxes, window)

@@ -1,4 +1,4 @@
-"""Gravity: any room can be put upright again."""
+"""Rooms in any pose are aligned with gravity."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ROOM = cloud_of(kitchen(), np.random.default_rng(0), spacing=0.03)
 
 
 def moved(T: Float[np.ndarray, "4 4"]) -> tuple[Cloud, list[Frame]]:
-    """The kitchen and cameras that look down at it, in another world."""
+    """Return the kitchen and cameras that look down at it, in another world."""
     cloud = Cloud(apply(T, ROOM.points), ROOM.normals @ T[:3, :3].T, ROOM.colors)
     frames = [photograph([], T @ look_at(eye, (0.0, 0.5, 0.4))) for eye in EYES]
     return cloud, frames
@@ -34,12 +34,12 @@ def moved(T: Float[np.ndarray, "4 4"]) -> tuple[Cloud, list[Frame]]:
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_room_in_any_pose_comes_out_upright_on_its_floor(seed: int) -> None:
+def test_a_room_in_any_pose_is_aligned_upright_on_its_floor(seed: int) -> None:
     rng = np.random.default_rng(seed)
     T = pose(tuple(rng.uniform(-3, 3, 3)), Rotation.random(rng=rng).as_matrix())
     cloud, frames = moved(T)
     back = align_to_gravity(cloud, frames) @ T
-    # The room is back but for quarter turns about z and where its origin is.
+    # The room is restored up to quarter turns about z and its origin.
     assert np.degrees(np.arccos(np.clip(back[2, 2], -1, 1))) < 0.3
     turn = np.degrees(np.arctan2(back[1, 0], back[0, 0]))
     assert abs((turn + 45) % 90 - 45) < 0.4
@@ -63,11 +63,11 @@ def test_the_camera_may_be_held_on_its_side(turns: tuple[int, ...]) -> None:
     assert back[2, 3] == pytest.approx(0.0, abs=0.012)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)  # 1 in 500 such walks tells too little
+@settings(max_examples=40, deadline=None, derandomize=True)  # 1 in 500 such walks is ambiguous
 @given(
     st.integers(0, 10_000), st.floats(0.2, 0.5), st.floats(0.2, 0.4), st.sampled_from([0.0, 0.5])
 )
-def test_who_looks_at_one_wall_alone_is_not_taken_to_lie_on_the_side(
+def test_cameras_that_face_a_single_wall_are_still_taken_as_upright(
     seed: int, turning: float, nodding: float, on_side: float
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -82,7 +82,7 @@ def test_who_looks_at_one_wall_alone_is_not_taken_to_lie_on_the_side(
     assert np.degrees(np.arccos(np.clip(back[2, 2], -1, 1))) < 0.3
 
 
-def test_an_upright_room_is_left_as_it_is() -> None:
+def test_an_upright_room_stays_unchanged() -> None:
     cloud, frames = moved(np.eye(4))
     T = align_to_gravity(cloud, frames)
     np.testing.assert_array_equal(T[:3, :3], np.eye(3))
@@ -90,7 +90,7 @@ def test_an_upright_room_is_left_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("angle", [-3.0, 2.0, 30.0])
-def test_a_turned_room_gets_the_smallest_turn_that_aligns_it(angle: float) -> None:
+def test_a_turned_room_gets_the_smallest_rotation_that_aligns_it(angle: float) -> None:
     cloud, frames = moved(
         pose((0, 0, 0), Rotation.from_euler("z", angle, degrees=True).as_matrix())
     )
@@ -98,7 +98,7 @@ def test_a_turned_room_gets_the_smallest_turn_that_aligns_it(angle: float) -> No
     assert np.degrees(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(-angle, abs=0.1)
 
 
-def test_planes_tell_how_a_room_is_turned_where_normals_are_biased() -> None:
+def test_yaw_follows_planes_where_normals_are_biased() -> None:
     turn = Rotation.from_euler("z", 20.0, degrees=True).as_matrix()
     cloud, frames = moved(pose((0, 0, 0), turn))
     bias = Rotation.from_euler("z", 2.0, degrees=True).as_matrix()
@@ -106,7 +106,7 @@ def test_planes_tell_how_a_room_is_turned_where_normals_are_biased() -> None:
     assert np.degrees(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(-20.0, abs=0.1)
 
 
-def test_a_cloud_without_frames_is_taken_for_roughly_upright() -> None:
+def test_a_cloud_without_frames_is_assumed_to_be_roughly_upright() -> None:
     tilt = Rotation.from_euler("xy", [8.0, -5.0], degrees=True).as_matrix()
     cloud, _ = moved(pose((0, 0, 0.7), tilt))
     T = align_to_gravity(cloud, ())
@@ -120,7 +120,7 @@ def test_too_few_points_are_refused() -> None:
         )
 
 
-def test_the_real_kitchen_stands_within_a_degree_and_a_half(shared: Path) -> None:
+def test_the_real_kitchen_is_upright_within_1_5_degrees(shared: Path) -> None:
     folder = optional.there(shared / "redkitchen")
     frames = read_scan(folder).frames[::2]
     cloud = fuse(frames, voxel=0.03)

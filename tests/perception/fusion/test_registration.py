@@ -1,4 +1,4 @@
-"""Laws of bringing two scans of one room together."""
+"""Two scans of one room are registered."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def box(low: tuple[float, ...], high: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Points every 3 cm of the upright sides of a box, and their normals."""
+    """Return points every 3 cm on the upright sides of a box, and their normals."""
     points, normals = [], []
     for axis in (0, 1):
         across = np.arange(low[1 - axis], high[1 - axis], 0.03)
@@ -30,14 +30,14 @@ def box(low: tuple[float, ...], high: tuple[float, ...]) -> tuple[np.ndarray, np
 
 
 def top(low: tuple[float, ...], high: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Points every 3 cm of the top of a box, which tells how high a scan lies; normals."""
+    """Return points every 3 cm on the top of a box, which fix the height of a scan; normals."""
     x, y = np.meshgrid(np.arange(low[0], high[0], 0.03), np.arange(low[1], high[1], 0.03))
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, high[2])])
     return points, np.tile(UP, (len(points), 1))
 
 
 def room(seed: int, size: tuple[float, float] = (4.0, 3.0)) -> Cloud:
-    """Walls around a floor with five pieces of furniture anywhere on it."""
+    """Return walls around a floor with five pieces of furniture."""
     rng = np.random.default_rng(seed)
     walls, normals = box((0.0, 0.0, 0.0), (*size, 2.4))
     sheets = [(walls, -normals)]
@@ -60,7 +60,7 @@ def moved(cloud: Cloud, T: np.ndarray) -> Cloud:
     seed=st.integers(0, 100), quarter=st.integers(0, 3), yaw=st.floats(-0.03, 0.03),
     shift=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-0.02, 0.02)),
 )  # fmt: skip
-def test_a_room_that_is_turned_and_moved_is_brought_back(
+def test_a_rotated_and_translated_room_is_registered(
     seed: int, quarter: int, yaw: float, shift: tuple[float, float, float]
 ) -> None:
     T = pose(shift, rotation_about(UP, np.array(quarter * np.pi / 2 + yaw)))
@@ -74,13 +74,13 @@ def test_a_room_that_is_turned_and_moved_is_brought_back(
     )
 
 
-def test_two_rooms_are_told_from_one() -> None:
-    with pytest.raises(InputError, match="not of one room"):
+def test_scans_of_different_rooms_are_refused() -> None:
+    with pytest.raises(InputError, match="do not show the same room"):
         register(room(1), room(2, size=(5.2, 3.7)))
 
 
-def test_a_floor_alone_is_no_room() -> None:
+def test_a_scan_of_only_a_floor_is_refused() -> None:
     first = room(1)
     low = Cloud(first.points * [1.0, 1.0, 0.0], first.normals, first.colors)
-    with pytest.raises(InputError, match="nothing but the floor"):
+    with pytest.raises(InputError, match="only the floor"):
         register(first, low)

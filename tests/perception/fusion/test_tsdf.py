@@ -1,4 +1,4 @@
-"""Fusion: points lie on what the images show, and on nothing else."""
+"""Fused points lie on the surfaces in the images, and nowhere else."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ EYES = [(1.6 * np.cos(a), 1.6 * np.sin(a), 1.3) for a in np.linspace(0, 2 * np.p
 
 
 def around(noise: float = 0.0, seed: int = 0) -> list[Frame]:
-    """Images of the crate from all sides."""
+    """Return images of the crate from all sides."""
     rng = np.random.default_rng(seed)
     return [photograph(WORLD, look_at(eye, (0, 0, 0.2)), noise=noise, rng=rng) for eye in EYES]
 
 
 def off_surface(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Distance from the union of ground and crate's surface [m]."""
+    """Return the distance to the surface of ground and crate [m]."""
     low, high = np.array(CRATE)
     out = np.maximum(np.maximum(low - points, points - high), 0.0)
     inside = np.minimum(points - low, high - points).min(axis=1)
@@ -52,7 +52,7 @@ def test_every_visible_surface_gets_about_one_point_per_voxel(exact: Cloud) -> N
     assert top.sum() == pytest.approx(0.6 * 0.6 / voxel**2, rel=0.15)
 
 
-def test_normals_look_out_of_the_surface(exact: Cloud) -> None:
+def test_normals_point_out_of_the_surface(exact: Cloud) -> None:
     top = np.abs(exact.points[:, 2] - 0.5) < 0.004
     top &= np.abs(exact.points[:, :2]).max(axis=1) < 0.25
     side = (np.abs(exact.points[:, 0] - 0.3) < 0.004) & (np.abs(exact.points[:, 1]) < 0.25)
@@ -77,7 +77,7 @@ def test_noise_of_single_images_averages_out() -> None:
     assert abs(np.mean(points[top, 2]) - 0.5) < 0.003
 
 
-def test_space_behind_a_thing_that_nobody_saw_has_no_surface() -> None:
+def test_unseen_space_behind_an_object_has_no_surface() -> None:
     frames = [photograph(WORLD, look_at((1.8, y, 0.9), (0, 0, 0.2))) for y in (-0.5, 0.0, 0.5)]
     assert off_surface(fuse(frames).points).max() < 0.025
 
@@ -98,13 +98,13 @@ def test_moving_the_world_moves_the_cloud() -> None:
     assert np.percentile(off_surface(back), 95) < 0.005
 
 
-def test_images_without_depth_are_left_out(exact: Cloud) -> None:
+def test_images_without_depth_are_ignored(exact: Cloud) -> None:
     frames = around()
     more = [*frames, replace(frames[0], depth=None)]
     np.testing.assert_array_equal(fuse(more).points, exact.points)
 
 
-def test_depth_that_is_not_a_number_is_not_used() -> None:
+def test_depth_that_is_not_a_number_is_ignored() -> None:
     frames = around()
     damaged = [replace(f, depth=np.where(f.depth > 2.0, np.nan, f.depth)) for f in frames]
     cloud = fuse(damaged)

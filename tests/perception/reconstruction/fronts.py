@@ -15,7 +15,7 @@ SCALE = 400.0  # [1/m] pixels of a face
 
 
 def face_of(width: float, height: float, height_map: float = np.nan) -> FaceImage:
-    """A face of one color and height map [m], not measured without one."""
+    """Return a face of one color and height [m], unmeasured by default."""
     shape = (round(height * SCALE), round(width * SCALE))
     color = np.full((*shape, 3), 200, np.uint8)
     return FaceImage(color, np.full(shape, height_map, np.float32), width, height)
@@ -29,7 +29,7 @@ def raised(face: FaceImage, box: tuple[float, float, float, float], height_map: 
 
 
 def overlap(a: Area, b: Area) -> float:
-    """The area that two rectangles share [m^2]."""
+    """Return the area that two rectangles share [m^2]."""
     x = min(a.right, b.right) - max(a.left, b.left)
     z = min(a.top, b.top) - max(a.bottom, b.bottom)
     return max(x, 0.0) * max(z, 0.0)
@@ -37,7 +37,7 @@ def overlap(a: Area, b: Area) -> float:
 
 @st.composite
 def any_parts(draw: Any) -> list[Part]:
-    """Parts anywhere, as a bad predictor might give them."""
+    """Draw random parts, like those of a bad predictor."""
     number = st.floats(-0.2, 1.2)
     box = st.tuples(number, number, number, number)
     part = st.builds(Part, st.sampled_from(KINDS), box, st.floats(0, 1), handle=st.none() | box)
@@ -46,7 +46,7 @@ def any_parts(draw: Any) -> list[Part]:
 
 @st.composite
 def fronts(draw: Any) -> tuple[tuple[float, float, float], list[Part]]:
-    """Width, depth, height [m] of furniture, and 1 to 8 parts that fit beside each other."""
+    """Draw width, depth, height [m] of furniture, and 1 to 8 disjoint parts."""
     size = (draw(st.floats(0.3, 1.2)), draw(st.floats(0.25, 0.8)), draw(st.floats(0.3, 2.0)))
     count = draw(st.integers(1, 8))
     cells = [(0.0, 0.0, size[0], size[2])]  # left, top, right, bottom [m]
@@ -68,7 +68,7 @@ def fronts(draw: Any) -> tuple[tuple[float, float, float], list[Part]]:
 def _part(
     draw: Any, cell: tuple[float, float, float, float], size: tuple[float, float, float]
 ) -> Part:
-    """A part in a cell, with a frame around it or none, and a handle on it or none."""
+    """Draw a part in a cell, with or without a frame and a handle."""
     frame = draw(st.sampled_from([0.0, 0.004, 0.02]))
     left, top, right, bottom = np.add(cell, (frame, frame, -frame, -frame))
     handle = None

@@ -1,4 +1,4 @@
-"""Alignment: parts in meters that fit the face and each other."""
+"""Aligned parts fit the face and each other."""
 
 from __future__ import annotations
 
@@ -19,16 +19,14 @@ FACE = (0.6, 1.8)  # [m]
 
 
 def inside(area: Area, width: float, height: float) -> bool:
-    """Whether an area lies on a face [m]."""
+    """Check whether an area lies on a face [m]."""
     low, high = min(area.left, area.bottom), max(area.right - width, area.top - height)
     return low >= -1e-9 and high <= 1e-9
 
 
 @given(parts=any_parts(), grid=st.sampled_from([None, 12]))
 @settings(max_examples=150, deadline=None)
-def test_whatever_was_seen_parts_lie_on_the_face_and_beside_each_other(
-    parts: list[Part], grid: int | None
-) -> None:
+def test_aligned_parts_lie_on_the_face_without_overlap(parts: list[Part], grid: int | None) -> None:
     aligned = align(face_of(*FACE), parts, AlignmentConfig(grid=grid))
     assert len(aligned) <= len(parts)
     assert all(inside(part.area, *FACE) for part in aligned)
@@ -54,7 +52,7 @@ def test_every_handle_lies_on_its_part_and_can_be_grasped(parts: list[Part]) -> 
 
 @given(front=fronts())
 @settings(max_examples=80, deadline=None)
-def test_parts_that_fit_stay_within_a_seam_of_where_they_were_seen(
+def test_parts_that_fit_move_by_less_than_a_seam(
     front: tuple[tuple[float, float, float], list[Part]],
 ) -> None:
     (width, _, height), parts = front
@@ -80,7 +78,7 @@ def test_neighbors_that_nearly_meet_share_a_seam_and_the_rim_is_one() -> None:
     assert (left.area.left, left.area.bottom, upper.area.right, upper.area.top) == (0, 0, *FACE)
 
 
-def test_overlapping_neighbors_part_at_the_middle_of_their_overlap() -> None:
+def test_overlapping_neighbors_are_cut_at_the_middle_of_their_overlap() -> None:
     parts = [
         Part("drawer", (0.0, 0.0, 1.0, 0.4), 0.6),
         Part("drawer", (0.0, 0.3, 1.0, 1.0), 0.9),
@@ -90,7 +88,7 @@ def test_overlapping_neighbors_part_at_the_middle_of_their_overlap() -> None:
     assert lower.area.top == upper.area.bottom
 
 
-def test_of_a_part_seen_twice_the_more_certain_stays() -> None:
+def test_the_more_certain_of_duplicate_parts_remains() -> None:
     parts = [
         Part("door_left", (0.0, 0.0, 0.9, 1.0), 0.5),
         Part("door_right", (0.1, 0.0, 1.0, 1.0), 0.8),
@@ -115,7 +113,7 @@ def test_on_the_grid_edges_are_whole_steps_and_at_most_half_a_step_off(
 
 
 @pytest.mark.parametrize("front", [-0.03, 0.0, 0.025])
-def test_height_map_says_where_the_front_of_a_part_and_its_handle_are(front: float) -> None:
+def test_the_height_map_gives_the_protrusion_of_a_part_and_its_handle(front: float) -> None:
     handle = (0.85, 0.4, 0.89, 0.6)
     face = face_of(*FACE, 0.0)
     raised(face, (0.0, 0.1, 1.0, 1.0), front)
@@ -134,7 +132,7 @@ def test_height_map_says_where_the_front_of_a_part_and_its_handle_are(front: flo
     [(0.0, 0.1, True), (0.0, 0.02, False), (0.05, 0.1, False)],
     ids=["a flat sign beside a bar", "nothing stands out", "a handle beside a rail"],
 )
-def test_a_sign_is_no_handle_where_a_bar_stands_out(sign: float, bar: float, moves: bool) -> None:
+def test_a_flat_sign_is_replaced_by_a_protruding_bar(sign: float, bar: float, moves: bool) -> None:
     seen, true = (0.6, 0.1, 0.9, 0.15), (0.1, 0.3, 0.15, 0.8)
     face = face_of(*FACE, 0.0)
     raised(face, seen, sign)
@@ -146,7 +144,7 @@ def test_a_sign_is_no_handle_where_a_bar_stands_out(sign: float, bar: float, mov
 
 
 @pytest.mark.parametrize(("height_map", "out"), [(0.008, 0.04), (0.03, 0.03), (0.2, 0.12)])
-def test_a_handle_stands_out_by_what_was_measured_within_reason(
+def test_the_measured_protrusion_of_a_handle_is_used_within_limits(
     height_map: float, out: float
 ) -> None:
     handle = (0.8, 0.4, 0.85, 0.6)
@@ -157,7 +155,7 @@ def test_a_handle_stands_out_by_what_was_measured_within_reason(
     assert part.handle.out == pytest.approx(out, abs=1e-6)
 
 
-def test_a_handle_seen_beside_its_part_is_none() -> None:
+def test_a_handle_outside_of_its_part_is_dropped() -> None:
     part = Part("drawer", (0.0, 0.0, 1.0, 0.3), 0.9, (0.4, 0.6, 0.6, 0.62))
     (aligned,) = align(face_of(*FACE), [part])
     assert aligned.handle is None

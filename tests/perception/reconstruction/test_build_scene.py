@@ -1,4 +1,4 @@
-"""Scenes from detections: what was found stands where it was found, and opens."""
+"""Scenes from detections have every object in its place, and models open."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SOUTH = -np.pi / 2
 def found(
     name: str, center: tuple[float, ...], size: tuple[float, ...], yaw: float = 0.0
 ) -> Detection:
-    """A thing with its box."""
+    """Return a detection with its box."""
     box = UprightBox(np.array(center, float), np.array(size, float), yaw)
     return Detection(name, name.rstrip("_0123456789"), 0.9, box, np.arange(3))
 
@@ -41,21 +41,21 @@ CUP = found("cup", (2.0, -1.0, 0.77), (0.08, 0.08, 0.1))
 
 
 def fridge_model() -> Piece:
-    """A fridge with one door, hinged on the right."""
+    """Return a fridge with one door, hinged on the right."""
     door = Part("door_right", (0.0, 0.0, 1.0, 1.0), 0.9, (0.06, 0.3, 0.1, 0.6))
     return furniture_model(FRIDGE, SOUTH, face_of(0.6, 1.8), [door])
 
 
 @pytest.fixture
 def given(tmp_path: Path) -> Path:
-    """The URDF of that fridge, as someone else's file."""
+    """Return the URDF of that fridge, as a user's file."""
     path = tmp_path / "given" / "theirs.urdf"
     path.parent.mkdir()
     path.write_text(urdf_text(fridge_model()))
     return path
 
 
-def test_a_scene_holds_every_detection_in_its_box_and_the_models_open(tmp_path: Path) -> None:
+def test_a_scene_has_every_detection_in_its_box_and_its_models_open(tmp_path: Path) -> None:
     detections = [FRIDGE, TABLE, CUP]
     models = {"fridge": fridge_model()}
     out = build_scene(detections, models, FLOOR, tmp_path / "room.json", start=(1.0, -2.0, 0.5))
@@ -78,13 +78,13 @@ def test_a_scene_holds_every_detection_in_its_box_and_the_models_open(tmp_path: 
     np.testing.assert_allclose(scene.start, (1.0, -2.0, 0.5))
 
 
-def test_a_room_without_known_end_or_start_has_none(tmp_path: Path) -> None:
+def test_a_room_without_known_floor_or_start_has_neither(tmp_path: Path) -> None:
     scene = load_scene(build_scene([CUP], {}, None, tmp_path / "room.json"))
     assert scene.floor_polygon is None
     assert scene.start is None
 
 
-def test_the_same_things_give_the_same_bytes_in_place_of_what_was_there(
+def test_the_same_detections_overwrite_the_scene_with_the_same_bytes(
     tmp_path: Path, given: Path
 ) -> None:
     def files() -> dict[Path, bytes]:
@@ -101,15 +101,13 @@ def test_the_same_things_give_the_same_bytes_in_place_of_what_was_there(
 
 
 @pytest.mark.parametrize("name", ["../fridge", "a/b", "", 'x"><link name="y', "n" * 81, ".."])
-def test_a_name_that_cannot_be_a_files_is_refused_and_nothing_written(
-    name: str, tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match="cannot be a file's name"):
+def test_an_invalid_file_name_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not a valid file name"):
         build_scene([found(name, (0, 0, 0), (1, 1, 1))], {}, FLOOR, tmp_path / "room.json")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_model_of_nothing_and_names_that_clash_are_refused(tmp_path: Path) -> None:
+def test_models_of_unknown_objects_and_duplicate_names_are_refused(tmp_path: Path) -> None:
     out = tmp_path / "room.json"
     with pytest.raises(UnknownNameError, match="fridge"):
         build_scene([CUP], {"fridge": fridge_model()}, FLOOR, out)
@@ -122,7 +120,7 @@ def test_a_model_of_nothing_and_names_that_clash_are_refused(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("quarter", range(4))
 @pytest.mark.parametrize("up", ["z", "y"])
-def test_a_given_model_is_scaled_onto_the_box_with_its_front_to_the_side(
+def test_a_given_model_is_scaled_to_the_box_with_its_front_on_the_given_side(
     quarter: int, up: str, given: Path
 ) -> None:
     if up == "y":  # turned about x, so that what was up points along y
@@ -153,7 +151,7 @@ def test_a_given_model_is_scaled_onto_the_box_with_its_front_to_the_side(
 
 
 def model_bounds(model: Articulated) -> np.ndarray:
-    """Lowest and highest corner of a model at rest, in its root's frame [m]."""
+    """Return the lowest and highest corner of a model at rest, in its root's frame [m]."""
     poses = model.rest_poses
     points = np.concatenate(
         [h.vertices @ T[:3, :3].T + T[:3, 3] for n, T in poses.items() for h in model.hulls[n]]
@@ -171,20 +169,20 @@ def test_a_given_model_of_other_proportions_is_placed_with_a_warning(given: Path
     assert ratios.max() * ratios.min() == pytest.approx(1.0)
 
 
-def test_a_given_model_without_joints_needs_to_say_where_its_front_is(tmp_path: Path) -> None:
+def test_a_given_model_without_joints_needs_a_front(tmp_path: Path) -> None:
     path = tmp_path / "box.urdf"
     path.write_text(
         '<robot name="b"><link name="l"><collision><geometry><box size="1 2 3"/></geometry>'
         "</collision></link></robot>"
     )
-    with pytest.raises(InputError, match="say where its front is"):
+    with pytest.raises(InputError, match="its front is unknown"):
         place_model(FRIDGE, SOUTH, GivenModel(path))
     item, _ = place_model(found("b", (0, 0, 3), (4, 2, 6)), SOUTH, GivenModel(path, front=0.0))
     np.testing.assert_allclose(item.bounds, [[-2, -1, 0], [2, 1, 6]], atol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "count"), [("kitchen_small/fridge", 1), ("Fridge/10144", 2)])
-def test_a_given_fridge_stands_in_its_box_with_its_files_beside_the_scene(
+def test_a_given_fridge_fills_its_box_and_its_files_are_next_to_the_scene(
     name: str, count: int, tmp_path: Path
 ) -> None:
     item, _ = place_model(FRIDGE, SOUTH, GivenModel(furniture(name)))

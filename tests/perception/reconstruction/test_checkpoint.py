@@ -1,4 +1,4 @@
-"""Weights from a stranger's file: read, or refused in one line, and never run."""
+"""Untrusted weights are read or refused in one line, and never run."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def saved(path: Path, content: object) -> Path:
 
 
 def refusal(path: Path) -> str:
-    """Let the file be read and return the one line that says why it was not."""
+    """Read the file and return its one-line error."""
     with pytest.raises(FileFormatError) as caught:
         read_checkpoint(path)
     message = str(caught.value)
@@ -45,7 +45,7 @@ def refusal(path: Path) -> str:
     return message
 
 
-def test_tensors_come_back_as_they_were_saved(tmp_path: Path) -> None:
+def test_saved_tensors_are_read_unchanged(tmp_path: Path) -> None:
     weights = {"a.weight": torch.randn(3, 2), "a.bias": torch.zeros(3)}
     path = saved(tmp_path / "w.pth", {"model_state_dict": weights, "epoch": 7, "loss": 0.5})
     read = read_checkpoint(path)
@@ -66,7 +66,7 @@ def test_a_whole_pickled_network_is_refused(tmp_path: Path) -> None:
     assert "Linear" in refusal(saved(tmp_path / "net.pth", torch.nn.Linear(2, 2)))
 
 
-def test_a_file_cut_off_anywhere_is_refused(tmp_path: Path) -> None:
+def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
     whole = saved(tmp_path / "w.pth", {"model_state_dict": {"a": torch.ones(500)}}).read_bytes()
     cut = tmp_path / "cut.pth"
     for share in (0.0, 0.1, 0.5, 0.9, 0.99):
@@ -98,8 +98,8 @@ def test_an_archive_that_grows_when_it_is_unpacked_is_refused(tmp_path: Path) ->
 
 
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")
-def test_a_damaged_pickle_never_gets_past_the_error_tree(tmp_path: Path) -> None:
-    """Whatever the reader trips over, what comes out is our error or a dictionary."""
+def test_a_damaged_pickle_raises_only_our_errors(tmp_path: Path) -> None:
+    """The result is one of our errors or a dictionary."""
     plain = saved(tmp_path / "w.pth", {"model_state_dict": {"a": torch.ones(3)}})
     with zipfile.ZipFile(plain) as source:
         entries = {name: source.read(name) for name in source.namelist()}
@@ -119,7 +119,7 @@ def test_a_damaged_pickle_never_gets_past_the_error_tree(tmp_path: Path) -> None
     assert refused > len(entries[pickled]) / 3
 
 
-def test_a_checkpoint_without_the_entry_says_what_it_holds(tmp_path: Path) -> None:
+def test_an_error_about_a_missing_entry_lists_the_entries(tmp_path: Path) -> None:
     bare = saved(tmp_path / "w.pth", {f"layer{i}.weight": torch.ones(1) for i in range(9)})
     message = refusal(bare)
     assert "'model_state_dict'" in message

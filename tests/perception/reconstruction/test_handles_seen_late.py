@@ -1,4 +1,4 @@
-"""Handles that the networks miss: bars in the height map, and lines that tell drawers."""
+"""Handles that the networks miss: bars in the height map, and lines of drawers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Box = tuple[float, float, float, float]
         ("door_left", (0.5, 0.4, 0.53, 0.7), "door_left"),
     ],
 )
-def test_a_bar_in_the_height_map_is_the_handle_and_tells_how_a_part_opens(
+def test_a_bar_in_the_height_map_is_the_handle_and_determines_the_kind(
     said: PartKind, bar: Box, kind: PartKind
 ) -> None:
     face = face_of(0.6, 0.6, 0.0)
@@ -41,7 +41,7 @@ def test_a_bar_in_the_height_map_is_the_handle_and_tells_how_a_part_opens(
     np.testing.assert_allclose(part.handle, bar, atol=0.01)
 
 
-def test_noise_is_no_bar() -> None:
+def test_noise_is_not_a_bar() -> None:
     face = face_of(0.6, 0.6, 0.0)
     face.height_map[:] = np.random.default_rng(0).normal(0.0, 0.012, face.height_map.shape)
     raised(face, (0.9, 0.7, 0.93, 0.95), 0.03)
@@ -49,7 +49,7 @@ def test_noise_is_no_bar() -> None:
     assert with_bar(face, part) == part
 
 
-def test_a_handle_that_stands_out_stays_and_no_depth_tells_nothing() -> None:
+def test_a_protruding_handle_stays_and_without_depth_nothing_changes() -> None:
     face = face_of(0.6, 0.6, 0.0)
     raised(face, (0.9, 0.7, 0.93, 0.95), 0.03)
     raised(face, (0.1, 0.1, 0.2, 0.12), 0.015)
@@ -59,7 +59,7 @@ def test_a_handle_that_stands_out_stays_and_no_depth_tells_nothing() -> None:
     assert with_bar(face_of(0.6, 0.6), bare) == bare
 
 
-def test_a_bar_is_the_handle_and_not_a_label() -> None:
+def test_a_bar_replaces_a_label_as_the_handle() -> None:
     face = face_of(0.6, 0.6, 0.0)
     labeled = Part("door_left", WHOLE, 0.5, handle=(0.9, 0.6, 0.95, 0.8))
     assert with_bar(face, labeled) == labeled
@@ -73,7 +73,7 @@ def test_a_bar_is_the_handle_and_not_a_label() -> None:
 
 
 def gripped(rows: list[float], *, left: float = 0.4, wide: float = 0.2) -> FaceImage:
-    """A plain front of 0.5 x 0.8 m with faint handles at some heights, as shares from the top."""
+    """Return a plain 0.5 x 0.8 m front with faint handles at shares of the height, from the top."""
     face = face_of(0.5, 0.8)
     h, w = face.color.shape[:2]
     for row in rows:
@@ -91,9 +91,7 @@ def drawers_on(face: FaceImage, kind: PartKind = "door_right") -> tuple[Part, ..
     [([0.1, 0.4, 0.7], [0.1, 0.4, 0.7, 1.0]), ([1 / 6, 0.5, 5 / 6], [0.0, 1 / 3, 2 / 3, 1.0])],
     ids=["handles at the top", "handles in the middle"],
 )
-def test_grips_evenly_above_each_other_are_those_of_drawers(
-    rows: list[float], edges: list[float]
-) -> None:
+def test_evenly_stacked_handles_are_drawers(rows: list[float], edges: list[float]) -> None:
     found = drawers_on(gripped(rows))
     assert [part.kind for part in found] == ["drawer"] * 3
     np.testing.assert_allclose([part.box[1] for part in found], edges[:-1], atol=0.02)
@@ -104,7 +102,7 @@ def test_grips_evenly_above_each_other_are_those_of_drawers(
 
 
 def cabinet(rows: list[float]) -> tuple[FaceImage, Part, Part]:
-    """Handles on a front below a board farther back; two stretches of it taken for drawers."""
+    """Return handles on a front below a recessed board, and two stretches of it as drawers."""
     face = gripped(rows)
     face.height_map[:] = 0.0
     raised(face, (0.0, 0.0, 1.0, 0.08), -0.05)
@@ -124,7 +122,7 @@ def test_a_stack_is_found_from_any_stretch_of_it() -> None:
         assert all(part.kind == "drawer" for part in drawers)
 
 
-def test_parts_that_have_each_a_handle_of_the_stack_stay_as_they_are_seen() -> None:
+def test_parts_with_one_handle_of_the_stack_each_stay_unchanged() -> None:
     face, _, _ = cabinet([0.1, 0.4, 0.7])
     edges = [0.1, 0.39, 0.69, 0.98]
     parts = [Part("drawer", (0.02, top, 0.98, bottom), 0.8) for top, bottom in pairwise(edges)]
@@ -142,11 +140,11 @@ def test_parts_that_have_each_a_handle_of_the_stack_stay_as_they_are_seen() -> N
     ],
     ids=["two", "uneven", "a vent", "aside", "grooves"],
 )
-def test_other_lines_are_no_stack(face: FaceImage) -> None:
+def test_other_lines_are_not_a_stack(face: FaceImage) -> None:
     assert len(drawers_on(face)) == 1
 
 
-def test_a_line_that_is_shorter_than_the_handles_is_none_of_them() -> None:
+def test_a_line_shorter_than_the_handles_is_not_a_handle() -> None:
     face = gripped([0.1, 0.35, 0.6])
     h, w = face.color.shape[:2]
     face.color[round(0.85 * h), round(0.45 * w) : round(0.55 * w)] = 150

@@ -1,4 +1,4 @@
-"""Bars that stand out of the height map of a face."""
+"""Bars in the height map of a face."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WHOLE = (0.0, 0.0, 1.0, 1.0)
     ],
 )
 @pytest.mark.parametrize("beyond", [-0.3, np.nan, 0.12])
-def test_what_frays_where_a_face_ends_is_no_bar(
+def test_noise_at_the_end_of_a_face_is_not_a_bar(
     bar: tuple[float, float, float, float],
     part: tuple[float, float, float, float],
     beyond: float,

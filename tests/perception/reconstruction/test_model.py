@@ -1,4 +1,4 @@
-"""Models: parts open outward, about the true hinge, and hit nothing of their own piece."""
+"""Parts of models open outward, about the true hinge, without self-collision."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.joint_opening import opening_of
 from momapos.model.urdf.reader import read_urdf
-from momapos.perception.reconstruction.object_model import ModelConfig, furniture_model
+from momapos.perception.reconstruction.model_config import ModelConfig
+from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.reconstruction.part_motions import Beside
 from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.planning.grasps.handles import (
@@ -36,11 +37,11 @@ from momapos.planning.grasps.handles import (
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([1.0, -2.0, 0.9])
 AT_FRONT = ModelConfig(hinge_depth=0.0, tight_hinge_depth=0.0)
-"""Hinges at the front edge of their doors, as those of the drawn furniture."""
+"""Hinges at the front edge of their doors, as in the drawn furniture."""
 
 
 def detection(width: float, depth: float, height: float, yaw: float = 0.3) -> Detection:
-    """A fridge whose front is the -y side of its box."""
+    """Return a fridge whose front is the -y side of its box."""
     box = UprightBox(CENTER, np.array([width, depth, height]), yaw)
     return Detection("fridge", "fridge", 0.9, box, np.arange(3))
 
@@ -48,7 +49,7 @@ def detection(width: float, depth: float, height: float, yaw: float = 0.3) -> De
 def modeled(
     found: Detection, parts: list[Part], face: FaceImage | None = None
 ) -> tuple[Piece, SceneObject]:
-    """The piece that parts on the -y side give, and the object that its URDF reads as."""
+    """Return the piece with parts on the -y side, and the object read from its URDF."""
     width, _, height = found.box.size
     face = face or face_of(width, height)
     piece = furniture_model(found, found.box.yaw - np.pi / 2, face, parts)
@@ -56,7 +57,7 @@ def modeled(
 
 
 def read(piece: Piece) -> SceneObject:
-    """Write the URDF of a piece and read it again."""
+    """Write the URDF of a piece and read it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "piece.urdf"
         path.write_text(urdf_text(piece))
@@ -70,7 +71,7 @@ Boxes = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def boxes(item: SceneObject, links: list[str], values: dict[str, float]) -> Boxes:
-    """The collision boxes of links, in the world."""
+    """Return the collision boxes of links, in the world."""
     poses = item.link_poses(values)
     shapes = [(poses[n], s) for n in links for s in item.model.urdf.links[n].collisions]
     T = np.array([pose_ @ shape.T_link_geometry for pose_, shape in shapes])
@@ -78,7 +79,7 @@ def boxes(item: SceneObject, links: list[str], values: dict[str, float]) -> Boxe
 
 
 def deepest(a: Boxes, b: Boxes) -> float:
-    """The greatest depth [m] of a box of one set in one of the other, by all 15 axes."""
+    """Return the maximum penetration [m] between the boxes of two sets, by all 15 axes."""
     (c, R, h), (c2, R2, h2) = a, b
     n, m = len(c), len(c2)
     mine = np.broadcast_to(np.swapaxes(R, 1, 2)[:, None], (n, m, 3, 3))
@@ -95,7 +96,7 @@ def deepest(a: Boxes, b: Boxes) -> float:
 
 @given(front=fronts(), seed=st.none() | st.integers(0, 99), yaw=st.floats(-3, 3))
 @settings(max_examples=40, deadline=None)
-def test_a_random_front_opens_part_by_part_and_hits_nothing_of_its_own(
+def test_every_part_of_a_random_front_opens_without_self_collision(
     front: tuple[tuple[float, float, float], list[Part]], seed: int | None, yaw: float
 ) -> None:
     size, parts = front
@@ -137,7 +138,7 @@ def test_every_part_of_a_random_front_moves_out_of_it(
 
 @given(front=fronts(), yaw=st.floats(-3, 3))
 @settings(max_examples=25, deadline=None)
-def test_a_closed_model_fills_its_box_but_for_handles(
+def test_a_closed_model_fills_its_box_except_for_handles(
     front: tuple[tuple[float, float, float], list[Part]], yaw: float
 ) -> None:
     size, parts = front
@@ -173,9 +174,7 @@ HINGE = {
 
 
 @pytest.mark.parametrize(("kind", "value"), [*product(KINDS, [0.0, np.pi / 4, np.pi / 2])])
-def test_the_handle_goes_where_a_turn_about_the_true_hinge_takes_it(
-    kind: PartKind, value: float
-) -> None:
+def test_the_handle_rotates_about_the_true_hinge(kind: PartKind, value: float) -> None:
     found = detection(0.6, 0.5, 0.8)
     face = face_of(0.6, 0.8, 0.0)
     raised(face, BAR[kind], 0.05)
@@ -203,7 +202,7 @@ def test_the_handle_goes_where_a_turn_about_the_true_hinge_takes_it(
 
 
 @pytest.mark.parametrize("name", ["fridge", "oven", "dishwasher", "cabinet_left"])
-def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: str) -> None:
+def test_the_true_front_of_a_kitchen_piece_gives_the_true_handle_paths(name: str) -> None:
     item = load_scene("kitchen_small").object(name)
     joints = {j: r for j, r in item.model.joints.items() if has_handle(item.model, j)}
     _, out = opening_direction(item, next(iter(joints)))
@@ -268,7 +267,7 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
 
 
 @pytest.mark.parametrize("beside", [(None, 0.0), (0.0, None), (0.02, -0.1), (0.05, 1.0)])
-def test_a_hinge_lies_deeper_the_less_is_beside_it(beside: Beside) -> None:
+def test_the_depth_of_a_hinge_depends_on_its_neighbor(beside: Beside) -> None:
     parts = [
         Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9),
         Part("door_right", (0.5, 0.0, 1.0, 1.0), 0.9),
@@ -289,9 +288,7 @@ def test_a_hinge_lies_deeper_the_less_is_beside_it(beside: Beside) -> None:
 
 @pytest.mark.parametrize("out", [-0.1, 0.0, 0.02, 0.12, 0.3, np.inf])
 @pytest.mark.parametrize("kind", ["door_left", "door_right"])
-def test_a_door_beside_another_object_stays_clear_of_it_as_it_opens(
-    kind: PartKind, out: float
-) -> None:
+def test_an_opening_door_clears_the_neighboring_object(kind: PartKind, out: float) -> None:
     part, box = Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9), detection(0.5, 0.6, 0.9)
     piece = furniture_model(
         box, 0.3 - np.pi / 2, face_of(0.5, 0.9), [part], beside=(out, out)
@@ -312,7 +309,7 @@ def test_a_door_beside_another_object_stays_clear_of_it_as_it_opens(
             assert not (beside & (edges[:, 1] > -0.3 - out + 1e-9)).any()
 
 
-def test_a_hinge_beside_another_part_lies_as_deep_between_objects() -> None:
+def test_a_hinge_next_to_another_part_has_the_same_depth_between_objects() -> None:
     parts = [
         Part("drawer", (0.0, 0.0, 0.5, 1.0), 0.9),
         Part("door_left", (0.5, 0.0, 1.0, 1.0), 0.9),
@@ -356,7 +353,7 @@ def test_a_flap_turns_as_far_behind_its_front_over_another_part(below: bool) -> 
     assert motion.upper == np.pi / 2
 
 
-def test_a_scene_keeps_how_else_a_part_may_move_its_own_joint_first(tmp_path: Path) -> None:
+def test_a_scene_stores_the_hypotheses_of_a_part_its_own_joint_first(tmp_path: Path) -> None:
     odds: tuple[tuple[PartKind, float], ...] = (
         ("door_right", 0.6), ("drawer", 0.3), ("door_left", 0.097), ("door_up", 0.003)
     )  # fmt: skip
@@ -390,13 +387,13 @@ def test_parts_are_named_top_to_bottom_and_left_to_right() -> None:
     assert [part.name for part in only.parts] == ["body", "drawer"]
 
 
-def test_the_room_behind_a_door_is_empty() -> None:
+def test_the_space_behind_a_door_is_empty() -> None:
     _, item = modeled(detection(0.6, 0.6, 1.8), [Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)])
     room = (CENTER[None], rotation_about(UP, 0.3)[None], np.array([[0.27, 0.25, 0.87]]))
     assert deepest(room, boxes(item, ["body"], {})) < 0
 
 
-def test_what_does_not_open_is_closed_by_panels() -> None:
+def test_areas_that_do_not_open_are_closed_by_panels() -> None:
     _, item = modeled(detection(0.5, 0.35, 0.3), [Part("door_left", (0.0, 0.0, 0.7, 1.0), 0.9)])
     T = pose(CENTER, rotation_about(UP, 0.3))
     button = apply(T, np.array([[0.2, -0.17, 0.0]]))
@@ -407,7 +404,7 @@ def test_what_does_not_open_is_closed_by_panels() -> None:
 @pytest.mark.parametrize(
     ("height_map", "front", "thickness"), [(0.045, 0.045, 0.045), (0.0, 0.0, 0.02)]
 )
-def test_a_door_that_stands_proud_is_as_thick_as_it_stands_out(
+def test_a_protruding_door_is_as_thick_as_its_protrusion(
     height_map: float, front: float, thickness: float
 ) -> None:
     face = face_of(0.6, 1.8, height_map)
@@ -432,7 +429,7 @@ def test_any_upright_side_of_the_box_can_be_the_front(quarter: int) -> None:
 
 def test_a_face_of_another_side_is_refused() -> None:
     found = detection(0.6, 0.5, 0.8)
-    with pytest.raises(InputError, match="is it another side"):
+    with pytest.raises(InputError, match="this side of the box is"):
         furniture_model(found, 0.3, face_of(0.6, 0.8), [])
 
 

@@ -1,4 +1,4 @@
-"""The front network finds what is plain to see, and its records keep their promises."""
+"""The front network finds clear parts, and its results are valid."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HINGES = {"door_left": "door_right", "door_right": "door_left"}
 
 
 def cabinet(side: int = 360) -> FaceImage:
-    """Two drawers above two doors with dark knobs, painted flat."""
+    """Return two drawers above two doors with dark knobs, painted flat."""
     image = np.full((side, side, 3), 205, np.uint8)
     scale = side / 360
 
@@ -41,7 +41,7 @@ def cabinet(side: int = 360) -> FaceImage:
 
 
 def wall() -> FaceImage:
-    """A bare wall."""
+    """Return a bare wall."""
     noise = np.random.default_rng(0).normal(180, 3, (200, 300, 3))
     return FaceImage(noise.astype(np.uint8), np.zeros((200, 300), np.float32), 3.0, 2.0)
 
@@ -76,7 +76,7 @@ def test_a_mirror_swaps_the_hinges() -> None:
     assert kinds == swapped
 
 
-def test_parts_come_surest_first_within_the_face_and_apart() -> None:
+def test_parts_are_sorted_by_score_within_the_face_and_disjoint() -> None:
     front = FrontNetwork()(cabinet(), "cabinet")
     boxes = np.array([part.box for part in front.parts])
     assert boxes.min() >= 0.0
@@ -93,7 +93,7 @@ def test_parts_come_surest_first_within_the_face_and_apart() -> None:
             assert part.box[1] <= top < bottom <= part.box[3]
 
 
-def test_the_same_face_gives_the_same_answer_at_any_time() -> None:
+def test_the_same_face_always_gives_the_same_result() -> None:
     first, again = (FrontNetwork()(cabinet(), "cabinet") for _ in range(2))
     assert first == again
 
@@ -112,10 +112,10 @@ def test_an_empty_face_is_refused(shape: tuple[int, int]) -> None:
         FrontNetwork()(face, "fridge")
 
 
-def test_a_missing_runtime_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_about_a_missing_runtime_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     network._session.cache_clear()
-    with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
+    with pytest.raises(MissingExtraError, match="onnxruntime is not installed; pip install"):
         FrontNetwork()
 
 
@@ -126,9 +126,7 @@ BOXES = hnp.arrays(float, (6, 2, 2), elements=st.floats(0, 1)).map(
 
 @settings(max_examples=40, deadline=None)
 @given(BOXES, hnp.arrays(float, 6, elements=st.floats(0, 1)), st.floats(0.2, 0.9))
-def test_what_is_kept_of_overlapping_boxes_is_apart(
-    boxes: np.ndarray, scores: np.ndarray, limit: float
-) -> None:
+def test_kept_boxes_do_not_overlap(boxes: np.ndarray, scores: np.ndarray, limit: float) -> None:
     kept = decode.distinct(boxes, scores, limit, nested=True)
     common = decode.overlaps(boxes[kept], boxes[kept])[1]
     np.fill_diagonal(common, 0.0)

@@ -1,4 +1,4 @@
-"""Laws of parts that stand open in the only scan."""
+"""Parts that stand open in the only scan."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from momapos.perception.reconstruction.open_parts import opened_piece
 
 
 def cupboard(kind: PartKind) -> Piece:
-    """A cupboard of 0.6 x 0.5 x 0.8 m with two parts, its front toward -y."""
+    """Return a cupboard of 0.6 x 0.5 x 0.8 m with two parts, its front toward -y."""
     face = FaceImage(
         np.full((320, 240, 3), 200, np.uint8), np.zeros((320, 240), np.float32), 0.6, 0.8
     )
@@ -30,14 +30,14 @@ def cupboard(kind: PartKind) -> Piece:
 
 
 def left_leaf(value: float) -> OpenLeaf:
-    """The left one, its axis 1 cm behind the front."""
+    """Return the left leaf, its axis 1 cm behind the front."""
     along, out = np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
     pivot = np.array([0.0, 0.01, 0.0])
     return OpenLeaf(np.zeros(3), along, out, (0.3, 0.8), pivot, value, 0.02)
 
 
 @pytest.mark.parametrize("kind", ["door_left", "door_right", "drawer"])
-def test_the_part_that_stands_open_gets_the_joint_of_its_leaf_and_is_as_open(
+def test_an_open_part_gets_the_joint_and_angle_of_its_leaf(
     kind: PartKind,
 ) -> None:
     piece = cupboard(kind)

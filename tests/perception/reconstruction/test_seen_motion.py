@@ -1,4 +1,4 @@
-"""Laws of parts that were opened between two scans of a room."""
+"""Parts that were opened between two scans of a room."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ EDGES = {
     "door_left": (-0.29, -0.24, 0.0), "door_right": (0.29, -0.24, 0.0),
     "door_down": (0.0, -0.24, -0.39), "door_up": (0.0, -0.24, 0.39), "drawer": (0.0, 0.0, 0.0),
 }  # fmt: skip
-"""Where the axes truly are, in the frame of the piece [m]."""
+"""True positions of the axes, in the frame of the piece [m]."""
 
 
 def cupboard(kind: PartKind) -> Piece:
-    """A cupboard whose only part is taken for some kind."""
+    """Return a cupboard whose only part has an assumed kind."""
     pixels = (320, 240)
     color = np.full((*pixels, 3), 200, np.uint8)
     face = FaceImage(color, np.zeros(pixels, np.float32), 0.6, 0.8)
@@ -36,14 +36,14 @@ def cupboard(kind: PartKind) -> Piece:
 def sheet(
     across: tuple[float, float], up: tuple[float, float], y: float, side: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points every 1.5 cm of an upright sheet that faces along y, and their normals."""
+    """Return points every 1.5 cm on an upright sheet facing along y, and their normals."""
     x, z = np.meshgrid(np.arange(*across, 0.015), np.arange(*up, 0.015))
     points = np.stack([x.ravel(), np.full(x.size, y), z.ravel()], axis=1)
     return points, np.tile([0.0, side, 0.0], (len(points), 1))
 
 
 def clouds(piece: Piece, kind: PartKind, value: float, *, inside: bool) -> tuple[Cloud, Cloud]:
-    """The room with the part shut, and truly moved; a wall behind and a frame around it."""
+    """Return the room with the part closed, and moved; with a wall behind and a frame around it."""
     T_world_piece = pose(piece.xyz, rotation_about(UP, np.array(piece.yaw)))
     width, height = (-0.3, 0.3), (-0.4, 0.4)
     still = [sheet((-1.5, 1.5), (-0.5, 1.0), 0.26, -1.0), sheet(width, height, 0.2, -1.0)]
@@ -79,7 +79,7 @@ def clouds(piece: Piece, kind: PartKind, value: float, *, inside: bool) -> tuple
         ("drawer", 0.2),
     ],
 )
-def test_a_part_that_was_opened_gets_the_joint_that_it_was_opened_by(
+def test_an_opened_part_gets_the_observed_joint(
     kind: PartKind, value: float, taken: PartKind
 ) -> None:
     piece = cupboard(taken)
@@ -97,7 +97,7 @@ def test_a_part_that_was_opened_gets_the_joint_that_it_was_opened_by(
     assert np.linalg.norm(off) < (0.02 if kind != "drawer" else 1e-9)
 
 
-def test_a_flap_that_is_seen_from_inside_alone_tells_how_far_it_is_open() -> None:
+def test_the_angle_of_a_flap_is_found_from_its_inside_alone() -> None:
     piece = cupboard("door_down")
     found, seen = moved_piece(piece, *clouds(piece, "door_down", 1.3, inside=True))
     assert seen["door"].kind == "door_down"
@@ -108,14 +108,14 @@ def test_a_flap_that_is_seen_from_inside_alone_tells_how_far_it_is_open() -> Non
     assert new.motion.pivot == old.motion.pivot
 
 
-def test_a_part_that_did_not_move_is_left_as_it_is() -> None:
+def test_a_part_that_did_not_move_stays_unchanged() -> None:
     piece = cupboard("door_left")
     before, _ = clouds(piece, "door_left", 0.5, inside=False)
     found, seen = moved_piece(piece, before, before)
     assert (found.parts, seen) == (piece.parts, {})
 
 
-def test_a_front_that_is_out_of_sight_in_the_second_scan_did_not_move() -> None:
+def test_a_front_that_the_second_scan_does_not_show_stays_unchanged() -> None:
     piece = cupboard("door_left")
     before, after = clouds(piece, "door_left", 1.0, inside=False)
     local = apply(invert(pose(piece.xyz, rotation_about(UP, np.array(piece.yaw)))), after.points)

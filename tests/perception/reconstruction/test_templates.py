@@ -1,4 +1,4 @@
-"""Guesses by label: they fill the face, and their handles can be held."""
+"""Templates fill the face, and their handles can be grasped."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from momapos.model.records.scans import FaceImage, Front, Part, PartKind
 from momapos.perception.reconstruction.templates import (
     ALIASES,
-    GUESS,
     HANDLES,
+    SCORE,
     TEMPLATES,
     TemplatePredictor,
 )
@@ -67,7 +67,7 @@ def test_handles_lie_on_their_parts_away_from_the_hinge(
         }[part.kind]
 
 
-def test_each_label_opens_as_one_expects() -> None:
+def test_each_label_opens_in_the_usual_way() -> None:
     assert [part.kind for part in guess("fridge", 0.6, 0.85)] == ["door_right"]
     freezer, fridge = guess("fridge", 0.7, 1.8)
     assert freezer.box[3] == fridge.box[1] < 0.5
@@ -93,9 +93,9 @@ def test_drawers_stack(height: float, rows: int) -> None:
     np.testing.assert_allclose(tops, np.arange(rows) / rows)
 
 
-def test_all_scores_say_that_it_is_a_guess() -> None:
+def test_all_parts_have_the_score_of_a_guess() -> None:
     front = TemplatePredictor()(face(0.6, 1.8), "fridge")
-    assert {front.score, *(part.score for part in front.parts)} == {GUESS}
+    assert {front.score, *(part.score for part in front.parts)} == {SCORE}
 
 
 def test_an_unknown_label_has_no_parts() -> None:
@@ -103,7 +103,7 @@ def test_an_unknown_label_has_no_parts() -> None:
     assert TemplatePredictor()(face(0.6, 1.8), "") == Front(0.0, ())
 
 
-def test_other_names_and_spellings_mean_the_same() -> None:
+def test_synonyms_and_spellings_are_equivalent() -> None:
     assert set(ALIASES.values()) <= set(TEMPLATES)
     assert guess("Refrigerator", 0.7, 1.8) == guess("fridge", 0.7, 1.8)
     assert guess("wall_cabinet ", 1.0, 0.7) == guess("cabinet", 1.0, 0.7)

@@ -1,4 +1,4 @@
-"""What was taken for one part and has two handles is two parts."""
+"""A detected part with two handles is two parts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.perception.reconstruction.fronts import face_of, raised
 
 from momapos.core.geometry.line_detection import dark_lines
 from momapos.model.records.scans import FaceImage, Part, PartKind
-from momapos.perception.reconstruction.bars import by_bars, fractions, handles_on
+from momapos.perception.reconstruction.bars import divided_by_bars, fractions, handles_on
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)
 Box = tuple[float, float, float, float]
@@ -23,7 +23,7 @@ def level(y: float) -> Box:
 
 
 def front(*bars: Box) -> FaceImage:
-    """A plain front of 0.8 x 0.8 m with bars that stand out by 3 cm."""
+    """Return a plain front of 0.8 x 0.8 m with bars that protrude by 3 cm."""
     face = face_of(0.8, 0.8, 0.0)
     for bar in bars:
         raised(face, bar, 0.03)
@@ -32,7 +32,7 @@ def front(*bars: Box) -> FaceImage:
 
 def divided(face: FaceImage, *parts: Part) -> tuple[Part, ...]:
     lines = (dark_lines(face.color, axis) for axis in (1, 0))
-    return by_bars(face, parts, *lines)
+    return divided_by_bars(face, parts, *lines)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def divided(face: FaceImage, *parts: Part) -> tuple[Part, ...]:
         ((0.45, 0.95), ("door_left", "door_left")),
     ],
 )
-def test_a_door_with_two_upright_handles_is_two_alike_that_open_at_them(
+def test_a_door_with_two_upright_handles_is_two_similar_doors(
     places: tuple[float, float], kinds: tuple[PartKind, PartKind]
 ) -> None:
     bars = tuple(map(upright, places))
@@ -57,7 +57,7 @@ def test_a_door_with_two_upright_handles_is_two_alike_that_open_at_them(
         np.testing.assert_allclose(part.handle, bar, atol=0.01)
 
 
-def test_a_handle_that_noise_breaks_is_one() -> None:
+def test_a_handle_broken_by_noise_is_one_handle() -> None:
     face = front(upright(0.05), upright(0.95))
     for gap in ((0.0, 0.7, 0.1, 0.75), (0.0, 0.8, 0.1, 0.82)):
         raised(face, gap, 0.0)
@@ -67,7 +67,7 @@ def test_a_handle_that_noise_breaks_is_one() -> None:
     np.testing.assert_allclose(left.handle, upright(0.05), atol=0.01)
 
 
-def test_specks_in_line_are_no_handle() -> None:
+def test_specks_in_line_are_not_a_handle() -> None:
     specks = [(0.3 + 0.04 * k, 0.5, 0.305 + 0.04 * k, 0.505) for k in range(10)]
     face = front(upright(0.05), *specks)
     (bar,) = handles_on(face, Part("door_right", WHOLE, 0.5))
@@ -80,20 +80,20 @@ def test_three_handles_are_three_doors() -> None:
     np.testing.assert_allclose([p.box[0] for p in found], [0.0, 1 / 3, 2 / 3], atol=0.01)
 
 
-def test_two_level_handles_above_each_other_are_drawers() -> None:
+def test_stacked_level_handles_are_drawers() -> None:
     face = front(level(0.05), level(0.55))
     found = sorted(divided(face, Part("door_left", WHOLE, 0.5)), key=lambda part: part.box[1])
     assert [part.kind for part in found] == ["drawer", "drawer"]
     np.testing.assert_allclose(found[0].box, (0.0, 0.0, 1.0, 0.5), atol=0.01)
 
 
-def test_a_low_drawer_above_a_high_one_ends_where_both_handles_lie_alike() -> None:
+def test_drawers_of_different_heights_have_handles_at_the_same_place() -> None:
     face = front(level(0.05), level(0.35))
     found = sorted(divided(face, Part("drawer", WHOLE, 0.5)), key=lambda part: part.box[1])
     np.testing.assert_allclose([p.box[3] for p in found], [0.3, 1.0], atol=0.01)
 
 
-def test_a_seam_between_the_handles_tells_more_than_their_places() -> None:
+def test_a_visible_seam_overrides_the_places_of_handles() -> None:
     face = front(upright(0.05), upright(0.95))
     column = round(0.4 * face.color.shape[1])
     face.color[:, column : column + 2] //= 2
@@ -101,7 +101,7 @@ def test_a_seam_between_the_handles_tells_more_than_their_places() -> None:
     assert left.box[2] == right.box[0] == pytest.approx(0.4, abs=0.01)
 
 
-def test_handles_end_to_end_are_of_doors_above_each_other() -> None:
+def test_handles_end_to_end_belong_to_stacked_doors() -> None:
     bars = ((0.035, 0.2, 0.065, 0.45), (0.035, 0.65, 0.065, 0.9))
     face = front(*bars)
     part = Part("door_right", WHOLE, 0.5)
@@ -125,7 +125,7 @@ def test_handles_end_to_end_are_of_doors_above_each_other() -> None:
         (upright(0.9), upright(0.84)),
     ],
 )
-def test_a_handle_in_pieces_or_with_something_else_beside_it_is_one(bars: tuple[Box, ...]) -> None:
+def test_a_broken_handle_or_one_next_to_another_object_is_one_handle(bars: tuple[Box, ...]) -> None:
     part = Part("door_left", WHOLE, 0.5)
     assert divided(front(*bars), part) == (part,)
 
@@ -136,7 +136,7 @@ def test_a_flap_with_two_level_bars_of_one_width_is_two_drawers() -> None:
     assert [part.kind for part in found] == ["drawer", "drawer"]
 
 
-def test_a_flap_has_one_handle_and_a_neighbors_handle_is_none_of_a_part() -> None:
+def test_a_flap_has_one_handle_and_a_neighbors_handle_is_ignored() -> None:
     face = front(upright(0.05), upright(0.55))
     flap = Part("door_down", WHOLE, 0.5)
     assert divided(face, flap) == (flap,)

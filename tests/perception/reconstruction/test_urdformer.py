@@ -1,4 +1,4 @@
-"""URDFormer: its layers and habits, its grid, and the files that its authors published."""
+"""URDFormer: its layers and peculiarities, its grid, and its authors' files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 from tests import optional
-from tests.reconstruction import urdformer_twin
+from tests.perception.reconstruction import urdformer_twin
 
 from momapos.core.errors import FileFormatError, InputError, MissingExtraError, UrdfError
 from momapos.model.records.scans import FaceImage, Front, Part
@@ -150,7 +150,7 @@ def test_a_handle_without_a_part_goes_to_the_smallest_one_around_it() -> None:
     np.testing.assert_allclose(drawer.handle, (0.2, 0.7, 0.3, 0.8))
 
 
-def test_what_has_no_counterpart_is_left_out() -> None:
+def test_classes_without_a_counterpart_are_dropped() -> None:
     shown = prediction(
         ("none", (0, 0), (6, 6), -1),
         ("drawer", (3, 3), (3, 6), -1),
@@ -160,7 +160,7 @@ def test_what_has_no_counterpart_is_left_out() -> None:
     assert [part.kind for part in to_parts(shown, np.full((4, 4), 0.1))] == ["door_left"]
 
 
-def test_of_two_handles_the_likelier_one_is_kept() -> None:
+def test_the_more_probable_of_two_handles_is_kept() -> None:
     boxes = np.array([[0, 0, 1, 1], [0, 0, 0.1, 0.1], [0, 0, 0.2, 0.2]])
     shown = prediction(
         ("drawer", (0, 0), (12, 12), -1), ("handle", (6, 6), (7, 7), 0), ("knob", (6, 6), (7, 7), 0)
@@ -180,7 +180,7 @@ def rows() -> st.SearchStrategy[Any]:
 
 @given(rows(), st.integers(0, 2**32 - 1))
 @settings(max_examples=150, deadline=None)
-def test_parts_keep_to_the_grid_and_handles_to_their_parts(shown: Any, seed: int) -> None:
+def test_parts_lie_on_the_grid_and_handles_on_their_parts(shown: Any, seed: int) -> None:
     rng = np.random.default_rng(seed)
     boxes = rng.uniform(0.0, 0.5, (6, 4))
     for part in to_parts(prediction(*shown), boxes):
@@ -224,7 +224,7 @@ def mirror(box: Rectangle) -> Rectangle:
 # ---------------------------------------------------------------- the predictor
 
 
-def test_the_network_gets_the_boxes_that_the_other_predictor_found() -> None:
+def test_the_network_gets_the_boxes_of_the_other_predictor() -> None:
     asked: list[np.ndarray] = []
 
     def network(image: np.ndarray, boxes: np.ndarray) -> Logits:
@@ -243,7 +243,7 @@ def test_the_network_gets_the_boxes_that_the_other_predictor_found() -> None:
     assert not asked[0][2:].any()
 
 
-def test_without_boxes_the_network_is_not_asked() -> None:
+def test_the_network_does_not_run_without_boxes() -> None:
     def network(_image: np.ndarray, _boxes: np.ndarray) -> Logits:
         raise AssertionError("asked")
 
@@ -251,7 +251,7 @@ def test_without_boxes_the_network_is_not_asked() -> None:
     assert UrdformerPredictor(network, np.zeros((0, 4)))(face(), "x") == Front(1.0, ())
 
 
-def test_of_too_many_parts_the_best_are_asked_for() -> None:
+def test_only_the_best_of_too_many_parts_are_used() -> None:
     def network(_image: np.ndarray, boxes: np.ndarray) -> Logits:
         assert boxes[:, 3].min() > 0.0
         return logits_of(prediction(*[("drawer", (0, 0), (6, 6), -1)] * SLOTS))
@@ -264,7 +264,7 @@ def test_of_too_many_parts_the_best_are_asked_for() -> None:
         UrdformerPredictor(network, np.full((33, 4), 0.1))(face(), "cabinet")
 
 
-def test_a_image_is_squeezed_and_normalized() -> None:
+def test_an_image_is_resized_and_normalized() -> None:
     color = np.zeros((50, 200, 3), np.uint8)
     color[:, :100] = (255, 0, 0)
     color[:, 100:] = (0, 0, 255)
@@ -307,7 +307,7 @@ def expected_names() -> set[str]:
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A file like the authors' one, with random weights."""
+    """Return a file like the authors', with random weights."""
     torch = optional.module("torch")
     from momapos.perception.reconstruction.urdformer_model import Urdformer
 
@@ -384,17 +384,17 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
 
 def test_torch_is_loaded_only_with_a_checkpoint() -> None:
     modules = ("urdformer", "urdformer_files", "checkpoint", "templates")
-    loading = "; ".join(f"import momapos.reconstruction.{name}" for name in modules)
+    loading = "; ".join(f"import momapos.perception.reconstruction.{name}" for name in modules)
     code = f"import sys; {loading}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_what_is_not_installed_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_about_a_missing_package_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtraError, match=r"momapos\[torch\]"):
+    with pytest.raises(MissingExtraError, match="torch is not installed; pip install"):
         load_urdformer(Path("part.pth"))
     monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
+    with pytest.raises(MissingExtraError, match="is not installed; pip install"):
         prepare_image(face().color)
 
 
@@ -510,7 +510,7 @@ def test_handles_in_the_authors_urdfs_lie_near_labeled_ones(shared: Path) -> Non
     assert np.mean(near) > 0.75
 
 
-def test_each_photo_has_the_kinds_that_one_sees(shared: Path) -> None:
+def test_each_photo_has_the_visible_kinds(shared: Path) -> None:
     kinds = [p.kind for p in read_predicted_urdf(shared / "cabinet_photos" / "label13.urdf")]
     assert kinds == ["drawer", "drawer", "door_left", "door_right"]
 
@@ -574,9 +574,9 @@ def test_a_handle_on_its_side_is_wide(tmp_path: Path) -> None:
     [
         ("", "not well-formed"),
         ("<robot", "not well-formed"),
-        ("<sdf/>", "not a <robot>"),
+        ("<sdf/>", "must be a <robot>"),
         ("<!DOCTYPE r [<!ENTITY a 'b'>]><robot>&a;</robot>", "entities"),
-        ("<robot name='r'/>", "has 0 root links"),
+        ("<robot name='r'/>", "must have one root link, not 0"),
         ("<robot><link name='a'/></robot>", "link 'a' has no mesh"),
         ("<robot>" + link("a", "m.obj", "1 2") + "</robot>", "must be 3 finite numbers"),
         ("<robot>" + link("a", "m.obj", "1 nan 1") + "</robot>", "must be 3 finite numbers"),
@@ -594,7 +594,7 @@ def test_a_urdf_that_is_not_urdformers_is_refused(tmp_path: Path, text: str, sai
     assert "\n" not in str(caught.value)
 
 
-def test_boxes_come_back_as_they_were_written(tmp_path: Path) -> None:
+def test_written_boxes_are_read_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "boxes.json"
     rows = [[0.1, 0.2, 0.3, 0.4], [0.0, 0.0, 1.0, 1.0]]
     path.write_text(json.dumps({"part_boxes_yxhw_normalized": rows}))
@@ -608,8 +608,8 @@ def test_boxes_come_back_as_they_were_written(tmp_path: Path) -> None:
     [
         ("", "damaged JSON"),
         ("[" * 100_000, "damaged JSON"),
-        ("[]", "has no list 'part_boxes_yxhw_normalized'"),
-        ('{"part_boxes_yxhw_normalized": 3}', "has no list"),
+        ("[]", "'part_boxes_yxhw_normalized' must be a list"),
+        ('{"part_boxes_yxhw_normalized": 3}', "must be a list"),
         ('{"part_boxes_yxhw_normalized": [[0, 0, 1]]}', "box 0 must be top, left, height, width"),
         ('{"part_boxes_yxhw_normalized": [[0, 0, 1, 1], [0, 0.5, 1, 1]]}', "box 1 must be"),
         ('{"part_boxes_yxhw_normalized": [[0, 0, 0, 1]]}', "box 0 must be"),

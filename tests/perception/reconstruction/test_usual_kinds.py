@@ -1,4 +1,4 @@
-"""What a thing is called tells how its doors usually open."""
+"""Labels and heights change the probabilities of part kinds."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from hypothesis import strategies as st
 from momapos.model.records.scans import FaceImage, Part, PartKind
 from momapos.perception.reconstruction import decode
 from momapos.perception.reconstruction.usual_kinds import (
-    EYES,
+    EYE_HEIGHT,
     HIGH,
-    LEARNT,
     LOW,
+    TRAINING_SHARES,
     USUAL,
-    weighed,
-    weighed_by_height,
+    weighted_by_height,
+    weighted_by_label,
 )
 
 BOX = (0.0, 0.0, 1.0, 1.0)
 
 
 def seen(odds: dict[PartKind, float]) -> Part:
-    """A part that opens by these odds."""
+    """Return a part with these odds."""
     ranked = decode.ranked(odds)
     return Part(ranked[0][0], BOX, 0.8, None, ranked)
 
@@ -33,28 +33,30 @@ LIKE_A_DRAWER = seen(
 )
 
 
-@pytest.mark.parametrize("shares", [LEARNT, HIGH, LOW, *USUAL.values()])
+@pytest.mark.parametrize("shares", [TRAINING_SHARES, HIGH, LOW, *USUAL.values()])
 def test_shares_of_the_kinds_are_of_all_kinds_and_sum_to_one(shares: dict[PartKind, float]) -> None:
     assert set(shares) == set(decode.KINDS)
     assert sum(shares.values()) == pytest.approx(1.0)
     assert min(shares.values()) > 0.0
 
 
-def test_what_looks_like_a_drawer_is_the_flap_of_an_oven() -> None:
-    (part,) = weighed([LIKE_A_DRAWER], "Stove", 1.0)
+def test_an_apparent_drawer_of_an_oven_is_its_flap() -> None:
+    (part,) = weighted_by_label([LIKE_A_DRAWER], "Stove", 1.0)
     assert part.kind == "door_down"
     odds = dict(part.odds)
     before, usual = dict(LIKE_A_DRAWER.odds), USUAL["oven"]
-    # Bayes' rule: ratios of two kinds change by the ratio of how much likelier each has become.
-    ratio = (usual["door_down"] / LEARNT["door_down"]) / (usual["drawer"] / LEARNT["drawer"])
+    # Bayes' rule: the ratio of two kinds changes by the ratio of their likelihoods.
+    ratio = (usual["door_down"] / TRAINING_SHARES["door_down"]) / (
+        usual["drawer"] / TRAINING_SHARES["drawer"]
+    )
     assert odds["door_down"] / odds["drawer"] == pytest.approx(
         ratio * before["door_down"] / before["drawer"]
     )
 
 
-def test_what_is_clear_is_not_changed_by_a_label_that_may_be_wrong() -> None:
+def test_an_uncertain_label_does_not_change_a_clear_kind() -> None:
     clear = seen({"door_left": 0.95, "door_right": 0.02, "drawer": 0.02, "door_down": 0.01})
-    (part,) = weighed([clear], "oven", 0.4)
+    (part,) = weighted_by_label([clear], "oven", 0.4)
     assert part.kind == "door_left"
 
 
@@ -63,31 +65,31 @@ def test_what_is_clear_is_not_changed_by_a_label_that_may_be_wrong() -> None:
     st.sampled_from(sorted(USUAL)),
     st.floats(0.0, 1.0),
 )
-def test_odds_stay_odds_and_their_first_is_the_kind(
+def test_weighted_odds_sum_to_one_and_the_first_is_the_kind(
     raw: list[float], label: str, sure: float
 ) -> None:
     odds = {kind: value / sum(raw) for kind, value in zip(decode.KINDS, raw, strict=True)}
-    (part,) = weighed([seen(odds)], label, sure)
+    (part,) = weighted_by_label([seen(odds)], label, sure)
     assert sum(share for _, share in part.odds) == pytest.approx(1.0)
     assert part.kind == part.odds[0][0]
     assert part.odds == decode.ranked(dict(part.odds))
 
 
 @pytest.mark.parametrize(("label", "sure"), [("cabinet", 1.0), ("", 1.0), ("microwave", 0.0)])
-def test_a_label_that_tells_nothing_changes_nothing(label: str, sure: float) -> None:
-    (part,) = weighed([LIKE_A_DRAWER], label, sure)
+def test_labels_without_known_shares_change_nothing(label: str, sure: float) -> None:
+    (part,) = weighted_by_label([LIKE_A_DRAWER], label, sure)
     assert dict(part.odds) == pytest.approx(dict(LIKE_A_DRAWER.odds))
     bare = Part("drawer", BOX, 0.8)
-    assert weighed([bare], label, sure) == (bare,)
+    assert weighted_by_label([bare], label, sure) == (bare,)
 
 
-def test_nothing_slides_above_the_eyes_and_nothing_is_lifted_below_them() -> None:
+def test_drawers_are_improbable_above_eye_level_and_lifted_doors_below_it() -> None:
     face = FaceImage(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0.6, 0.8)
     level = {"drawer": 0.4, "door_up": 0.4, "door_left": 0.1, "door_right": 0.09, "door_down": 0.01}
     odds = decode.ranked(level)
     upper = Part("drawer", (0.0, 0.0, 1.0, 0.5), 0.8, None, odds)
     lower = Part("door_up", (0.0, 0.5, 1.0, 1.0), 0.8, None, odds)
-    high, low = weighed_by_height([upper, lower], face, EYES - 0.4)
+    high, low = weighted_by_height([upper, lower], face, EYE_HEIGHT - 0.4)
     assert (high.kind, low.kind) == ("door_up", "drawer")
     assert sum(share for _, share in high.odds) == pytest.approx(1.0)
-    assert weighed_by_height([upper], face, EYES - 0.7)[0].kind == "drawer"
+    assert weighted_by_height([upper], face, EYE_HEIGHT - 0.7)[0].kind == "drawer"

@@ -1,4 +1,4 @@
-"""URDFormer's network a second time, in numpy alone."""
+"""Reference implementation of URDFormer's network in numpy."""
 
 from __future__ import annotations
 

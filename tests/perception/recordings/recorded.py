@@ -16,7 +16,7 @@ K = np.array([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]])
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One frame as it was taken; depth in whole millimeters."""
+    """One frame; depth in whole millimeters."""
 
     color: np.ndarray
     depth: np.ndarray
@@ -24,7 +24,7 @@ class Shot:
 
 
 def shots(count: int, seed: int = 0) -> list[Shot]:
-    """Frames of a room that is between 2.5 and 4 m away, with a hole in each depth image."""
+    """Return frames of a room at 2.5 to 4 m, with a hole in each depth image."""
     rng = np.random.default_rng(seed)
     taken = []
     for _ in range(count):
@@ -80,7 +80,7 @@ def write_tum(folder: Path, taken: list[Shot], *, late: float = 0.004, every: fl
             Image.fromarray(image).save(folder / name / f"{at:.6f}.png")
             lists[name].append(f"{at:.6f} {name}/{at:.6f}.png")
         values = [*shot.T_world_camera[:3, 3], *_quaternion(shot.T_world_camera)]
-        # Poses are recorded by another clock tick: one before the image and one after it.
+        # Poses have other times: one before the image and one after it.
         for at in (time + late - 0.01, time + late + 0.01):
             poses.append(f"{at:.6f} " + " ".join(f"{v:.9f}" for v in values))
     for name, rows in (*lists.items(), ("groundtruth", poses)):

@@ -1,4 +1,4 @@
-"""Recordings: what rosbags writes is what is read, in every container."""
+"""Recordings written by rosbags are read in every container."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CONTAINERS = ("ros1", "sqlite", "mcap", "mcap file")
 
 @dataclass(frozen=True)
 class Setting:
-    """What is recorded, and how."""
+    """Contents and encoding of a recording."""
 
     depth_topic: str = DEPTH
     color_topic: str = COLOR
@@ -45,13 +45,13 @@ class Setting:
     color_encoding: str = "rgb8"
     omit: frozenset[str] = frozenset()
     lag: int = 0
-    """Of color after depth [ns]."""
+    """Delay of color after depth [ns]."""
     moving: tuple[int, int] = (-1, 2)
-    """The robot's odometry is known from so many steps before the first to after the last."""
+    """Steps before the first and after the last frame for which odometry is known."""
 
 
 class Recorder:
-    """Makes messages of a ROS version and writes them in a container."""
+    """Creates messages of a ROS version and writes them to a container."""
 
     def __init__(self, path: Path, container: str) -> None:
         self.ros1 = container == "ros1"
@@ -100,7 +100,7 @@ def png(pixels: np.ndarray) -> np.ndarray:
 def add_image(
     recorder: Recorder, topic: str, stamp: int, frame: str, encoding: str, pixels: np.ndarray
 ) -> None:
-    """Add a raw image, its rows padded; or a compressed one, where the encoding says so."""
+    """Add a raw image with padded rows, or a compressed one, depending on the encoding."""
     header = recorder.header(stamp, frame)
     if " " in encoding:
         data = png(pixels)
@@ -150,7 +150,7 @@ T_BASE_CAMERA[:3, 3] = [0.1, 0.0, 1.2]
 
 
 def base_at(steps: float) -> np.ndarray:
-    """A robot that drives along x at 1 m and turns by 0.2 rad a step."""
+    """Return the pose of a robot that drives 1 m along x and turns by 0.2 rad per step."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("z", 0.2 * steps).as_matrix()
     T[0, 3] = steps
@@ -184,7 +184,7 @@ def record(path: Path, container: str, taken: list[Shot], setting: Setting) -> P
     if "tf" not in setting.omit:
         add_transform(recorder, "/tf_static", START, "base_link", OPTICAL, T_BASE_CAMERA)
         first, after = setting.moving
-        # Half-way between the images, so that every pose is interpolated.
+        # Halfway between the images, so that every pose is interpolated.
         for step in np.arange(first, len(taken) - 1 + after) + 0.5:
             add_transform(
                 recorder, "/tf", START + int(step * STEP), "odom", "base_link", base_at(step)
@@ -211,7 +211,7 @@ def add_info(recorder: Recorder, stamp: int) -> None:
 
 
 @pytest.mark.parametrize("container", CONTAINERS)
-def test_every_container_gives_back_images_and_interpolated_poses(
+def test_every_container_gives_images_and_interpolated_poses(
     tmp_path: Path, container: str
 ) -> None:
     taken = shots(5)
@@ -243,7 +243,7 @@ def test_every_encoding_gives_the_same_images(tmp_path: Path, depth: str, color:
         np.testing.assert_allclose(frame.depth, shot.depth / 1000, atol=1e-6)
 
 
-def test_chosen_frames_are_evenly_spaced_and_keep_their_partners(tmp_path: Path) -> None:
+def test_chosen_frames_are_evenly_spaced_and_keep_their_color_images(tmp_path: Path) -> None:
     taken = shots(9)
     path = record(tmp_path / "drive", "sqlite", taken, Setting(lag=STEP // 4))
     scan = read_scan(path, max_frames=3)
@@ -254,7 +254,7 @@ def test_chosen_frames_are_evenly_spaced_and_keep_their_partners(tmp_path: Path)
 
 @pytest.mark.parametrize("missing", ["depth", "color", "info", "tf"])
 @pytest.mark.parametrize("container", ["ros1", "mcap"])
-def test_a_recording_without_a_topic_is_refused_with_those_it_has(
+def test_an_error_about_a_missing_topic_lists_the_topics(
     tmp_path: Path, container: str, missing: str
 ) -> None:
     path = record(tmp_path / "drive", container, shots(1), Setting(omit=frozenset({missing})))
@@ -265,7 +265,7 @@ def test_a_recording_without_a_topic_is_refused_with_those_it_has(
         assert (topic in str(caught.value)) == (name != missing)
 
 
-def test_topics_that_names_do_not_tell_can_be_given(tmp_path: Path) -> None:
+def test_topics_with_ambiguous_names_can_be_given(tmp_path: Path) -> None:
     taken = shots(2)
     setting = Setting(depth_topic="/sensor/range", color_topic="/sensor/image")
     path = record(tmp_path / "drive", "mcap", taken, setting)
@@ -279,7 +279,7 @@ def test_the_fixed_frame_can_be_given_and_must_exist(tmp_path: Path) -> None:
     path = record(tmp_path / "drive", "mcap", shots(2), Setting())
     scan = read_scan(path, topics=BagTopics(fixed_frame="base_link"))
     np.testing.assert_allclose(scan.frames[1].T_world_camera, T_BASE_CAMERA, atol=1e-6)
-    assert "nothing in tf moves" in scan.warnings[0]
+    assert "no transform in tf moves" in scan.warnings[0]
     with pytest.raises(FileFormatError, match="'map'"):
         read_scan(path, topics=BagTopics(fixed_frame="map"))
 
@@ -297,7 +297,7 @@ def test_images_outside_the_time_of_tf_are_skipped_and_counted(tmp_path: Path) -
     path = record(tmp_path / "drive", "mcap", shots(6), Setting(moving=(2, 2)))
     scan = read_scan(path)
     assert [frame.name[11] for frame in scan.frames] == ["2", "3", "4", "5"]
-    assert "2 of 6 frames skipped for their pose" in scan.warnings[0]
+    assert "skipped 2 of 6 frames because of their pose" in scan.warnings[0]
     np.testing.assert_allclose(scan.frames[1].T_world_camera, base_at(3) @ T_BASE_CAMERA, atol=1e-6)
 
 
@@ -311,14 +311,14 @@ def test_a_broken_image_of_many_is_skipped_and_all_of_another_encoding_is_an_err
     path = spoilt(tmp_path / "drive", spoil)
     scan = read_scan(path)
     assert len(scan.frames) == 3
-    assert "1 of 4 frames skipped for their images" in scan.warnings[0]
+    assert "skipped 1 of 4 frames because of their images" in scan.warnings[0]
     yuv = record(tmp_path / "yuv", "mcap", shots(2), Setting(color_encoding="yuv422"))
     with pytest.raises(FileFormatError, match="encoding 'yuv422'; expected rgb8"):
         read_scan(yuv)
 
 
 def spoilt(path: Path, spoil: Callable[[Recorder], None]) -> Path:
-    """Record four shots, with something done to the messages before they are written."""
+    """Record four shots, with modified messages."""
     plain = Recorder.write
 
     def write(recorder: Recorder) -> Path:
@@ -331,7 +331,7 @@ def spoilt(path: Path, spoil: Callable[[Recorder], None]) -> Path:
 
 
 @pytest.mark.parametrize("container", CONTAINERS)
-def test_a_cut_recording_is_refused_by_name(tmp_path: Path, container: str) -> None:
+def test_a_truncated_recording_is_refused_by_name(tmp_path: Path, container: str) -> None:
     path = record(tmp_path / "drive", container, shots(3), Setting())
     file = path if path.is_file() else next(f for f in path.iterdir() if f.suffix != ".yaml")
     data = file.read_bytes()
@@ -342,7 +342,7 @@ def test_a_cut_recording_is_refused_by_name(tmp_path: Path, container: str) -> N
 
 
 @pytest.mark.parametrize("container", ["sqlite", "mcap"])
-def test_a_fifo_in_the_folder_of_a_recording_is_refused_and_not_waited_for(
+def test_a_fifo_in_the_folder_of_a_recording_is_refused_without_blocking(
     tmp_path: Path, container: str
 ) -> None:
     path = record(tmp_path / "drive", container, shots(1), Setting())
@@ -353,21 +353,21 @@ def test_a_fifo_in_the_folder_of_a_recording_is_refused_and_not_waited_for(
         read_scan(path)
 
 
-def test_a_recording_without_rosbags_names_the_extra(
+def test_an_error_about_missing_rosbags_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = record(tmp_path / "drive", "mcap", shots(1), Setting())
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
+    with pytest.raises(MissingExtraError, match="rosbags is not installed; pip install"):
         read_scan(path)
 
 
-def test_frames_in_a_circle_or_without_a_root_are_told() -> None:
+def test_frames_in_a_cycle_or_without_a_root_are_refused() -> None:
     tree = TransformTree()
     still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     tree.add(0, "a", "b", still, True)
     tree.add(0, "b", "a", still, True)
-    with pytest.raises(ValueError, match="circle"):
+    with pytest.raises(ValueError, match="cycle"):
         tree.chain("b", None)
     tree.add(0, "a", "c", (float("nan"), *still[1:]), True)
     tree.add(0, "a", "c", (*still[:6], 0.0), True)

@@ -1,4 +1,4 @@
-"""Which frames of a walk are read."""
+"""Choice of the frames of a recording."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ from momapos.perception.recordings.keyframes import choose, laplacian_variance, 
 
 
 def walk(steps: list[float]) -> np.ndarray:
-    """A straight walk by steps [m]."""
+    """Return a straight walk by steps [m]."""
     poses = np.tile(np.eye(4), (len(steps) + 1, 1, 1))
     poses[1:, 0, 3] = np.cumsum(steps)
     return poses
 
 
 @given(st.lists(st.floats(0, 0.1), min_size=1, max_size=300), st.integers(1, 60))
-def test_no_more_than_the_limit_in_order_and_each_once(steps: list[float], limit: int) -> None:
+def test_chosen_frames_are_unique_in_order_and_within_the_limit(
+    steps: list[float], limit: int
+) -> None:
     chosen = choose(walk(steps), limit)
     assert len(chosen) <= min(limit, len(steps) + 1)
     assert chosen == sorted(set(chosen))
@@ -32,13 +34,13 @@ def test_no_more_than_the_limit_in_order_and_each_once(steps: list[float], limit
         assert chosen == list(range(len(steps) + 1))
 
 
-def test_an_even_walk_is_read_evenly_from_its_first_frame_to_its_last() -> None:
+def test_frames_of_an_even_walk_are_chosen_evenly() -> None:
     assert choose(walk([0.1] * 20), 5) == [0, 5, 10, 15, 20]
     with pytest.raises(InputError, match="at least 1"):
         choose(walk([0.1]), 0)
 
 
-def test_who_stands_still_is_not_read_over_and_over() -> None:
+def test_few_frames_are_chosen_while_the_camera_rests() -> None:
     poses = walk([0.0] * 500 + [0.01] * 500)
     chosen = np.array(choose(poses, 100))
     assert (chosen < 500).sum() < 15
@@ -49,7 +51,7 @@ def test_who_stands_still_is_not_read_over_and_over() -> None:
     assert (np.array(choose(turning, 100)) < 500).sum() < 15
 
 
-def test_of_neighbors_the_sharpest_is_read() -> None:
+def test_the_sharpest_of_neighboring_frames_is_chosen() -> None:
     poses = walk([0.005] * 999)
     sharp = set(range(3, 1000, 5))
     chosen = choose(poses, 50, lambda k: float(k in sharp))
@@ -59,7 +61,7 @@ def test_of_neighbors_the_sharpest_is_read() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png"])
-def test_blur_is_told_from_small_decoded_images(suffix: str, tmp_path: Path) -> None:
+def test_blur_is_detected_in_small_decoded_images(suffix: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     scene = np.kron(rng.integers(0, 256, (24, 32, 3)), np.ones((20, 20, 1)))
     files = []

@@ -1,4 +1,4 @@
-"""Folders of posed images: what was recorded is what is read, and broken frames are counted."""
+"""Folders of posed images are read as written, and broken frames are counted."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def assert_same(frame: object, shot: Shot) -> None:
     np.testing.assert_allclose(frame.intrinsics, K)
 
 
-def test_every_layout_gives_back_the_frames_that_were_written(tmp_path: Path) -> None:
+def test_every_layout_is_read_as_written(tmp_path: Path) -> None:
     taken = shots(12)
     folders = [
         write_seven_scenes(tmp_path / "seven", taken),
@@ -49,12 +49,12 @@ def test_every_layout_gives_back_the_frames_that_were_written(tmp_path: Path) ->
             assert_same(frame, shot)
 
 
-def test_numbered_frames_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_numbered_frames_are_sorted_by_number(tmp_path: Path) -> None:
     folder = write_export(tmp_path / "scan", shots(12), {"intrinsic_color.txt": K})
     assert [frame.name for frame in read_scan(folder).frames] == [str(i) for i in range(12)]
 
 
-def test_fewer_frames_are_spread_over_the_walk_and_are_the_sharpest_there(tmp_path: Path) -> None:
+def test_chosen_frames_are_spread_over_the_walk_and_sharp(tmp_path: Path) -> None:
     taken = shots(21)
     for k, shot in enumerate(taken):
         if k % 5 != 2:
@@ -83,7 +83,7 @@ def test_a_sequence_of_7_scenes_without_intrinsics_gets_its_kinect_and_a_warning
     assert scan.frames[0].depth[100, 100] == 0
 
 
-def test_intrinsics_beside_the_sequences_are_found(tmp_path: Path) -> None:
+def test_intrinsics_next_to_the_sequences_are_found(tmp_path: Path) -> None:
     folder = write_seven_scenes(tmp_path / "seq-01", shots(1), intrinsics=False)
     np.savetxt(tmp_path / "camera-intrinsics.txt", K)
     scan = read_scan(folder)
@@ -92,14 +92,14 @@ def test_intrinsics_beside_the_sequences_are_found(tmp_path: Path) -> None:
 
 
 def image_of_rays(matrix: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Color that depends smoothly on where a pixel looks."""
+    """Return color that depends smoothly on the direction of a pixel."""
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
     return np.clip(128 + 120 * np.stack([x, y, x + y], -1), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0, 2.5])
-def test_color_is_brought_to_the_rays_of_depth(tmp_path: Path, factor: float) -> None:
+def test_color_is_resampled_to_the_rays_of_depth(tmp_path: Path, factor: float) -> None:
     K_color = scaled_intrinsics(K, (WIDTH, HEIGHT), (int(WIDTH * factor), int(HEIGHT * factor)))
     K_color[0, 2] += 1.5
     color = image_of_rays(K_color, int(WIDTH * factor), int(HEIGHT * factor))
@@ -128,14 +128,14 @@ def test_one_matrix_belongs_to_color_and_is_scaled_to_smaller_depth(tmp_path: Pa
     assert frame.color.shape[:2] == (HEIGHT, WIDTH)
 
 
-def test_color_that_sees_another_part_is_refused() -> None:
+def test_color_of_a_different_view_is_refused() -> None:
     aside = K.copy()
     aside[0, 2] += 25
-    with pytest.raises(ValueError, match="one view"):
+    with pytest.raises(ValueError, match="different views"):
         match_color(np.zeros((HEIGHT, WIDTH, 3), np.uint8), aside, K, (WIDTH, HEIGHT))
 
 
-def test_a_cloud_beside_the_frames_is_read_with_them(tmp_path: Path) -> None:
+def test_a_cloud_next_to_the_frames_is_read_with_them(tmp_path: Path) -> None:
     folder = write_export(tmp_path / "scan", shots(2), {"intrinsic_color.txt": K})
     points = np.random.default_rng(0).normal(size=(40, 3))
     write_ply(folder / "scene.ply", points)
@@ -176,11 +176,11 @@ def test_a_frame_with_a_bad_pose_is_skipped_and_counted_and_all_bad_is_an_error(
     scan = read_scan(folder)
     assert [frame.name[-1] for frame in scan.frames] == ["0", "2", "3"]
     (warning,) = scan.warnings
-    assert warning.startswith("1 of 4 frames skipped for their pose")
+    assert warning.startswith("skipped 1 of 4 frames because of their pose")
     assert "frame-000001.pose.txt" in warning
     for i in (0, 2, 3):
         spoil_pose(folder / f"frame-{i:06d}", text)
-    with pytest.raises(FileFormatError, match="none of its 4 frames can be used"):
+    with pytest.raises(FileFormatError, match="none of its 4 frames is usable"):
         read_scan(folder)
 
 
@@ -198,14 +198,14 @@ def test_a_broken_image_of_many_is_skipped_and_counted(
     file.unlink() if harm == "gone" else file.write_bytes(harmed[harm])
     scan = read_scan(folder)
     assert [frame.name[-1] for frame in scan.frames] == ["0", "1", "3", "4", "5"]
-    assert scan.warnings[0].startswith("1 of 6 frames skipped for their images")
+    assert scan.warnings[0].startswith("skipped 1 of 6 frames because of their images")
     assert file.name in scan.warnings[0]
 
 
 @pytest.mark.parametrize(
     ("factor", "says"), [(0.001, "meters or centimeters"), (16, "a unit finer")]
 )
-def test_depth_in_another_unit_is_refused_and_depth_scale_mends_it(
+def test_depth_in_another_unit_is_refused_unless_depth_scale_is_set(
     tmp_path: Path, factor: float, says: str
 ) -> None:
     taken = shots(2)
@@ -219,7 +219,7 @@ def test_depth_in_another_unit_is_refused_and_depth_scale_mends_it(
     assert len(read_scan(folder, depth_scale=1000 * factor).frames) == 2
 
 
-def test_depth_of_8_bits_is_refused_by_what_it_should_be(tmp_path: Path) -> None:
+def test_an_error_about_8_bit_depth_names_the_right_format(tmp_path: Path) -> None:
     folder = write_seven_scenes(tmp_path / "scan", shots(2))
     for i in range(2):
         Image.fromarray(np.full((HEIGHT, WIDTH), 7, np.uint8)).save(
@@ -245,7 +245,7 @@ def test_a_few_frames_of_another_size_are_skipped_and_a_fifth_is_an_error(
     if odd == 1:
         scan = read_scan(folder)
         assert len(scan.frames) == 9
-        assert "1 of 10 frames skipped for their size" in scan.warnings[0]
+        assert "skipped 1 of 10 frames because of their size" in scan.warnings[0]
     else:
         with pytest.raises(FileFormatError, match="different sizes"):
             read_scan(folder)
@@ -262,7 +262,7 @@ def test_bad_intrinsics_are_refused_by_name(tmp_path: Path, text: str) -> None:
 def test_intrinsics_of_another_size_are_refused(tmp_path: Path) -> None:
     folder = write_seven_scenes(tmp_path / "scan", shots(1))
     np.savetxt(folder / "camera-intrinsics.txt", [[585, 0, 320], [0, 585, 240], [0, 0, 1]])
-    with pytest.raises(FileFormatError, match="another size"):
+    with pytest.raises(FileFormatError, match="another image size"):
         read_scan(folder)
 
 
@@ -299,7 +299,7 @@ def test_integers_and_floats_become_meters_and_no_depth_becomes_zero(tmp_path: P
     np.testing.assert_allclose(images.to_meters(floats, 1.0), [[0, 0, 0, 2]])
 
 
-def test_the_real_kitchen_is_read_whole(shared: Path) -> None:
+def test_the_real_kitchen_is_read_completely(shared: Path) -> None:
     scan = read_scan(optional.there(shared / "redkitchen"))
     assert (len(scan.frames), scan.warnings) == (50, ())
     seen = np.concatenate([f.depth[f.depth > 0] for f in scan.frames if f.depth is not None])

@@ -1,4 +1,4 @@
-"""Instances from other programs: what was written is what is read, and no file runs code."""
+"""Instances from other programs are read as written, and no file runs code."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def write_archive(path: Path, program: bytes, data: bytes, compression: int = 0)
 
 
 def tensor_program(shape: tuple[int, ...], strides: tuple[int, ...], count: int) -> bytes:
-    """What torch.save writes for a float tensor, spelled out by hand."""
+    """Return what torch.save writes for a float tensor, built by hand."""
 
     def number(n: int) -> bytes:
         return b"J" + struct.pack("<i", n)
@@ -72,7 +72,7 @@ def tensor_program(shape: tuple[int, ...], strides: tuple[int, ...], count: int)
     return b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\n" + arguments + b"tR."
 
 
-def test_the_export_of_mask3d_comes_back_with_names_scores_and_members(
+def test_the_export_of_mask3d_is_read_with_names_scores_and_members(
     tmp_path: Path, masks: np.ndarray
 ) -> None:
     listing = write_mask3d(tmp_path, masks, ["24 0.9", "7 0.25", "5 1.0", "3 0.5"])
@@ -86,7 +86,7 @@ def test_the_export_of_mask3d_comes_back_with_names_scores_and_members(
         np.testing.assert_array_equal(instance.members, np.flatnonzero(column))
 
 
-def test_class_numbers_mean_the_200_classes_where_one_is_not_among_the_20(
+def test_class_numbers_outside_of_the_20_are_those_of_the_200(
     tmp_path: Path, masks: np.ndarray
 ) -> None:
     listing = write_mask3d(tmp_path, masks, ["59 0.9", "7 0.5", "9999 0.5"])
@@ -126,7 +126,7 @@ def test_a_bad_row_of_a_scene_file_is_refused_by_name(
 ) -> None:
     listing = write_mask3d(tmp_path, masks, ["24 0.9"])
     (tmp_path / "pred_mask" / "round.txt").symlink_to("round.txt")
-    # A first row that is right, for a NUL at the beginning tells a binary file.
+    # The first row is valid, because a NUL at the beginning means a binary file.
     first = "pred_mask/s_000.txt 24 0.9" + " " * 4096 + "\n" if "\0" in row else ""
     listing.write_text(first + row + "\n")
     with pytest.raises(FileFormatError, match=says):
@@ -158,7 +158,9 @@ def test_masks_of_another_cloud_are_refused_with_both_lengths(
         read_instances(tmp_path / "labels.txt", SIZE)
 
 
-def test_a_mask_file_of_anything_but_0_and_1_is_refused(tmp_path: Path, masks: np.ndarray) -> None:
+def test_a_mask_file_with_other_values_than_0_and_1_is_refused(
+    tmp_path: Path, masks: np.ndarray
+) -> None:
     listing = write_mask3d(tmp_path, masks, ["24 0.9"])
     for line in ("2", "0.5", "10", "yes"):
         (tmp_path / "pred_mask" / "s_000.txt").write_text("1\n" * (SIZE - 1) + line + "\n")
@@ -173,18 +175,20 @@ def test_a_tensor_of_another_cloud_is_refused_with_both_lengths(tmp_path: Path) 
         read_instances(path, SIZE)
 
 
-def test_masks_of_torch_name_what_to_install_where_it_is_not(
+def test_an_error_about_missing_torch_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_archive(tmp_path / "m.pt", tensor_program((SIZE, 4), (4, 1), 200), bytes(800))
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtraError, match=r"momapos\[torch\]"):
+    with pytest.raises(MissingExtraError, match="torch is not installed; pip install"):
         read_instances(path, SIZE)
 
 
 @needs_torch
 @pytest.mark.parametrize("kind", ["bool", "float32", "bfloat16", "int64", "uint8", "transposed"])
-def test_masks_saved_by_torch_come_back(tmp_path: Path, masks: np.ndarray, kind: str) -> None:
+def test_masks_saved_by_torch_are_read_unchanged(
+    tmp_path: Path, masks: np.ndarray, kind: str
+) -> None:
     import torch
 
     tensor = torch.from_numpy(masks)
@@ -211,7 +215,7 @@ def test_a_tensor_file_written_by_hand_is_read_as_one_by_torch(
 
 
 class Attack:
-    """Unpickled the usual way, it writes a file."""
+    """Writes a file when it is unpickled."""
 
     def __init__(self, target: Path) -> None:
         self.target = target
@@ -223,7 +227,7 @@ class Attack:
 @needs_torch
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 @pytest.mark.parametrize("protocol", [0, 1, 2, 4])
-def test_a_masks_file_that_would_run_code_is_refused_and_runs_none(
+def test_a_masks_file_that_would_run_code_is_refused_without_running_it(
     tmp_path: Path, protocol: int
 ) -> None:
     target = tmp_path / "run"
@@ -265,7 +269,7 @@ def test_a_tensor_of_an_absurd_shape_is_refused(
 
 
 @needs_torch
-def test_a_tensor_that_claims_more_numbers_than_its_archive_holds_is_refused(
+def test_a_tensor_larger_than_its_archive_is_refused(
     tmp_path: Path,
 ) -> None:
     path = write_archive(tmp_path / "m.pt", tensor_program((SIZE, 4), (4, 1), 2**30), bytes(800))
@@ -285,7 +289,7 @@ def test_a_tensor_that_is_not_dense_is_refused(tmp_path: Path) -> None:
 
 
 @needs_torch
-def test_other_things_saved_by_torch_are_refused(tmp_path: Path) -> None:
+def test_other_objects_saved_by_torch_are_refused(tmp_path: Path) -> None:
     for program in (pickle.dumps(OrderedDict(), 2), pickle.dumps((1, 2), 2), b"\x80\x02.", b""):
         path = write_archive(tmp_path / "other.pt", program, b"")
         with pytest.raises(FileFormatError, match=r"other\.pt"):
@@ -357,13 +361,13 @@ def test_an_array_that_ends_early_is_refused(tmp_path: Path) -> None:
         read_instances(path, SIZE)
 
 
-def test_a_fifo_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_fifo_is_refused_without_blocking(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "labels.npy")
     with pytest.raises(FileFormatError, match="fifo"):
         read_instances(tmp_path / "labels.npy", SIZE)
 
 
-def test_labels_that_are_no_integers_are_refused(tmp_path: Path) -> None:
+def test_labels_that_are_not_integers_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros(SIZE))
     (tmp_path / "b.txt").write_text("chair\n" * SIZE)
     (tmp_path / "c.txt").write_text("1.5\n" * SIZE)
@@ -384,7 +388,7 @@ def boxes(**changes: Any) -> dict[str, Any]:
     return {"format": "momapos-boxes", "version": 1, "boxes": [box]}
 
 
-def test_boxes_come_back_as_they_were_written(tmp_path: Path) -> None:
+def test_written_boxes_are_read_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "boxes.json"
     path.write_text(json.dumps(boxes()))
     (found,) = read_instances(path, SIZE)
@@ -408,7 +412,7 @@ def test_boxes_come_back_as_they_were_written(tmp_path: Path) -> None:
         ({"height": 1}, "only"),
     ],
 )
-def test_a_bad_box_is_refused_by_what_is_wrong(
+def test_an_error_about_a_bad_box_names_the_fault(
     tmp_path: Path, change: dict[str, Any], says: str
 ) -> None:
     path = tmp_path / "boxes.json"
@@ -418,7 +422,7 @@ def test_a_bad_box_is_refused_by_what_is_wrong(
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"format": 1}', '{"boxes": NaN}', "\0\0\0\0"])
-def test_files_that_are_nothing_of_the_kind_are_refused_by_name(tmp_path: Path, text: str) -> None:
+def test_unrelated_files_are_refused_by_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "what.json"
     path.write_text(text)
     with pytest.raises(FileFormatError, match=r"what\.json"):

@@ -1,4 +1,4 @@
-"""Poses held against depth: what is off is measured, and lost frames are found."""
+"""Poses are checked against depth: drift is measured, and lost frames are found."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from momapos.perception.recordings.scan_reader import read_scan
 
 K = np.array([[300.0, 0, 159.5], [0, 300.0, 119.5], [0, 0, 1]])
 LOW, HIGH = np.array([-2.0, -1.5, -1.2]), np.array([2.0, 1.5, 1.2])
-"""Corners of the room; a column stands in it."""
+"""Corners of the room and of a column in it."""
 
 
 def looking(angle: float, place: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """A level camera."""
+    """Return a level camera."""
     T = np.eye(4)
     c, s = np.cos(angle), np.sin(angle)
     T[:3, :3] = np.array([[s, 0, c], [-c, 0, s], [0, -1, 0]])
@@ -27,7 +27,7 @@ def looking(angle: float, place: tuple[float, float, float] = (0.0, 0.0, 0.0)) -
 
 
 def room(T: np.ndarray, name: str) -> Frame:
-    """Exact depth of an empty room with a column in each direction."""
+    """Return exact depth of an empty room with a column in each direction."""
     v, u = np.mgrid[:240, :320]
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], -1)
     ways = rays @ T[:3, :3].T
@@ -42,7 +42,7 @@ def room(T: np.ndarray, name: str) -> Frame:
 
 
 def told(frames: list[Frame], offsets: np.ndarray) -> list[Frame]:
-    """The frames with poses that are off."""
+    """Return the frames with offsets in their poses."""
     out = []
     for frame, off in zip(frames, offsets, strict=True):
         T = frame.T_world_camera.copy()
@@ -53,7 +53,7 @@ def told(frames: list[Frame], offsets: np.ndarray) -> list[Frame]:
 
 @pytest.fixture(scope="module")
 def rounds() -> list[Frame]:
-    """Two turns on the spot."""
+    """Return two turns on the spot."""
     angles = np.linspace(0, 4 * np.pi, 48, endpoint=False)
     return [
         room(looking(angle, (0.1 * np.cos(angle), 0, 0)), str(k)) for k, angle in enumerate(angles)
@@ -81,7 +81,7 @@ def test_drift_is_measured_where_a_place_is_seen_again(rounds: list[Frame], far:
 
 
 @pytest.mark.parametrize("off", [(0.12, -0.1, 0.0), (0.3, 0.4, 0.0), (0.0, -0.25, 0.1)])
-def test_a_frame_that_the_tracking_lost_is_found_and_no_other(rounds: list[Frame], off) -> None:
+def test_only_the_frame_with_a_wrong_pose_is_found(rounds: list[Frame], off) -> None:
     offsets = np.zeros((48, 3))
     offsets[17] = off
     check = check_poses(told(rounds, offsets))
@@ -89,18 +89,16 @@ def test_a_frame_that_the_tracking_lost_is_found_and_no_other(rounds: list[Frame
     assert check.lost == (17,)
 
 
-def test_a_place_that_is_seen_once_tells_no_drift(rounds: list[Frame]) -> None:
+def test_drift_is_unknown_without_a_second_visit(rounds: list[Frame]) -> None:
     check = check_poses(rounds[:12])
     assert check is not None
     assert check.drift is None
-    assert "not known" in check.text()
+    assert "drift is unknown" in check.text()
     assert check_poses(rounds[:1]) is None
     assert check_poses([replace(frame, depth=None) for frame in rounds]) is None
 
 
-def test_a_scan_says_what_was_measured_and_leaves_lost_frames_out(
-    rounds: list[Frame], tmp_path
-) -> None:
+def test_a_scan_reports_the_pose_check_and_drops_lost_frames(rounds: list[Frame], tmp_path) -> None:
     offsets = np.linspace(0, 0.2, 48)[:, None] * [0.6, 0.8, 0.0]
     offsets[17] += [0.15, -0.12, 0.0]
     taken = shots(48)
@@ -116,6 +114,6 @@ def test_a_scan_says_what_was_measured_and_leaves_lost_frames_out(
     scan = read_scan(folder)
     assert "frame-000017" not in [frame.name for frame in scan.frames]
     assert len(scan.frames) == 47
-    assert any("1 of 48 frames left out" in line for line in scan.warnings)
+    assert any("dropped 1 of 48 frames" in line for line in scan.warnings)
     assert any("drifted" in line for line in scan.warnings)
     assert len(scan.notes) == 1

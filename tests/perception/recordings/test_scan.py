@@ -1,4 +1,4 @@
-"""What a scan is, its content says; what is none is refused by name."""
+"""The format of a scan is detected from its content; other files are refused by name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from momapos.core.errors import FileFormatError, InputError
 from momapos.perception.recordings.scan_reader import read_scan
 
 
-def test_a_cloud_is_known_by_its_content_and_not_by_its_name(tmp_path: Path) -> None:
+def test_a_cloud_is_recognized_by_content_and_not_by_name(tmp_path: Path) -> None:
     points = np.random.default_rng(0).normal(size=(30, 3))
     path = write_ply(tmp_path / "room.dat", points)
     scan = read_scan(path)
@@ -21,7 +21,7 @@ def test_a_cloud_is_known_by_its_content_and_not_by_its_name(tmp_path: Path) -> 
     np.testing.assert_allclose(scan.cloud.points, points, atol=1e-6)
 
 
-def test_a_folder_with_one_cloud_is_that_cloud_and_with_two_is_a_question(tmp_path: Path) -> None:
+def test_a_folder_with_one_cloud_is_that_cloud_and_with_two_is_refused(tmp_path: Path) -> None:
     points = np.random.default_rng(0).normal(size=(30, 3))
     write_ply(tmp_path / "a.ply", points)
     scan = read_scan(tmp_path)
@@ -32,7 +32,7 @@ def test_a_folder_with_one_cloud_is_that_cloud_and_with_two_is_a_question(tmp_pa
         read_scan(tmp_path)
 
 
-def test_several_clouds_beside_frames_are_a_question_too(tmp_path: Path) -> None:
+def test_several_clouds_next_to_frames_are_refused(tmp_path: Path) -> None:
     folder = write_seven_scenes(tmp_path / "scan", shots(1))
     write_ply(folder / "a.ply", np.eye(3))
     write_ply(folder / "b.ply", np.eye(3))
@@ -41,7 +41,7 @@ def test_several_clouds_beside_frames_are_a_question_too(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x00" * 100, b"PK\x03\x04"])
-def test_a_file_that_is_no_scan_is_refused_with_what_would_be_right(
+def test_an_error_about_another_file_lists_the_accepted_formats(
     tmp_path: Path, content: bytes
 ) -> None:
     (tmp_path / "thing.ply").write_bytes(content)
@@ -53,11 +53,11 @@ def test_a_file_that_is_no_scan_is_refused_with_what_would_be_right(
 
 
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="is no scan"):
+    with pytest.raises(FileFormatError, match="not a scan"):
         read_scan(tmp_path)
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_depth_scale_that_is_no_scale_is_refused(tmp_path: Path, scale: float) -> None:
+def test_an_invalid_depth_scale_is_refused(tmp_path: Path, scale: float) -> None:
     with pytest.raises(InputError, match="depth_scale"):
         read_scan(tmp_path, depth_scale=scale)

@@ -1,4 +1,4 @@
-"""Clouds of a cupboard with a leaf that stands open, from boxes, and where they are empty."""
+"""Clouds and free space of a cupboard with an open leaf, made of boxes."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from momapos.model.records.open_leaf import OpenLeaf
 from momapos.model.records.scans import Cloud
 
 STEP = 0.015
-"""Between points [m]."""
+"""Point spacing [m]."""
 WALL = 0.018
 """Thickness of the cupboard's walls [m]."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A box that may be turned: what is in it is not empty, its faces are seen."""
+    """A box that may be turned: its inside is occupied, its faces are visible."""
 
     low: np.ndarray
     high: np.ndarray
@@ -48,13 +48,13 @@ class Solid:
 
 
 def others(axis: int) -> tuple[int, int]:
-    """The other two axes."""
+    """Return the other two axes."""
     return {0: (1, 2), 1: (0, 2), 2: (0, 1)}[axis]
 
 
 @dataclass(frozen=True)
 class Room:
-    """A few boxes before a wall at y = 0; people walk at y < 0."""
+    """A few boxes in front of a wall at y = 0; cameras are at y < 0."""
 
     solids: tuple[Solid, ...]
 
@@ -81,12 +81,12 @@ class Room:
 
 
 def box(low: tuple[float, ...], high: tuple[float, ...], T: np.ndarray | None = None) -> Solid:
-    """A solid."""
+    """Return a solid."""
     return Solid(np.array(low, float), np.array(high, float), np.eye(4) if T is None else T)
 
 
 def cupboard(leaf: OpenLeaf, *, hollow: bool = True) -> Room:
-    """A cupboard of 0.6 x 0.5 x 0.8 m whose front is y = -0.5, with one leaf, and a neighbor."""
+    """Return a 0.6 x 0.5 x 0.8 m cupboard whose front is y = -0.5, with one leaf and a neighbor."""
     x0, x1, y0, z0, z1 = 0.0, 0.6, -0.48, 0.4, 1.2
     body = [
         box((x0, y0, z0), (x0 + WALL, 0.0, z1)),
@@ -103,12 +103,12 @@ def cupboard(leaf: OpenLeaf, *, hollow: bool = True) -> Room:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = local, leaf.corner
     slab = box((0.0, -leaf.thickness, 0.0), (leaf.size[0], 0.0, leaf.size[1]),
-               invert(leaf.T_shut_open) @ T)  # fmt: skip
+               invert(leaf.T_closed_open) @ T)  # fmt: skip
     return Room((*body, neighbor, wall, slab))
 
 
 def leaf_of(kind: str, value: float) -> OpenLeaf:
-    """The leaf of the cupboard, its axis in the front at one of the edges."""
+    """Return the leaf of the cupboard, its axis in the front at one of the edges."""
     x0, x1, z0, z1 = 0.002, 0.598, 0.402, 1.198
     up, right, out = np.eye(3)[2], np.eye(3)[0], np.array([0.0, -1.0, 0.0])
     along = {"door_left": right, "door_right": -right, "door_down": up, "door_up": -up}[kind]

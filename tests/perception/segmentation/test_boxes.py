@@ -1,4 +1,4 @@
-"""Boxes: faces on surfaces, whatever sticks out of them or was never seen."""
+"""Faces of boxes lie on surfaces, despite protrusions and unseen sides."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from momapos.core.errors import InputError
 from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Instance
 from momapos.perception.segmentation.instance_boxes import BoxConfig, boxes, named, wall_detections
-from momapos.perception.segmentation.room_shell import Room, Wall
+from momapos.perception.segmentation.room_shell import RoomShell, Wall
 
-BACK_WALL = Room((Wall(1, -1.0, 1.0, -3.0, 3.0, 2.4),))
-NO_WALLS = Room()
+BACK_WALL = RoomShell((Wall(1, -1.0, 1.0, -3.0, 3.0, 2.4),))
+NO_WALLS = RoomShell()
 CRATE: Corners = ((0.2, -0.4, 0.0), (0.8, 0.2, 0.9))
 
 
 def whole(cloud: Cloud, label: str = "crate") -> Instance:
-    """All points as one instance."""
+    """Return all points as one instance."""
     return Instance(label, 0.9, np.arange(len(cloud.points)))
 
 
-def draw(cloud: Cloud, room: Room = NO_WALLS, config: BoxConfig | None = None) -> UprightBox:
-    """The box around all points."""
+def draw(cloud: Cloud, room: RoomShell = NO_WALLS, config: BoxConfig | None = None) -> UprightBox:
+    """Return the box around all points."""
     (detection,) = boxes(cloud, [whole(cloud)], room, config)
     return detection.box
 
@@ -40,7 +40,7 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(5)
 
 
-def test_a_crate_gets_the_box_it_is(rng: np.random.Generator) -> None:
+def test_a_crate_gets_its_true_box(rng: np.random.Generator) -> None:
     assert_close(draw(cloud_of([CRATE], rng)), CRATE, 0.004)
 
 
@@ -57,13 +57,13 @@ def test_far_points_do_not_grow_a_box(rng: np.random.Generator) -> None:
     stray_cloud = Cloud(
         stray, np.concatenate([cloud.normals, more]), np.zeros((len(stray), 3), np.uint8)
     )
-    (detection,) = boxes(stray_cloud, [whole(stray_cloud)], Room())
+    (detection,) = boxes(stray_cloud, [whole(stray_cloud)], RoomShell())
     assert_close(detection.box, CRATE, 0.006)
     assert len(np.intersect1d(detection.members, np.arange(len(cloud.points), len(stray)))) <= 1
 
 
 @pytest.mark.parametrize(("gap", "snaps"), [(0.06, True), (0.3, False)])
-def test_backs_near_a_wall_touch_it(gap: float, snaps: bool, rng: np.random.Generator) -> None:
+def test_backs_near_a_wall_snap_to_it(gap: float, snaps: bool, rng: np.random.Generator) -> None:
     crate: Corners = ((0.2, 0.3, 0.0), (0.8, 1.0 - gap, 0.9))
     box = draw(cloud_of([crate], rng), BACK_WALL)
     back = box.center[1] + box.size[1] / 2
@@ -71,14 +71,14 @@ def test_backs_near_a_wall_touch_it(gap: float, snaps: bool, rng: np.random.Gene
 
 
 @pytest.mark.parametrize(("bottom", "snaps"), [(0.08, True), (0.4, False)])
-def test_bottoms_near_the_floor_stand_on_it(
+def test_bottoms_near_the_floor_snap_to_it(
     bottom: float, snaps: bool, rng: np.random.Generator
 ) -> None:
     box = draw(cloud_of([((0.2, -0.4, bottom), (0.8, 0.2, 0.9))], rng))
     assert box.center[2] - box.size[2] / 2 == pytest.approx(0.0 if snaps else bottom, abs=0.005)
 
 
-def test_things_stand_on_what_is_below_them(rng: np.random.Generator) -> None:
+def test_objects_snap_to_the_surface_below(rng: np.random.Generator) -> None:
     cup = cloud_of([((0.4, -0.2, 0.93), (0.48, -0.12, 1.0))], rng)
     crate = cloud_of([CRATE], rng)
     both = Cloud(*(np.concatenate(pair) for pair in zip(_arrays(crate), _arrays(cup), strict=True)))
@@ -89,7 +89,7 @@ def test_things_stand_on_what_is_below_them(rng: np.random.Generator) -> None:
             Instance("cup", 1.0, np.arange(n, len(both.points))),
             Instance("crate", 1.0, np.arange(n)),
         ],
-        Room(),
+        RoomShell(),
     )
     box = next(d.box for d in found if d.label == "cup")
     assert box.center[2] - box.size[2] / 2 == pytest.approx(0.9, abs=0.005)
@@ -100,7 +100,7 @@ def _arrays(cloud: Cloud) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize("degrees", [-30.0, 4.0, 20.0])
-def test_things_that_are_turned_get_turned_boxes(degrees: float, rng: np.random.Generator) -> None:
+def test_turned_objects_get_turned_boxes(degrees: float, rng: np.random.Generator) -> None:
     angle = np.radians(degrees)
     cloud = cloud_of([((-0.5, -0.3, 0.0), (0.5, 0.3, 0.9))], rng)
     box = draw(_turned(cloud, angle))
@@ -111,7 +111,7 @@ def test_things_that_are_turned_get_turned_boxes(degrees: float, rng: np.random.
         np.testing.assert_allclose(box.center, [0.0, 0.0, 0.45], atol=0.01)
 
 
-def test_boxes_of_least_area_follow_a_small_turn_when_asked(rng: np.random.Generator) -> None:
+def test_oriented_boxes_follow_a_small_rotation(rng: np.random.Generator) -> None:
     cloud = _turned(cloud_of([((-0.5, -0.3, 0.0), (0.5, 0.3, 0.9))], rng), np.radians(4.0))
     box = draw(cloud, config=BoxConfig(oriented=True))
     assert np.degrees(box.yaw) == pytest.approx(4.0, abs=1.0)
@@ -136,7 +136,9 @@ def test_a_cup_seen_from_one_side_is_as_deep_as_it_is_wide(rng: np.random.Genera
     )
     n = len(crate.points)
     found = boxes(
-        cloud, [Instance("c", 1.0, np.arange(n)), Instance("cup", 1.0, n + np.arange(400))], Room()
+        cloud,
+        [Instance("c", 1.0, np.arange(n)), Instance("cup", 1.0, n + np.arange(400))],
+        RoomShell(),
     )
     cup = next(d.box for d in found if d.label == "cup")
     np.testing.assert_allclose(cup.size[:2], 0.09, atol=0.012)
@@ -144,7 +146,7 @@ def test_a_cup_seen_from_one_side_is_as_deep_as_it_is_wide(rng: np.random.Genera
 
 
 @pytest.mark.parametrize(("gap", "depth"), [(0.6, 0.5), (0.3, 0.3)])
-def test_a_microwave_of_which_only_the_front_was_seen_reaches_back_but_through_no_wall(
+def test_a_microwave_seen_from_the_front_extends_back_but_not_through_a_wall(
     gap: float, depth: float, rng: np.random.Generator
 ) -> None:
     n = 500
@@ -160,7 +162,7 @@ def test_a_microwave_of_which_only_the_front_was_seen_reaches_back_but_through_n
         Instance("crate", 1.0, np.arange(len(crate.points))),
         Instance("microwave", 1.0, members),
     ]
-    room = Room((Wall(1, -1.0, gap, -2.0, 2.0, 2.4),))
+    room = RoomShell((Wall(1, -1.0, gap, -2.0, 2.0, 2.4),))
     box = next(d.box for d in boxes(cloud, instances, room) if d.label == "microwave")
     assert box.size[1] == pytest.approx(depth, abs=0.02)
     assert box.center[1] - box.size[1] / 2 == pytest.approx(0.0, abs=0.01)
@@ -169,7 +171,7 @@ def test_a_microwave_of_which_only_the_front_was_seen_reaches_back_but_through_n
 def test_an_instance_that_is_only_a_box_keeps_it() -> None:
     given = UprightBox(np.array([1.0, -1.0, 1.5]), np.array([0.4, 0.3, 0.2]), 0.3)
     empty = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    (detection,) = boxes(empty, [Instance("lamp", 0.5, None, given)], Room())
+    (detection,) = boxes(empty, [Instance("lamp", 0.5, None, given)], RoomShell())
     np.testing.assert_allclose(detection.box.center, given.center)
     np.testing.assert_allclose(detection.box.size, given.size)
     assert (detection.name, detection.box.yaw) == ("lamp_1", 0.3)
@@ -193,7 +195,7 @@ def test_walls_become_boxes_behind_their_surface() -> None:
     assert wall.label == "wall"
 
 
-def test_members_that_are_no_indices_are_refused(rng: np.random.Generator) -> None:
+def test_members_that_are_not_indices_are_refused(rng: np.random.Generator) -> None:
     cloud = cloud_of([CRATE], rng)
     with pytest.raises(InputError, match="indices"):
-        boxes(cloud, [Instance("x", 1.0, np.array([0, len(cloud.points)]))], Room())
+        boxes(cloud, [Instance("x", 1.0, np.array([0, len(cloud.points)]))], RoomShell())

@@ -1,4 +1,4 @@
-"""How much of a thing was seen: of what can be seen, and of nothing else."""
+"""Coverage is the seen share of the visible surface."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIZE = np.array([0.6, 0.8, 1.0])
 
 
 def surface(box: UprightBox, faces: tuple[int, ...]) -> tuple[Detection, Cloud]:
-    """Points on some faces of a box."""
+    """Return points on some faces of a box."""
     points, normals = [], []
     steps = np.linspace(-0.5, 0.5, 60)
     for axis, sign in (SIDES[k] for k in faces):
@@ -45,7 +45,7 @@ def test_the_share_is_the_area_of_the_faces_that_were_seen(faces, yaw: float) ->
     assert found.share == pytest.approx(sum(areas[k] for k in faces) / sum(areas), abs=0.06)
 
 
-def test_a_face_that_something_stands_against_is_not_missed() -> None:
+def test_a_face_behind_a_neighbor_does_not_lower_the_coverage() -> None:
     item, cloud = surface(UprightBox(np.array([1.0, 2.0, 0.5]), SIZE), (0, 1, 3, 4))
     wall = UprightBox(np.array([1.0 - 0.3 - 0.05, 2.0, 1.0]), np.array([0.1, 4.0, 2.0]))
     assert coverage(cloud, item, []).share < 0.85
@@ -55,7 +55,7 @@ def test_a_face_that_something_stands_against_is_not_missed() -> None:
     assert known.seen == coverage(cloud, item, [wall]).share
 
 
-def test_what_was_completed_is_part_of_a_thing_but_was_not_seen() -> None:
+def test_completed_points_belong_to_an_object_but_do_not_count_as_seen() -> None:
     item, cloud = surface(UprightBox(np.array([1.0, 2.0, 0.5]), SIZE), (0, 1))
     front, _ = surface(item.box, (0,))
     (known,) = with_coverage([item], cloud, [], measured=len(front.members))

@@ -1,4 +1,4 @@
-"""Labels: what common things are called, and that a rule for everything exists."""
+"""Common objects get their labels, and the rules cover all of them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from momapos.perception.segmentation.size_labels import RULES, Looks, fit, label_of
+from momapos.perception.segmentation.size_labels import RULES, BoxFeatures, fit, label_of
 
-CABINET = Looks("floor", 0.86, 1.6, 0.6, 0.0, 0.9, 0.0, 0.0, 0.5)
-CUP = Looks("support", 0.1, 0.08, 0.08, 0.9, 0.0, 0.0, 1.0, 0.5)
+CABINET = BoxFeatures("floor", 0.86, 1.6, 0.6, 0.0, 0.9, 0.0, 0.0, 0.5)
+CUP = BoxFeatures("support", 0.1, 0.08, 0.08, 0.9, 0.0, 0.0, 1.0, 0.5)
 EXAMPLES = {
     "cabinet": CABINET,
     "fridge": replace(CABINET, height=1.75, width=0.75, depth=0.7),
@@ -21,10 +21,10 @@ EXAMPLES = {
     "kitchen island": replace(CABINET, height=0.9, width=1.4, depth=0.8, free=1.5),
     "table": replace(CABINET, height=0.74, width=1.4, depth=0.8, closed=0.1, free=1.0),
     "chair": replace(CABINET, height=0.9, width=0.45, depth=0.45, closed=0.2, free=1.0),
-    "wall cabinet": Looks("hung", 0.7, 0.9, 0.35, 1.42, 0.9, 0.0, 0.0, 0.5),
-    "range hood": Looks("hung", 0.9, 0.7, 0.55, 1.42, 0.4, 0.0, 0.0, 0.5),
-    "counter": Looks("support", 0.04, 2.0, 0.62, 0.86, 0.0, 0.0, 0.0, 0.5),
-    "microwave": Looks("support", 0.28, 0.48, 0.36, 0.9, 0.8, 0.0, 0.1, 0.3),
+    "wall cabinet": BoxFeatures("hung", 0.7, 0.9, 0.35, 1.42, 0.9, 0.0, 0.0, 0.5),
+    "range hood": BoxFeatures("hung", 0.9, 0.7, 0.55, 1.42, 0.4, 0.0, 0.0, 0.5),
+    "counter": BoxFeatures("support", 0.04, 2.0, 0.62, 0.86, 0.0, 0.0, 0.0, 0.5),
+    "microwave": BoxFeatures("support", 0.28, 0.48, 0.36, 0.9, 0.8, 0.0, 0.1, 0.3),
     "cup": CUP,
     "bottle": replace(CUP, height=0.24, width=0.07, depth=0.07),
     "apple": replace(CUP, height=0.07),
@@ -33,11 +33,11 @@ EXAMPLES = {
 
 
 @pytest.mark.parametrize("label", EXAMPLES)
-def test_common_things_get_their_names(label: str) -> None:
+def test_common_objects_get_their_labels(label: str) -> None:
     assert label_of(EXAMPLES[label])[0] == label
 
 
-def test_what_fits_no_rule_is_an_object() -> None:
+def test_a_box_that_fits_no_rule_is_an_object() -> None:
     assert label_of(replace(CUP, height=1.4, width=3.0, depth=2.0)) == ("object", 0.2)
 
 
@@ -46,14 +46,16 @@ SIZES = st.floats(0.01, 4.0)
 
 @given(st.sampled_from(["floor", "support", "hung"]), SIZES, SIZES, SIZES, SIZES)
 def test_scores_are_confidences(stand, height, width, depth, bottom) -> None:
-    looks = Looks(stand, height, max(width, depth), min(width, depth), bottom, 0.5, 0.0, 1.0, 0.5)
+    looks = BoxFeatures(
+        stand, height, max(width, depth), min(width, depth), bottom, 0.5, 0.0, 1.0, 0.5
+    )
     label, score = label_of(looks)
     assert 0.0 < score <= 1.0
     assert label == "object" or label in {rule.label for rule in RULES}
 
 
 @given(st.lists(st.floats(-5, 5), min_size=4, max_size=4, unique=True), st.floats(-6, 6))
-def test_a_range_fits_wholly_inside_and_not_at_all_outside(ends, value) -> None:
+def test_the_fit_of_a_range_is_1_inside_and_0_outside(ends, value) -> None:
     low, full, still, high = sorted(ends)
     share = fit(value, (low, full, still, high))
     assert 0.0 <= share <= 1.0

@@ -1,4 +1,4 @@
-"""Laws of doors and flaps that stand open in a cloud."""
+"""Open doors and flaps in a cloud."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from tests.perception.segmentation.cupboards import Room, cupboard, leaf_of
 
 from momapos.model.records.scans import Cloud
-from momapos.perception.segmentation.closed_leaves import shut_cloud
+from momapos.perception.segmentation.closed_leaves import close_in_cloud
 from momapos.perception.segmentation.leaf_evidence import OpenLeafConfig
 from momapos.perception.segmentation.open_leaves import find_open_leaves
 
@@ -24,9 +24,7 @@ from momapos.perception.segmentation.open_leaves import find_open_leaves
         ("door_up", 60.0),
     ],
 )
-def test_a_leaf_that_stands_open_is_found_with_its_hinge_and_how_far_it_is_open(
-    kind: str, degrees: float
-) -> None:
+def test_an_open_leaf_is_found_with_its_hinge_and_angle(kind: str, degrees: float) -> None:
     true = leaf_of(kind, np.radians(degrees))
     room = cupboard(true)
     (leaf,) = find_open_leaves(room.cloud(), room.free)
@@ -39,7 +37,7 @@ def test_a_leaf_that_stands_open_is_found_with_its_hinge_and_how_far_it_is_open(
     np.testing.assert_allclose(leaf.middle, true.middle, atol=0.03)
 
 
-def test_a_cloud_with_more_points_than_are_needed_has_the_same_leaf() -> None:
+def test_a_denser_cloud_has_the_same_leaf() -> None:
     room = cupboard(leaf_of("door_right", np.radians(65.0)))
     cloud, rng = room.cloud(), np.random.default_rng(0)
     along = rng.normal(0.0, 0.004, (8, *cloud.points.shape))
@@ -56,41 +54,41 @@ def test_a_cloud_with_more_points_than_are_needed_has_the_same_leaf() -> None:
     np.testing.assert_allclose(same.size, leaf.size, atol=0.02)
 
 
-def test_where_all_is_shut_no_leaf_is_found() -> None:
+def test_no_leaf_is_found_if_all_are_closed() -> None:
     room = cupboard(leaf_of("door_left", 0.0))
     assert find_open_leaves(room.cloud(), room.free) == []
 
 
-def test_a_board_that_stands_out_of_a_closed_front_shuts_nothing() -> None:
+def test_a_board_that_protrudes_from_a_closed_front_is_not_a_leaf() -> None:
     room = cupboard(leaf_of("door_left", np.radians(80.0)), hollow=False)
     assert find_open_leaves(room.cloud(), room.free) == []
 
 
-def test_what_stands_out_of_a_wall_is_no_leaf() -> None:
+def test_an_object_that_protrudes_from_a_wall_is_not_a_leaf() -> None:
     room = cupboard(leaf_of("door_left", np.radians(80.0)))
     assert find_open_leaves(room.cloud(), room.free, [(1, 0.0)])
     assert find_open_leaves(room.cloud(), room.free, [(1, -0.5), (1, -0.48)]) == []
 
 
-def test_where_nothing_is_seen_to_be_empty_no_leaf_is_found() -> None:
+def test_no_leaf_is_found_without_known_free_space() -> None:
     room = cupboard(leaf_of("door_left", np.radians(80.0)))
     assert find_open_leaves(room.cloud(), lambda p: np.zeros(len(p), bool)) == []
 
 
-def test_a_leaf_that_is_hardly_open_is_left_to_the_front() -> None:
+def test_a_barely_open_leaf_is_not_found() -> None:
     slightly = OpenLeafConfig().turns[0] - np.radians(8.0)
     room = cupboard(leaf_of("door_left", slightly))
     assert find_open_leaves(room.cloud(), room.free) == []
 
 
-def test_a_room_with_its_leaf_shut_is_the_room_as_it_is_with_the_door_shut() -> None:
+def test_closing_the_leaf_gives_the_cloud_of_the_closed_door() -> None:
     true = leaf_of("door_right", np.radians(75.0))
     room = cupboard(true)
-    shut = shut_cloud(room.cloud(), [true], 0.015)
+    shut = close_in_cloud(room.cloud(), [true], 0.015)
     expected = cupboard(leaf_of("door_right", 0.0)).cloud()
 
     def cells(points: np.ndarray) -> set[tuple[int, ...]]:
-        # Inside of the cupboard nobody looks when it is shut.
+        # The inside of the closed cupboard is invisible.
         inside = (points > [0.02, -0.47, 0.42]).all(1) & (points < [0.58, -0.02, 1.18]).all(1)
         return set(map(tuple, np.round(points[~inside] / 0.05).astype(int)))
 

@@ -1,4 +1,4 @@
-"""Pointing: a place and a pixel name the same thing."""
+"""A point and a pixel select the same object."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FRAME = image(
 )
 
 
-def test_a_place_names_the_smallest_thing_around_it_or_the_nearest() -> None:
+def test_a_point_selects_the_smallest_object_around_it_or_the_nearest() -> None:
     assert pointed_at(PointAt((2.0, 0.5, 1.0)), THINGS, ()).name == "fridge"
     assert pointed_at(PointAt((2.0, 0.5, 1.85)), THINGS, ()).name == "cup"
     nested = [*THINGS, thing("shelf", UprightBox(FRIDGE.center, np.array([0.2, 0.2, 0.2])))]
@@ -40,7 +40,7 @@ def test_a_place_names_the_smallest_thing_around_it_or_the_nearest() -> None:
 
 
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_pixel_names_what_it_shows_with_depth_and_without(blind: bool) -> None:
+def test_a_pixel_selects_what_it_shows_with_and_without_depth(blind: bool) -> None:
     frame = replace(FRAME, depth=None) if blind else FRAME
     assert pointed_at(PixelOf("f", 320, 240), THINGS, [frame]).name == "fridge"
     behind = [
@@ -48,11 +48,11 @@ def test_a_pixel_names_what_it_shows_with_depth_and_without(blind: bool) -> None
         *THINGS,
     ]
     assert pointed_at(PixelOf("f", 320, 240), behind, [frame]).name == "fridge"
-    with pytest.raises(InputError, match="holds no object"):
+    with pytest.raises(InputError, match="there is no object"):
         pointed_at(PixelOf("f", 2, 2), THINGS, [frame])
 
 
-def test_a_pixel_of_nothing_is_refused() -> None:
+def test_a_pixel_outside_of_the_images_is_refused() -> None:
     with pytest.raises(InputError, match="640 x 480"):
         pointed_at(PixelOf("f", 640, 0), THINGS, [FRAME])
     with pytest.raises(UnknownNameError, match="no frame"):

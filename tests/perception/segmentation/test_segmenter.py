@@ -1,4 +1,4 @@
-"""Segmentation: each thing of a made-up kitchen is one instance, and nothing else is."""
+"""Each object of a synthetic kitchen is one instance, and nothing else is."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from momapos.core.errors import InputError
 from momapos.model.records.scans import Cloud, Detection, Instance
 from momapos.perception.segmentation.front_planes import FrontPlaneConfig, find_front_planes
 from momapos.perception.segmentation.instance_boxes import boxes
-from momapos.perception.segmentation.room_shell import Room, Wall, at_wall, find_room, in_room
+from momapos.perception.segmentation.room_shell import RoomShell, Wall, at_wall, find_room, in_room
 from momapos.perception.segmentation.segmenter import ClassicalSegmenter
 
 
 def best_overlap(corners: Corners, found: list[Detection]) -> float:
-    """Largest intersection over union of a box with detections."""
+    """Return the largest intersection over union of a box with detections."""
     low, high = np.array(corners)
     best = 0.0
     for detection in found:
@@ -29,7 +29,7 @@ def best_overlap(corners: Corners, found: list[Detection]) -> float:
 
 
 def kept(cloud: Cloud, seen: np.ndarray) -> Cloud:
-    """What is seen of a cloud."""
+    """Return the seen part of a cloud."""
     return Cloud(cloud.points[seen], cloud.normals[seen], cloud.colors[seen])
 
 
@@ -55,7 +55,7 @@ def test_walls_are_found_where_they_are(cloud: Cloud) -> None:
     assert walls[0, 1.0] == pytest.approx(LEFT[1][0], abs=0.005)
 
 
-def test_fronts_of_furniture_are_no_walls(cloud: Cloud) -> None:
+def test_fronts_of_furniture_are_not_walls(cloud: Cloud) -> None:
     room = in_room(find_room(cloud), cloud)
     front = np.abs(cloud.points[:, 1] - KITCHEN["fridge"][0][1]) < 0.01
     front &= (cloud.normals[:, 1] < -0.9) & (cloud.points[:, 2] > 0.1)
@@ -65,12 +65,12 @@ def test_fronts_of_furniture_are_no_walls(cloud: Cloud) -> None:
 
 
 @pytest.mark.parametrize("name", [*KITCHEN, "table"])
-def test_every_thing_is_an_instance_of_its_own(name: str, found: list[Detection]) -> None:
+def test_every_object_is_one_instance(name: str, found: list[Detection]) -> None:
     corners = TABLE if name == "table" else KITCHEN[name]
     assert best_overlap(corners, found) > (0.75 if name != "slab" else 0.5)
 
 
-def test_nothing_is_found_that_is_not_there(found: list[Detection]) -> None:
+def test_no_other_object_is_found(found: list[Detection]) -> None:
     assert len(found) == len(KITCHEN) + 1
 
 
@@ -79,7 +79,7 @@ def test_no_point_belongs_to_two_instances(instances: list[Instance]) -> None:
     assert len(np.unique(members)) == len(members)
 
 
-def test_things_are_named_by_what_they_look_like(found: list[Detection]) -> None:
+def test_objects_are_labeled_by_size(found: list[Detection]) -> None:
     labels = sorted(detection.label for detection in found)
     assert labels == sorted(
         [
@@ -108,7 +108,7 @@ def test_a_chair_below_a_table_is_not_part_of_it() -> None:
     assert best_overlap(((1.1, -2.03, 0.0), (1.5, -1.55, 0.95)), found) > 0.75
 
 
-def test_deep_furniture_with_a_kick_space_and_a_handle_is_one_thing() -> None:
+def test_deep_furniture_with_a_kick_space_and_a_handle_is_one_object() -> None:
     body: Corners = ((1.0, -0.1, 0.12), (1.9, 1.0, 1.7))
     foot: Corners = ((1.0, 0.1, 0.0), (1.9, 1.0, 0.12))
     handle: Corners = ((1.8, -0.23, 0.7), (1.83, -0.2, 1.3))
@@ -125,14 +125,14 @@ def test_deep_furniture_with_a_kick_space_and_a_handle_is_one_thing() -> None:
     assert (cloud.points[instances[0].members, 1] < -0.15).any()
 
 
-def test_a_front_far_before_a_wall_ends_where_the_floor_is_seen() -> None:
+def test_furniture_far_from_a_wall_ends_where_the_floor_is_seen() -> None:
     body: Corners = ((1.0, -0.1, 0.0), (1.9, 0.3, 1.5))
     cloud = cloud_of([*ROOM, body], np.random.default_rng(5))
     found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
     assert best_overlap(body, found) > 0.9
 
 
-def test_a_fridge_flush_with_its_row_ends_there_though_its_top_is_seen_raggedly() -> None:
+def test_a_fridge_flush_with_its_row_is_separated_despite_a_ragged_top() -> None:
     fridge, row = ((-2.99, 0.4, 0.0), (-2.3, 1.0, 1.75)), ((-2.3, 0.4, 0.0), (-0.3, 1.0, 0.9))
     cloud = cloud_of([*ROOM, fridge, row], np.random.default_rng(2))
     strip = np.floor(cloud.points[:, 0] / 0.03).astype(int)
@@ -144,7 +144,7 @@ def test_a_fridge_flush_with_its_row_ends_there_though_its_top_is_seen_raggedly(
     assert best_overlap(row, found) > 0.85
 
 
-def test_a_wall_cabinet_whose_top_is_seen_raggedly_at_one_end_is_one_thing() -> None:
+def test_a_wall_cabinet_with_a_partly_ragged_top_is_one_object() -> None:
     cabinet: Corners = ((-2.5, 0.65, 1.3), (-0.5, 1.0, 2.1))
     cloud = cloud_of([*ROOM, cabinet], np.random.default_rng(2))
     strip = np.floor(cloud.points[:, 0] / 0.03).astype(int)
@@ -166,7 +166,7 @@ def test_wall_cabinets_are_divided_at_steps_of_their_edges_into_whole_fronts(
     assert len(boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))) == count
 
 
-def test_a_top_that_hangs_over_is_a_thing_of_its_own() -> None:
+def test_an_overhanging_top_is_a_separate_object() -> None:
     body: Corners = ((0.0, -1.6, 0.0), (1.0, -1.2, 0.86))
     top: Corners = ((-0.02, -1.84, 0.86), (1.02, -1.18, 0.9))
     cloud = cloud_of([*ROOM, body, top], np.random.default_rng(6))
@@ -177,7 +177,7 @@ def test_a_top_that_hangs_over_is_a_thing_of_its_own() -> None:
     assert {item.label for item in found} == {"kitchen island", "counter"}
 
 
-def test_furniture_that_is_open_at_a_side_reaches_to_the_end_of_its_front() -> None:
+def test_furniture_open_at_a_side_extends_to_the_end_of_its_front() -> None:
     body: Corners = ((0.1, -1.6, 0.0), (0.9, -1.2, 0.86))
     front: Corners = ((0.0, -1.62, 0.0), (1.0, -1.6, 0.86))
     top: Corners = ((0.0, -1.62, 0.86), (1.0, -1.2, 0.9))
@@ -195,11 +195,11 @@ def test_a_front_of_few_points_is_not_divided() -> None:
     assert find_front_planes(cloud, find_room(cloud), np.arange(len(x)), FrontPlaneConfig()) == []
 
 
-def test_a_room_with_nothing_in_it_holds_no_instances() -> None:
+def test_an_empty_room_has_no_instances() -> None:
     assert ClassicalSegmenter()(cloud_of(list(ROOM), np.random.default_rng(3))) == []
 
 
-def test_clouds_that_cannot_be_divided_are_refused(cloud: Cloud) -> None:
+def test_unusable_clouds_are_refused(cloud: Cloud) -> None:
     empty = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     with pytest.raises(InputError, match="empty"):
         ClassicalSegmenter()(empty)
@@ -212,8 +212,8 @@ def test_clouds_that_cannot_be_divided_are_refused(cloud: Cloud) -> None:
         ClassicalSegmenter()(far)
 
 
-def test_a_side_stands_against_a_wall_that_it_looks_at_from_near() -> None:
-    room = Room((Wall(0, -1.0, 2.0, -1.0, 1.0, 2.5),))  # the room is before x = 2
+def test_a_side_stands_against_a_near_wall_that_it_faces() -> None:
+    room = RoomShell((Wall(0, -1.0, 2.0, -1.0, 1.0, 2.5),))  # the room is before x = 2
     toward = np.array([1.0, 0.0, 0.0])
     assert at_wall(room, np.array([1.95, 0.0, 0.5]), toward)
     assert not at_wall(room, np.array([1.95, 0.0, 0.5]), -toward)
@@ -222,7 +222,7 @@ def test_a_side_stands_against_a_wall_that_it_looks_at_from_near() -> None:
     assert not at_wall(room, np.array([1.95, 1.6, 0.5]), toward)
 
 
-def test_deep_furniture_whose_sides_are_hidden_at_the_rear_is_one_thing() -> None:
+def test_deep_furniture_with_sides_hidden_at_the_rear_is_one_object() -> None:
     chest: Corners = ((0.0, 0.1, 0.0), (0.85, 1.0, 0.8))
     cloud = cloud_of([*ROOM, chest], np.random.default_rng(10))
     x, y, z = cloud.points.T
@@ -231,7 +231,7 @@ def test_deep_furniture_whose_sides_are_hidden_at_the_rear_is_one_thing() -> Non
     assert best_overlap(chest, found) > 0.95
 
 
-def test_a_machine_beside_a_taller_one_ends_before_the_gap_between_them() -> None:
+def test_a_machine_next_to_a_taller_one_ends_before_the_gap() -> None:
     machine: Corners = ((0.0, 0.4, 0.0), (0.6, 1.0, 0.85))
     fridge: Corners = ((0.68, 0.2, 0.0), (1.6, 1.0, 1.75))
     cloud = cloud_of([*ROOM, machine, fridge], np.random.default_rng(8))
@@ -240,7 +240,7 @@ def test_a_machine_beside_a_taller_one_ends_before_the_gap_between_them() -> Non
     assert best_overlap(machine, boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))) > 0.95
 
 
-def test_what_hides_the_middle_of_a_top_is_one_thing_on_one_counter() -> None:
+def test_an_object_that_hides_the_middle_of_a_counter_does_not_divide_it() -> None:
     counter: Corners = ((-1.0, 0.4, 0.0), (1.0, 1.0, 0.9))
     microwave: Corners = ((-0.4, 0.52, 0.9), (0.2, 0.98, 1.22))
     cloud = cloud_of([*ROOM, counter, microwave], np.random.default_rng(9))

@@ -1,4 +1,4 @@
-"""Outlines of tops, covered by rectangles."""
+"""Outlines of tops are covered by rectangles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ CELL = 0.03
 
 
 def covered(*solid: tuple[int, int, int, int]) -> list[Rectangle]:
-    """The rectangles of an outline that is filled in these cells, in cells."""
+    """Return the rectangles of an outline filled in these cells, in cells."""
     mask = np.zeros((150, 150), bool)
     for x0, y0, x1, y1 in solid:
         mask[x0:x1, y0:y1] = True
@@ -21,7 +21,7 @@ def covered(*solid: tuple[int, int, int, int]) -> list[Rectangle]:
 
 
 @pytest.mark.parametrize("begins", [6, 38])
-def test_what_is_deeper_than_its_row_reaches_from_its_front_to_the_wall(begins: int) -> None:
+def test_a_piece_deeper_than_its_row_extends_from_its_front_to_the_wall(begins: int) -> None:
     row, desk = (30, 66, 45, 150), (12, begins, 45, 66)
     assert set(covered(row, desk)) == {desk, row}
 
@@ -31,7 +31,7 @@ def test_taller_neighbors_hide_the_rear_of_a_top() -> None:
     assert covered(rear, front) == [(12, 6, 45, 66), (30, 66, 45, 145)]
 
 
-def test_the_arm_of_a_corner_is_no_deeper_piece_of_the_other_one() -> None:
+def test_the_arm_of_a_corner_is_not_a_deeper_piece_of_the_other_arm() -> None:
     arms = covered((25, 10, 45, 110), (45, 90, 120, 110))
     assert arms == [(25, 10, 45, 90), (45, 90, 120, 110), (25, 90, 45, 110)]
 

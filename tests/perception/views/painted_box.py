@@ -1,4 +1,4 @@
-"""Exact images of a painted box, by intersecting rays with its front."""
+"""Exact images of a painted box, by intersecting rays with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Paint = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def camera(eye: tuple[float, ...], target: tuple[float, ...]) -> np.ndarray:
-    """A camera at `eye` that looks at `target`, upright."""
+    """Return an upright camera at `eye` that looks at `target`."""
     forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -26,7 +26,7 @@ def camera(eye: tuple[float, ...], target: tuple[float, ...]) -> np.ndarray:
 def image(
     T_world_camera: np.ndarray, box: UprightBox, paint: Paint, *, name: str = "frame"
 ) -> Frame:
-    """What a camera sees of a box whose faces are painted by world points and outward normals."""
+    """Render a box whose faces are painted by world points and outward normals."""
     v, u = np.mgrid[0:480, 0:640].astype(float)
     rays = np.stack([(u - 320) / 500, (v - 240) / 500, np.ones_like(u)], -1).reshape(-1, 3)
     c, s = np.cos(box.yaw), np.sin(box.yaw)

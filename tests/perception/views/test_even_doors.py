@@ -1,4 +1,4 @@
-"""Doors of a row whose seams nobody sees are equally wide; seams that are seen stay."""
+"""Doors without visible seams get equal widths; visible seams stay."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from momapos.model.records.scans import FaceImage, Part
-from momapos.perception.views.even_doors import evened
+from momapos.perception.views.even_doors import equalize_doors
 
 WIDTH, HEIGHT, PIXELS = 1.2, 0.7, 480
 
 
 def face_with(*seams: float) -> FaceImage:
-    """A plain front with noise and upright seams at these places [m]."""
+    """Return a plain front with noise and upright seams at these places [m]."""
     rng = np.random.default_rng(0)
     rows = round(PIXELS * HEIGHT / WIDTH)
     gray = rng.normal(120.0, 3.0, (rows, PIXELS))
@@ -23,7 +23,7 @@ def face_with(*seams: float) -> FaceImage:
 
 
 def door(left: float, right: float, *, handle: bool = True, top: float = 0.0) -> Part:
-    """A door between two places [m], its handle at its left end."""
+    """Return a door between two places [m], its handle at its left end."""
     box = (left / WIDTH, top, right / WIDTH, 1.0)
     held = (box[0] + 0.02, 0.5, box[0] + 0.04, 0.8) if handle else None
     return Part("door_right", box, 0.8, held)
@@ -36,21 +36,21 @@ def sides(parts: tuple[Part, ...]) -> np.ndarray:
 def test_doors_without_seams_are_equally_wide_up_to_the_rim() -> None:
     believed = [door(0.02, 0.45), door(0.45, 0.9), door(0.79, 1.18)]
     expected = [(0.0, 0.4), (0.4, 0.8), (0.8, 1.2)]
-    found = evened(face_with(), believed)
+    found = equalize_doors(face_with(), believed)
     np.testing.assert_allclose(sides(found), expected, atol=1e-6)
     assert [part.handle for part in found] == [part.handle for part in believed]
 
 
-def test_doors_between_seams_that_are_seen_keep_them() -> None:
+def test_doors_keep_visible_seams() -> None:
     seams = (0.03, 0.33, 0.8, 1.17)
     believed = [door(0.03, 0.335), door(0.335, 0.795), door(0.795, 1.17)]
-    found = sides(evened(face_with(*seams), believed))
+    found = sides(equalize_doors(face_with(*seams), believed))
     np.testing.assert_allclose(found.ravel(), np.repeat(seams, 2)[1:-1], atol=0.006)
 
 
-def test_only_what_lies_between_seams_is_divided() -> None:
+def test_only_the_doors_between_visible_seams_change() -> None:
     believed = [door(0.0, 0.5), door(0.5, 0.86), door(0.86, 1.2)]
-    found = sides(evened(face_with(0.86), believed))
+    found = sides(equalize_doors(face_with(0.86), believed))
     expected = [(0.0, 0.43), (0.43, 0.86), (0.86, 1.2)]
     np.testing.assert_allclose(found, expected, atol=0.004)
 
@@ -66,11 +66,11 @@ def test_only_what_lies_between_seams_is_divided() -> None:
     ],
     ids=["alone", "apart", "of other heights", "much too unlike", "a drawer"],
 )
-def test_other_parts_stay_as_they_are(believed: list[Part]) -> None:
-    assert evened(face_with(), believed) == tuple(believed)
+def test_other_parts_stay_unchanged(believed: list[Part]) -> None:
+    assert equalize_doors(face_with(), believed) == tuple(believed)
 
 
-def test_a_door_that_would_lose_its_handle_keeps_its_row_as_it_is() -> None:
+def test_a_row_stays_unchanged_if_a_door_would_lose_its_handle() -> None:
     believed = [door(0.0, 0.65), door(0.65, 1.2)]
     at_end = Part("door_left", believed[0].box, 0.8, (0.51, 0.5, 0.53, 0.8))
-    assert evened(face_with(), [at_end, believed[1]]) == (at_end, believed[1])
+    assert equalize_doors(face_with(), [at_end, believed[1]]) == (at_end, believed[1])

@@ -11,28 +11,28 @@ from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import FaceImage, Frame, Front, Part
 from momapos.perception.views.faces import box_faces
 from momapos.perception.views.front_view import (
-    Seen,
+    KnownFront,
     ViewConfig,
     choose_view,
     door_evidence,
     front_evidence,
 )
-from momapos.perception.views.placed_parts import placed, surest
-from momapos.perception.views.projection import sights
+from momapos.perception.views.placed_parts import most_confident, transferred
+from momapos.perception.views.projection import observations
 from momapos.perception.views.rows import RowConfig, split_row
 
 FRONT = 2
 
 
 def paint(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The front is red, the other faces are blue."""
+    """Paint the front red, and the other faces blue."""
     del world
     front = normals @ box_faces(FRIDGE)[FRONT].outward > 0.9
     return np.where(front[:, None], [200, 0, 0], [0, 0, 200])
 
 
 def around(offsets: list[float], index: int) -> list[Frame]:
-    """Images of a face from places beside its normal."""
+    """Return images of a face from places next to its normal."""
     face = box_faces(FRIDGE)[index]
     eyes = [apply(face.T_world_face, np.array([[off, 0.2, 2.2]]))[0] for off in offsets]
     return [image(camera(tuple(eye), tuple(FRIDGE.center)), FRIDGE, paint) for eye in eyes]
@@ -46,7 +46,7 @@ def red_is_front(face: FaceImage) -> Front:
 
 def test_the_front_is_the_face_for_which_the_images_vote() -> None:
     frames = around([0.0, 0.3, 0.9], 3) + around([-0.9, 0.2, 0.6], FRONT)
-    view = choose_view(FRIDGE, frames, sights(FRIDGE, frames), red_is_front, ViewConfig())
+    view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), red_is_front, ViewConfig())
     assert view is not None
     assert view.face.index == FRONT
     assert view.frame == 4  # the one nearest to the normal
@@ -55,13 +55,13 @@ def test_the_front_is_the_face_for_which_the_images_vote() -> None:
     assert len(view.front.parts) == 1
 
 
-def test_of_two_faces_that_look_alike_the_one_away_from_the_wall_is_the_front() -> None:
+def test_the_front_of_two_similar_faces_is_the_one_away_from_the_wall() -> None:
     def all_fronts(face: FaceImage) -> Front:
         door = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.7, handle=(0.8, 0.4, 0.9, 0.6))
         return Front(0.9 if face.color[..., 2].mean() > 100 else 0.8, (door,))
 
     frames = around([0.0, 0.2], 3) + around([0.0, 0.2], FRONT)
-    seen = sights(FRIDGE, frames)
+    seen = observations(FRIDGE, frames)
     anywhere = choose_view(FRIDGE, frames, seen, all_fronts, ViewConfig())
     assert anywhere is not None
     assert anywhere.face.index == 3
@@ -71,11 +71,11 @@ def test_of_two_faces_that_look_alike_the_one_away_from_the_wall_is_the_front() 
     assert at_wall.face.index == FRONT
 
 
-def test_one_wrong_vote_is_outvoted_while_the_first_image_that_passes_is_believed() -> None:
+def test_voting_corrects_a_wrong_image_and_first_does_not() -> None:
     frames = around([0.0, 0.2, 0.1], 3) + around([0.1, 0.2, 0.3], FRONT)
     lies = replace(frames[0], color=np.full_like(frames[0].color, 0) + np.uint8([200, 0, 0]))
     frames[0] = lies
-    seen = sights(FRIDGE, frames)
+    seen = observations(FRIDGE, frames)
     config = ViewConfig(votes=3)
     voted = choose_view(FRIDGE, frames, seen, red_is_front, config)
     first = choose_view(FRIDGE, frames, seen[:1], red_is_front, replace(config, method="first"))
@@ -86,9 +86,9 @@ def test_one_wrong_vote_is_outvoted_while_the_first_image_that_passes_is_believe
     assert first.face.index == 3
 
 
-def test_the_first_image_that_is_frontal_is_taken_in_the_order_of_centrality() -> None:
+def test_first_takes_the_most_central_frontal_image() -> None:
     frames = around([1.5, 0.2, 0.0], FRONT)
-    seen = sights(FRIDGE, frames)
+    seen = observations(FRIDGE, frames)
     view = choose_view(FRIDGE, frames, seen, red_is_front, ViewConfig(method="first"))
     assert view is not None
     angles = {0: 34, 1: 5, 2: 0}
@@ -96,9 +96,9 @@ def test_the_first_image_that_is_frontal_is_taken_in_the_order_of_centrality() -
     assert view.frame == passing[0]
 
 
-def test_there_is_no_front_where_none_is_seen() -> None:
+def test_no_front_is_found_if_no_image_shows_one() -> None:
     frames = around([0.0], 3)
-    seen = sights(FRIDGE, frames)
+    seen = observations(FRIDGE, frames)
     for method in ("voting", "first"):
         config = ViewConfig(method=method)  # type: ignore[arg-type]
         assert choose_view(FRIDGE, frames, seen, red_is_front, config) is None
@@ -114,7 +114,7 @@ def test_handles_are_evidence_for_a_front_that_looks_like_a_panel() -> None:
     assert door_evidence(Front(1.0, ())) == 1.0
 
 
-def test_parts_beside_room_for_the_knees_make_a_front_and_parts_in_it_do_not() -> None:
+def test_parts_next_to_leg_space_make_a_front_and_parts_in_it_do_not() -> None:
     color = np.full((40, 80, 3), 150, np.uint8)
     height_map = np.where(np.arange(80) < 40, 0.0, -0.4) * np.ones((40, 1))
     desk = FaceImage(color, height_map.astype(np.float32), 1.6, 0.8)
@@ -137,7 +137,7 @@ CODE = {"drawer": 60, "door_left": 110, "door_right": 160, "door_down": 210}
 
 
 def row_paint(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Doors of the row, a gray for each kind; what is no door is black."""
+    """Paint doors of the row in one gray per kind, and the rest black."""
     left = 1.2 - world[:, 1]  # seen from -x, y goes to the left
     gray = np.zeros(len(world))
     for a, b, kind in DOORS:
@@ -157,7 +157,7 @@ def doors_in(face: FaceImage) -> Front:
     return Front(0.9 if parts else 0.1, tuple(parts))
 
 
-def test_a_row_is_cut_where_no_door_crosses_and_wings_stay_together() -> None:
+def test_a_row_is_cut_where_no_door_crosses_and_double_doors_stay_together() -> None:
     frames = [
         image(camera((-0.3, y, 0.9), (2.0, y, 0.45)), ROW, row_paint) for y in np.linspace(-1, 1, 7)
     ]
@@ -171,14 +171,14 @@ def test_a_row_is_cut_where_no_door_crosses_and_wings_stay_together() -> None:
     assert all(np.allclose(p.size[[0, 2]], ROW.size[[0, 2]]) for p in pieces)
 
 
-def test_a_row_without_fronts_stays_one_thing() -> None:
+def test_a_row_without_fronts_is_not_split() -> None:
     frames = [image(camera((-0.3, 0, 0.9), (2.0, 0, 0.45)), ROW, row_paint)]
     pieces, front = split_row(ROW, frames, lambda _: Front(0.1, ()), RowConfig(), ViewConfig())
     assert pieces == [ROW]
     assert front is None
 
 
-def test_of_a_row_that_is_one_thing_a_look_says_what_a_window_as_wide_would() -> None:
+def test_a_row_that_fits_one_window_returns_no_front() -> None:
     frames = [image(camera((-0.3, 0, 0.9), (2.0, 0, 0.45)), ROW, row_paint)]
     door = Front(0.9, (Part("door_down", (0.02, 0.1, 0.98, 0.9), 0.9),))
     pieces, front = split_row(ROW, frames, lambda _: door, RowConfig(window=3.0), ViewConfig())
@@ -189,45 +189,45 @@ def test_of_a_row_that_is_one_thing_a_look_says_what_a_window_as_wide_would() ->
     assert front is not None
 
 
-def test_parts_seen_on_a_row_lie_at_the_same_place_on_its_pieces() -> None:
+def test_parts_of_a_row_keep_their_place_on_its_pieces() -> None:
     whole = box_faces(ROW)[2]
     part = Part("door_left", (0.55, 0.1, 0.75, 0.9), 0.9, handle=(0.7, 0.4, 0.72, 0.6))
     right = box_faces(UprightBox(np.array([2.0, -0.6, 0.45]), np.array([0.6, 1.2, 0.9])))[2]
-    (there,) = placed([part], whole, right)
+    (there,) = transferred([part], whole, right)
     assert there.handle is not None
     assert np.allclose(there.box, (0.1, 0.1, 0.5, 0.9))
     assert np.allclose(there.handle, (0.4, 0.4, 0.44, 0.6))
-    (again,) = placed([there], right, whole)
+    (again,) = transferred([there], right, whole)
     assert np.allclose(again.box, part.box)
 
 
-def test_parts_seen_elsewhere_are_not_on_a_face() -> None:
+def test_parts_of_another_plane_are_not_on_a_face() -> None:
     whole, part = box_faces(ROW)[2], Part("door_left", (0.0, 0.1, 0.3, 0.9), 0.9)
     right = UprightBox(np.array([2.0, -0.6, 0.45]), np.array([0.6, 1.2, 0.9]))
-    assert not placed([part], whole, box_faces(right)[2])
+    assert not transferred([part], whole, box_faces(right)[2])
     behind = UprightBox(np.array([2.5, 0.0, 0.45]), np.array([0.6, 2.4, 0.9]))
-    assert not placed([part], whole, box_faces(behind)[2])
-    assert all(not placed([part], whole, box_faces(ROW)[index]) for index in (0, 1, 3))
+    assert not transferred([part], whole, box_faces(behind)[2])
+    assert all(not transferred([part], whole, box_faces(ROW)[index]) for index in (0, 1, 3))
 
 
-def test_of_parts_seen_twice_the_surer_stays_be_they_one_or_two() -> None:
+def test_the_more_confident_of_overlapping_parts_remains() -> None:
     wide = Part("drawer", (0.0, 0.0, 1.0, 1.0), 0.5)
     wings = [Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9), Part("door_right", (0.5, 0, 1, 1), 0.8)]
-    assert surest([wide, *wings]) == tuple(wings)
-    assert surest([replace(wide, score=0.95), *wings]) == (replace(wide, score=0.95),)
-    assert surest(wings) == tuple(wings)
+    assert most_confident([wide, *wings]) == tuple(wings)
+    assert most_confident([replace(wide, score=0.95), *wings]) == (replace(wide, score=0.95),)
+    assert most_confident(wings) == tuple(wings)
 
 
-def test_a_part_without_a_handle_gives_way_to_several_with_theirs_in_it() -> None:
+def test_a_part_without_a_handle_gives_way_to_several_inner_parts_with_handles() -> None:
     plain = Part("door_down", (0.0, 0.1, 1.0, 1.0), 0.9)
     low = Part("drawer", (0.0, 0.5, 1.0, 1.0), 0.3, handle=(0.4, 0.5, 0.6, 0.52))
     high = Part("drawer", (0.0, 0.0, 1.0, 0.5), 0.3, handle=(0.4, 0.1, 0.6, 0.12))
-    assert surest([plain, low, high]) == (low, high)
-    assert surest([plain, low, replace(low, score=0.2)]) == (plain,), "the same one twice"
+    assert most_confident([plain, low, high]) == (low, high)
+    assert most_confident([plain, low, replace(low, score=0.2)]) == (plain,), "the same one twice"
     held = replace(plain, handle=(0.1, 0.15, 0.9, 0.18))
-    assert surest([held, low, high]) == (held,)
+    assert most_confident([held, low, high]) == (held,)
     theirs = replace(plain, handle=(0.35, 0.5, 0.55, 0.53))
-    assert surest([theirs, low, high]) == (low, high)
+    assert most_confident([theirs, low, high]) == (low, high)
 
 
 def test_a_part_does_not_give_way_to_pieces_of_itself_with_one_handle() -> None:
@@ -235,19 +235,19 @@ def test_a_part_does_not_give_way_to_pieces_of_itself_with_one_handle() -> None:
     door = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.8, handle=bar)
     top = Part("door_left", (0.0, 0.0, 1.0, 0.55), 0.7, handle=(0.9, 0.35, 0.95, 0.55))
     low = Part("door_left", (0.0, 0.45, 1.0, 1.0), 0.7, handle=(0.9, 0.45, 0.95, 0.9))
-    assert surest([door, top, low]) == (door,)
+    assert most_confident([door, top, low]) == (door,)
 
 
-def test_a_door_that_only_the_row_showed_makes_a_piece_of_it_a_front() -> None:
+def test_a_door_known_from_the_row_makes_its_piece_a_front() -> None:
     frames = around([0.0, 0.2], FRONT)
-    seen, face = sights(FRIDGE, frames), box_faces(FRIDGE)[FRONT]
+    seen, face = observations(FRIDGE, frames), box_faces(FRIDGE)[FRONT]
     door = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)
 
     def blind(_: FaceImage) -> Front:
         return Front(0.2, ())
 
     assert choose_view(FRIDGE, frames, seen, blind, ViewConfig()) is None
-    before = [Seen(face, 0.8, (door,))]
+    before = [KnownFront(face, 0.8, (door,))]
     for method in ("voting", "first"):
         config = ViewConfig(method=method)  # type: ignore[arg-type]
         view = choose_view(FRIDGE, frames, seen, blind, config, before)

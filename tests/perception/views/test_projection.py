@@ -10,9 +10,9 @@ from tests.perception.views.painted_box import FRIDGE, camera, image
 from momapos.model.records.scans import Frame
 from momapos.perception.detection.coco_results import read_coco
 from momapos.perception.views.projection import (
+    observations,
     overlap,
     projection,
-    sights,
 )
 
 
@@ -30,7 +30,7 @@ def frames() -> list[Frame]:
     ]
 
 
-def test_a_projected_box_holds_just_the_pixels_of_the_thing() -> None:
+def test_a_projected_box_contains_exactly_the_object_pixels() -> None:
     frame = frames()[0]
     rectangle = projection(FRIDGE, frame)
     assert rectangle is not None
@@ -39,13 +39,13 @@ def test_a_projected_box_holds_just_the_pixels_of_the_thing() -> None:
     assert np.abs(np.subtract(rectangle, seen)).max() < 1.5
 
 
-def test_the_most_central_image_comes_first_and_one_that_looks_away_not_at_all() -> None:
-    seen = sights(FRIDGE, frames())
+def test_images_are_sorted_by_centrality_without_those_that_look_away() -> None:
+    seen = observations(FRIDGE, frames())
     assert [sight.frame for sight in seen] == [1, 0]
     assert seen[0].off_center < seen[1].off_center
 
 
-def test_a_detector_s_file_says_where_a_thing_is(tmp_path: Path) -> None:
+def test_a_detector_file_locates_an_object(tmp_path: Path) -> None:
     images = frames()
     rectangle = projection(FRIDGE, images[0])
     assert rectangle is not None
@@ -57,8 +57,8 @@ def test_a_detector_s_file_says_where_a_thing_is(tmp_path: Path) -> None:
     path = tmp_path / "coco_instances_results.json"
     path.write_text(json.dumps([entry, {**entry, "image_id": 1, "bbox": [0, 0, 9, 9]}]))
     found = read_coco(path, images)
-    assert [sight.frame for sight in sights(FRIDGE, images, found)] == [0]
-    assert sights(FRIDGE, images, found)[0].box[0] == pytest.approx(left + 5)
+    assert [sight.frame for sight in observations(FRIDGE, images, found)] == [0]
+    assert observations(FRIDGE, images, found)[0].box[0] == pytest.approx(left + 5)
 
 
 def test_overlap_is_symmetric_and_one_for_itself() -> None:

@@ -1,4 +1,4 @@
-"""Laws of images in which leaves that stand open are shut."""
+"""Images in which open leaves are closed."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import numpy as np
 from momapos.core.geometry.transforms import apply, invert, pose
 from momapos.model.records.open_leaf import OpenLeaf
 from momapos.model.records.scans import Frame, Part
-from momapos.perception.views.closed_images import part_on, shut_frames, shut_leaf
+from momapos.perception.views.closed_images import close_in_frames, close_leaf, part_on
 
 SIZE = (160, 120)
 INTRINSICS = np.array([[120.0, 0.0, 79.5], [0.0, 120.0, 59.5], [0.0, 0.0, 1.0]])
 RED, GREEN, GRAY = (200, 30, 30), (30, 200, 30), (90, 90, 90)
 BACK = 1.0
-"""A wall stands this far behind the front [m]."""
+"""Distance of the wall behind the front [m]."""
 
 
 def open_door() -> OpenLeaf:
-    """A door of 0.6 x 0.8 m in the plane y = 0, hinge at the left, open by 80 degrees."""
+    """Return a door of 0.6 x 0.8 m in the plane y = 0, hinge at the left, open by 80 degrees."""
     corner = np.array([0.0, 0.0, 0.2])
     along, out = np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
     return OpenLeaf(corner, along, out, (0.6, 0.8), corner, float(np.radians(80.0)), 0.02)
 
 
 def looking(eye: tuple[float, float, float], at: tuple[float, float, float]) -> np.ndarray:
-    """The pose of a camera."""
+    """Return the pose of a camera."""
     z = np.array(at) - eye
     z = z / np.linalg.norm(z)
     x = np.cross(z, [0.0, 0.0, 1.0])
@@ -33,15 +33,15 @@ def looking(eye: tuple[float, float, float], at: tuple[float, float, float]) -> 
 
 
 def picture(T: np.ndarray, leaf: OpenLeaf) -> Frame:
-    """The open door, left half of its outer face red and the other green, before a gray wall."""
+    """Render the open door, its outer face half red and half green, in front of a gray wall."""
     v, u = np.indices(SIZE[::-1])
     rays = np.stack([u, v, np.ones(u.shape)], -1) @ np.linalg.inv(INTRINSICS).T @ T[:3, :3].T
     eye = T[:3, 3]
     depth = (BACK - eye[1]) / rays[..., 1]
     depth = np.where(depth > 0.0, depth, 0.0)
     color = np.full((*u.shape, 3), GRAY, np.uint8)
-    shut_eye = leaf.local(apply(leaf.T_shut_open, eye[None]))[0]
-    R = np.stack([leaf.along, leaf.out, leaf.across]) @ leaf.T_shut_open[:3, :3]
+    shut_eye = leaf.local(apply(leaf.T_closed_open, eye[None]))[0]
+    R = np.stack([leaf.along, leaf.out, leaf.across]) @ leaf.T_closed_open[:3, :3]
     turned = rays @ R.T
     t = -shut_eye[1] / turned[..., 1]
     place = shut_eye + turned * t[..., None]
@@ -53,13 +53,13 @@ def picture(T: np.ndarray, leaf: OpenLeaf) -> Frame:
     return Frame("frame", color, depth, INTRINSICS, T)
 
 
-def test_where_one_looks_through_the_opening_the_shut_door_is_seen_in_its_colors() -> None:
+def test_the_closed_door_is_painted_over_its_opening() -> None:
     leaf = open_door()
     straight = picture(looking((0.3, -2.0, 0.6), (0.3, 0.0, 0.6)), leaf)
     outer = picture(looking((-1.5, -0.5, 0.6), (0.1, -0.3, 0.6)), leaf)
-    shut = shut_leaf(leaf, [straight, outer])
+    shut = close_leaf(leaf, [straight, outer])
     assert shut.known.mean() > 0.8
-    painted, _ = shut_frames([straight, outer], [shut])
+    painted, _ = close_in_frames([straight, outer], [shut])
     assert painted.depth is not None
     assert straight.depth is not None
     for x, color in ((0.2, RED), (0.5, GREEN)):
@@ -70,10 +70,10 @@ def test_where_one_looks_through_the_opening_the_shut_door_is_seen_in_its_colors
         assert straight.depth[v, u] > place[2] + 0.5
 
 
-def test_what_stands_before_the_opening_stays() -> None:
+def test_an_object_in_front_of_the_opening_stays() -> None:
     leaf = open_door()
     frame = picture(looking((-0.4, -1.5, 0.6), (0.2, 0.0, 0.6)), leaf)
-    (painted,) = shut_frames([frame], [shut_leaf(leaf, [frame])])
+    (painted,) = close_in_frames([frame], [close_leaf(leaf, [frame])])
     assert painted.depth is not None
     assert frame.depth is not None
     changed = (painted.color != frame.color).any(-1)
@@ -82,17 +82,17 @@ def test_what_stands_before_the_opening_stays() -> None:
     assert (painted.depth <= frame.depth).all()
 
 
-def test_an_image_from_behind_is_left_as_it_is() -> None:
+def test_an_image_from_behind_stays_unchanged() -> None:
     leaf = open_door()
     behind = picture(looking((0.3, 0.9, 0.6), (0.3, 0.0, 0.6)), leaf)
-    (painted,) = shut_frames([behind], [shut_leaf(leaf, [behind])])
+    (painted,) = close_in_frames([behind], [close_leaf(leaf, [behind])])
     assert painted is behind
 
 
-def test_a_leaf_is_a_part_of_its_kind_and_size_with_the_handle_that_was_seen_on_it() -> None:
+def test_a_leaf_is_a_part_of_its_kind_and_size_with_its_detected_handle() -> None:
     leaf = open_door()
     outer = picture(looking((-1.5, -0.3, 0.6), (0.1, -0.3, 0.6)), leaf)
-    shut = shut_leaf(leaf, [outer])
+    shut = close_leaf(leaf, [outer])
     bare = part_on(leaf, shut, None)
     assert [(p.kind, p.box, p.handle) for p in bare.parts] == [
         ("door_left", (0.0, 0.0, 1.0, 1.0), None)

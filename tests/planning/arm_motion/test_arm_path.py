@@ -1,4 +1,4 @@
-"""Arm paths over the waypoints, of which only what a path needs is checked."""
+"""Test arm paths over the waypoints and their lazy collision checks."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ def _prepared(robot: Robot, name: str, joint: str) -> PreparedTask:
     return prepare(scene, robot, task, PipelineConfig(), clearance=0.0)
 
 
-def _before(ready: PreparedTask, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Base poses that face the handle, and a way of holding for each."""
+def _base_poses(ready: PreparedTask, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return base poses in front of the handle, and a grasp mode for each."""
     rng, motion = np.random.default_rng(0), ready.motion
     handle = motion.Ts_world_tool[0, motion.grasp_step, :2, 3]
     out = motion.Ts_world_tool[0, motion.grasp_step, :2, 3] - motion.Ts_world_tool[0, -1, :2, 3]
     toward = np.arctan2(out[1], out[0]) + rng.uniform(-0.9, 0.9, count)
-    way = rng.uniform(0.6, 1.0, count)[:, None]
-    xy = handle - way * np.column_stack([np.cos(toward), np.sin(toward)])
+    distance = rng.uniform(0.6, 1.0, count)[:, None]
+    xy = handle - distance * np.column_stack([np.cos(toward), np.sin(toward)])
     yaw = toward + rng.uniform(-0.4, 0.4, count)
-    return np.column_stack([xy, yaw]), rng.integers(0, motion.turning.ways, count)
+    return np.column_stack([xy, yaw]), rng.integers(0, motion.turning.modes, count)
 
 
 def _only_free(ready: PreparedTask, robot: Robot, bases: np.ndarray, found: Layers) -> Layers:
-    """The same with every configuration checked, and none left that hits something."""
+    """Check all configurations, and keep only the free ones."""
     motion, (jobs, layers) = ready.motion, found.counts.shape
     job, layer = np.divmod(np.repeat(np.arange(jobs * layers), found.counts.ravel()), layers)
     which = np.concatenate([
@@ -76,12 +76,12 @@ def _only_free(ready: PreparedTask, robot: Robot, bases: np.ndarray, found: Laye
 
 
 @pytest.mark.parametrize(("name", "joint"), TASKS)
-def test_a_path_is_the_one_that_checking_every_configuration_gives(
+def test_lazy_checks_give_the_path_of_complete_checks(
     robot: Robot, name: str, joint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ready = _prepared(robot, name, joint)
-    bases, ways = _before(ready, 120)
-    find = partial(find_paths, robot, ready.world, ready.motion, bases, ways)
+    bases, modes = _base_poses(ready, 120)
+    find = partial(find_paths, robot, ready.world, ready.motion, bases, modes)
     lazy = find({})
 
     def checked(*args: object) -> Layers:
@@ -95,24 +95,24 @@ def test_a_path_is_the_one_that_checking_every_configuration_gives(
     assert sum(path.status == FOUND for path in lazy) >= 1
 
 
-def test_a_path_goes_around_configurations_that_hit(
+def test_a_path_avoids_configurations_that_collide(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else the checks of what a path goes through could be left out unseen."""
+    """Without this test, nobody would notice if the lazy checks were skipped."""
     ready = _prepared(robot, "microwave", "door_hinge")
-    bases, ways = _before(ready, 120)
-    turned_away = 0
+    bases, modes = _base_poses(ready, 120)
+    rejected = 0
     hits = arm_path._hits
 
     def counted(*args: object) -> bool:
-        nonlocal turned_away
+        nonlocal rejected
         hit = hits(*args)  # type: ignore[arg-type]
-        turned_away += hit
+        rejected += hit
         return hit
 
     monkeypatch.setattr(arm_path, "_hits", counted)
-    paths = find_paths(robot, ready.world, ready.motion, bases, ways, {})
-    assert turned_away > 0
+    paths = find_paths(robot, ready.world, ready.motion, bases, modes, {})
+    assert rejected > 0
     motion = ready.motion
     for base, path in zip(bases, paths, strict=True):
         if path.q is not None:
@@ -123,10 +123,10 @@ def test_a_path_goes_around_configurations_that_hit(
             assert (codes == FREE).all()
 
 
-def test_what_failed_says_where_and_on_what(robot: Robot) -> None:
+def test_a_failed_path_reports_waypoint_and_obstacle(robot: Robot) -> None:
     ready = _prepared(robot, "fridge", "door_hinge")
-    bases, ways = _before(ready, 120)
-    paths = find_paths(robot, ready.world, ready.motion, bases, ways, {})
+    bases, modes = _base_poses(ready, 120)
+    paths = find_paths(robot, ready.world, ready.motion, bases, modes, {})
     failed = [path for path in paths if path.status in (HIT, BROKEN)]
     assert failed
     for path in failed:
@@ -134,5 +134,6 @@ def test_what_failed_says_where_and_on_what(robot: Robot) -> None:
         assert 0 <= path.waypoint < len(ready.motion.waypoint_steps)
         assert (path.obstacle == FREE) == (path.status == BROKEN)
     far = bases + np.array([50.0, 0.0, 0.0])
-    nowhere = find_paths(robot, ready.world, ready.motion, far, ways, {})
-    assert all(path == ArmPath(arm_path.UNREACHABLE, 1, 0, FREE) for path in nowhere)
+    unreachable = find_paths(robot, ready.world, ready.motion, far, modes, {})
+    wanted = vars(ArmPath(arm_path.UNREACHABLE, 1, 0, FREE))
+    assert all(vars(path) == wanted for path in unreachable)

@@ -1,4 +1,4 @@
-"""What arms of fewer than six degrees of freedom can do."""
+"""Test arms of fewer than six degrees of freedom."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion.arm_path import FOUND, HIT
 from momapos.planning.arm_motion.free_turn import find_short_paths, fitted_bases
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.task_setup import prepare
 
@@ -31,7 +30,7 @@ def kitchen() -> Scene:
 
 @pytest.fixture(scope="module")
 def short_arm() -> Robot:
-    """A UR5e whose last joint is stiff."""
+    """Provide a UR5e whose last joint is fixed."""
     robot = load_robot("husky_ur5e")
     return replace(robot, arm_joints=robot.arm_joints[:-1], home=robot.home[:-1])
 
@@ -48,7 +47,7 @@ def test_an_arm_of_five_joints_opens_a_door_and_a_drawer(
     assert plan.status == "solved"
     assert plan.motion is not None
     assert plan.motion.q.shape[1] == len(plan.joints) == 5
-    # What the plan says of the tool is where the arm's states have it.
+    # The plan's tool poses match the arm states.
     Ts = pose_planar(np.array(plan.base_pose)) @ short_arm.chain.tool_poses(plan.motion.q)
     np.testing.assert_allclose(Ts, plan.motion.Ts_world_tool, atol=1e-9)
 
@@ -66,7 +65,7 @@ def test_a_hand_that_turns_stays_on_the_bar(kitchen: Scene, short_arm: Robot) ->
     T_part_tool = invert(np.array(part)) @ plan.motion.Ts_world_tool
     slip = T_part_tool[:, :3, 3] - T_part_tool[0, :3, 3]
     assert np.abs(slip).max() < 1e-3
-    # It turns about the hold's axis alone.
+    # It turns only about the axis of the hold.
     along = np.array(hold.turn_axis) @ T_part_tool[:, :3, :3]
     np.testing.assert_allclose(along, along[:1].repeat(len(along), 0), atol=1e-3)
 
@@ -75,7 +74,7 @@ def test_a_hand_that_turns_stays_on_the_bar(kitchen: Scene, short_arm: Robot) ->
     ("name", "joint", "to"),
     [("fridge", "door_hinge", 0.3), ("cabinet_right", "drawer_top_slide", 0.4)],
 )
-def test_from_a_fitted_base_pose_the_arm_follows_the_motion_by_the_way_that_is_told(
+def test_from_a_fitted_base_pose_the_arm_follows_the_motion_in_the_returned_mode(
     kitchen: Scene, name: str, joint: str, to: float
 ) -> None:
     robot = load_robot("stretch")
@@ -84,18 +83,18 @@ def test_from_a_fitted_base_pose_the_arm_follows_the_motion_by_the_way_that_is_t
     motion, rng = prepared.motion, np.random.default_rng(0)
     middle = motion.waypoints[:, :2].mean(0)
     poses = np.column_stack([middle + rng.uniform(-1, 1, (400, 2)), rng.uniform(-3, 3, 400)])
-    moved, ways = fitted_bases(robot, motion, poses)
-    met = ways >= 0
+    moved, modes = fitted_bases(robot, motion, poses)
+    met = modes >= 0
     np.testing.assert_array_equal(moved[~met], poses[~met])
-    rigid = ways[met] < len(motion.Ts_world_tool)
+    rigid = modes[met] < len(motion.Ts_world_tool)
     assert rigid.all() if joint == "drawer_top_slide" else not rigid.any()
-    paths = find_short_paths(robot, prepared.world, motion, moved[met], ways[met])
-    # What is left is contact, and what lies between the waypoints that are fitted.
+    paths = find_short_paths(robot, prepared.world, motion, moved[met], modes[met])
+    # The others fail by collision or between the fitted waypoints.
     assert sum(path.status in (FOUND, HIT) for path in paths) >= 0.5 * len(paths) > 3
     assert any(path.status == FOUND for path in paths)
 
 
-def test_a_drive_that_ends_some_millimeters_away_leaves_the_answer_good(kitchen: Scene) -> None:
+def test_a_base_error_of_millimeters_leaves_the_plan_feasible(kitchen: Scene) -> None:
     robot = load_robot("stretch")
     task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
     reach = load_reach(robot)
@@ -104,11 +103,11 @@ def test_a_drive_that_ends_some_millimeters_away_leaves_the_answer_good(kitchen:
     for off in ((0.004, 0.0, 0.006), (-0.003, 0.003, -0.006), (0.0, -0.004, 0.0)):
         again = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, off), reach)
         assert again.motion is not None
-        # What the plan says is where the arm has the hand from there.
-        there = again.motion
+        # The tool poses match the arm states from there.
+        motion = again.motion
         Ts = pose_planar(np.add(plan.base_pose, off)) @ robot.chain.tool_poses(
-            robot.chain.freedom_values(there.q)
+            robot.chain.freedom_values(motion.q)
         )
-        np.testing.assert_allclose(Ts, there.Ts_world_tool, atol=1e-9)
+        np.testing.assert_allclose(Ts, motion.Ts_world_tool, atol=1e-9)
     far = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, (0.05, 0, 0.1)), reach)
     assert far.motion is None

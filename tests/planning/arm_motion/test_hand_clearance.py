@@ -1,4 +1,4 @@
-"""Where the hand alone has room: spheres find what is near, boxes decide."""
+"""Test the collision check of the hand alone: spheres find what is near, boxes decide."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from momapos.planning.arm_motion.hand_clearance import (
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.verification.exact_check import PlanVerifier
 
 NOTHING = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
@@ -60,14 +60,14 @@ def tool_poses(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def placed(robot: Robot, T: np.ndarray, travel: float) -> Boxes:
-    """The gripper's boxes at a tool pose, by the hand that grasps are made with."""
+    """Return the gripper's boxes at a tool pose, from the hand model of the grasps."""
     hand = hand_of(robot)
     shift = (travel + hand.rest) * hand.side
     center = hand.boxes.center - shift[:, None] * hand.closing
     return Boxes(center @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ hand.boxes.rotation, hand.boxes.half)
 
 
-def test_arm_and_hand_are_free_where_the_robot_as_a_whole_is(robot: Robot) -> None:
+def test_arm_and_hand_are_free_if_and_only_if_the_whole_robot_is(robot: Robot) -> None:
     rng = np.random.default_rng(0)
     world = world_of(robot, random_boxes(12, rng, (-1.0, -1.0, 0.0), (1.0, 1.0, 1.8)))
     q = random_states(robot.chain, 2000, rng)
@@ -103,14 +103,14 @@ def test_the_boxes_of_the_gripper_decide_where_its_spheres_touch(
     assert (near & ~exact).sum() > 4
     assert not (exact & ~near).any()
     assert not (exact & ~touched & ~by_wrist(robot, world, Ts)).any()
-    # Spheres find all that is deeper in a box than they leave of the gripper's shapes uncovered.
+    # Spheres find every overlap deeper than the margin by which they may miss the gripper's shape.
     deep = np.array([deepest(placed(robot, T, travel), boxes) > MARGIN for T in Ts])
     assert deep.sum() > 40
     assert not (deep & ~exact).any()
 
 
 def deepest(hand: Boxes, boxes: Boxes) -> float:
-    """How deep points of a hand's boxes are in any other box at most [m]; 0 far from all."""
+    """Return the largest depth of the hand's points in another box [m]; 0 far from all."""
     middle = hand.center.mean(axis=0)
     reach = np.linalg.norm(hand.center - middle, axis=1) + np.linalg.norm(hand.half, axis=1)
     apart = np.linalg.norm(boxes.center - middle, axis=1) - np.linalg.norm(boxes.half, axis=1)
@@ -129,7 +129,7 @@ def deepest(hand: Boxes, boxes: Boxes) -> float:
 
 
 def by_wrist(robot: Robot, world: CollisionWorld, Ts: np.ndarray) -> np.ndarray:
-    """Whether spheres of what moves with the hand, and is no gripper, touch a box."""
+    """Check whether spheres of non-gripper links that move with the hand touch a box."""
     chain, spheres = robot.chain, robot.spheres
     found = np.zeros(len(Ts), bool)
     last = robot.segments.of_link[robot.tool_link]
@@ -144,7 +144,7 @@ def by_wrist(robot: Robot, world: CollisionWorld, Ts: np.ndarray) -> np.ndarray:
     return found
 
 
-def test_closed_fingers_are_checked_against_what_stands_between_them(robot: Robot) -> None:
+def test_closed_fingers_hit_an_obstacle_between_them(robot: Robot) -> None:
     hand = hand_of(robot)
     across = np.cross(hand.approach, hand.closing)
     R = np.stack([hand.approach, hand.closing, across], axis=-1)
@@ -159,12 +159,12 @@ def test_closed_fingers_are_checked_against_what_stands_between_them(robot: Robo
     assert hits(robot, world, T, exact=True, travel=hand.travel - 0.002)[0] == 0
 
 
-def test_fingers_meet_on_their_way_what_they_stand_astride_of(robot: Robot) -> None:
+def test_closing_fingers_hit_an_obstacle_that_they_span(robot: Robot) -> None:
     hand = hand_of(robot)
     face, corners = hand.inner(1)
     travel = hand.travel - hand.rest - 0.002
     assert travel > hand.thickness
-    # A sheet just inside the open pad, out of reach of the closed finger and of the palm.
+    # A sheet just inside the open pad, clear of the closed finger and the palm.
     R = np.stack([hand.approach, hand.closing, np.cross(hand.approach, hand.closing)], axis=-1)
     middle = R @ [corners[1, 0], face - hand.rest - GAP - 0.001, corners.mean(0)[1]]
     up = np.array([0.0, 0.0, 1.0])
@@ -172,15 +172,15 @@ def test_fingers_meet_on_their_way_what_they_stand_astride_of(robot: Robot) -> N
     world = world_of(robot, sheet)
     T = np.eye(4)[None].copy()
     T[0, 2, 3] = 1.0
-    for shut in (0.0, travel):
-        assert hits(robot, world, T, exact=True, travel=shut)[0] == FREE
+    for closed in (0.0, travel):
+        assert hits(robot, world, T, exact=True, travel=closed)[0] == FREE
     one, yes = np.zeros(1, np.int64), np.ones(1, bool)
     assert hits_while_closing(robot, world, T, one, yes, yes, np.array([travel]))[0] == 0
     away = world_of(robot, Boxes(sheet.center + up, sheet.rotation, sheet.half))
     assert hits_while_closing(robot, away, T, one, yes, yes, np.array([travel]))[0] == FREE
 
 
-def test_a_gripper_that_dips_below_the_floor_hits_it(robot: Robot) -> None:
+def test_a_gripper_below_the_floor_hits_it(robot: Robot) -> None:
     hand = hand_of(robot)
     down = np.stack([hand.closing, np.cross(-hand.approach, hand.closing), -hand.approach])
     T = np.eye(4)[None].copy()
@@ -191,7 +191,7 @@ def test_a_gripper_that_dips_below_the_floor_hits_it(robot: Robot) -> None:
         assert hits(robot, world, T, exact=True)[0] == code
 
 
-def test_a_handle_of_a_centimeter_beside_its_carcass_is_held(
+def test_a_handle_of_one_centimeter_near_its_carcass_can_be_grasped(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     cabinet_room(tmp_path)

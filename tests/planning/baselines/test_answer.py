@@ -1,4 +1,4 @@
-"""Laws of every method: its plan holds, repeats, and is named."""
+"""Test that the plans of every method are valid, repeatable and named."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion import arm_planner as planner
 from momapos.planning.arm_motion.arm_planner import plan_motion
-from momapos.planning.baselines.by_method import PLACERS, plan_by_method
+from momapos.planning.baselines.by_method import PLACERS
 from momapos.planning.config import PaperConfig, PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement, plan_by_method
 from momapos.planning.placement.config import OURS, Method, PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 
@@ -34,12 +34,12 @@ def ask(scene: Scene, robot: Robot, method: Method, *, seed: int = 0) -> Placeme
     return plan_by_method(scene, robot, task, Everywhere(), config=config, seed=seed)
 
 
-def test_every_name_of_a_method_has_its_placer() -> None:
+def test_every_method_name_has_a_placer() -> None:
     assert set(get_args(Method)) == {*OURS, *PLACERS, "paper"}
 
 
 @pytest.mark.parametrize("method", get_args(Method))
-def test_every_method_answers_with_a_plan_that_holds_and_repeats(
+def test_every_method_returns_a_valid_and_repeatable_plan(
     method: Method, robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
@@ -55,7 +55,7 @@ def test_every_method_answers_with_a_plan_that_holds_and_repeats(
 
 
 @pytest.mark.parametrize("method", [*PLACERS, "paper"])
-def test_no_method_moves_a_handle_above_all_arms(
+def test_no_method_reaches_a_handle_that_is_too_high(
     method: Method, robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
@@ -67,7 +67,7 @@ def test_no_method_moves_a_handle_above_all_arms(
     assert any("reach" in reason for reason in plan.candidates.rejections)
 
 
-def test_the_pipeline_refuses_what_only_baselines_know(
+def test_the_pipeline_rejects_the_name_of_a_baseline(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     scene = cabinet_room(tmp_path)
@@ -77,9 +77,7 @@ def test_the_pipeline_refuses_what_only_baselines_know(
         plan_base_placement(scene, robots("fetch"), task, Everywhere(), config=config)
 
 
-def test_poses_that_are_ruled_out_are_no_answer_of_a_baseline(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_a_baseline_respects_keep_poses(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     config = PipelineConfig(place=PlaceConfig(method="rm4d"))
     task = make_task(scene, "open", "cabinet", to=0.8)
@@ -87,15 +85,15 @@ def test_poses_that_are_ruled_out_are_no_answer_of_a_baseline(
     assert free.base_pose is not None
     taken = np.array(free.base_pose[:2])
 
-    def near(poses: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(poses[:, :2] - taken, axis=1) < 0.1
+    def away(poses: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(poses[:, :2] - taken, axis=1) >= 0.1
 
-    plan = plan_by_method(scene, robot, task, Everywhere(), config=config, pose_filter=near).plan
+    plan = plan_by_method(scene, robot, task, Everywhere(), config=config, keep_poses=away).plan
     assert plan.base_pose is not None
     assert np.linalg.norm(np.array(plan.base_pose[:2]) - taken) >= 0.1
 
 
-def test_the_paper_models_what_its_walks_call_important_and_plans_with_rrt_star(
+def test_the_paper_selects_objects_by_deepwalk_and_plans_with_rrt_star(
     robots: Callable[[str], Robot], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planners = []
@@ -116,7 +114,7 @@ def test_the_paper_models_what_its_walks_call_important_and_plans_with_rrt_star(
     assert set(planners) == {"RRTstar"}
 
 
-def test_the_paper_lowers_alpha_until_all_is_modeled_before_it_gives_up(
+def test_the_paper_lowers_alpha_until_all_objects_are_modeled(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     extra = (
@@ -134,7 +132,7 @@ def test_the_paper_lowers_alpha_until_all_is_modeled_before_it_gives_up(
     assert set(answer.plan.key_objects.names) == {"cabinet", "pile"}
 
 
-def test_a_baseline_is_asked_where_no_single_hold_can_work(robots: Callable[[str], Robot]) -> None:
+def test_a_baseline_is_called_where_only_a_regrasp_works(robots: Callable[[str], Robot]) -> None:
     scene, robot = load_scene("kitchen_island"), robots("segway_ur5e")
     task = make_task(scene, "open", "sink", "door_left_hinge")
     config = PipelineConfig(place=PlaceConfig(method="habitat"))
@@ -143,7 +141,7 @@ def test_a_baseline_is_asked_where_no_single_hold_can_work(robots: Callable[[str
     assert len(plan.motion.holds) == 2
 
 
-def test_a_baseline_answers_how_far_a_part_can_be_moved_and_is_named(
+def test_a_baseline_opens_a_part_as_far_as_possible_and_is_named(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")

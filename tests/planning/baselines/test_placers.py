@@ -1,4 +1,4 @@
-"""Laws of what base placers propose, before anything is checked."""
+"""Test the proposals of the base placers."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from momapos.planning.baselines.m3_placer import HINGED as REGIONS
 from momapos.planning.baselines.m3_placer import NOISE, m3
 from momapos.planning.baselines.map_placers import reuleaux, rm4d
 from momapos.planning.baselines.paper_placer import PaperPlacer, in_area, potential, whole_boxes
-from momapos.planning.baselines.placer_room import GRASP, BasePlacer, Room
-from momapos.planning.baselines.samplers import FARTHEST, behavior, momagen, pycram
+from momapos.planning.baselines.placer_room import GRASP_WAYPOINT, BasePlacer, PlacerRoom
+from momapos.planning.baselines.samplers import MAX_DISTANCE, behavior, momagen, pycram
 from momapos.planning.config import PaperConfig, PipelineConfig
 from momapos.planning.grasps.tasks import make_task
 from momapos.planning.placement.area import base_pose_status
@@ -33,27 +33,27 @@ START = np.array([0.0, -2.5, np.pi / 2])
 
 
 class OneSide:
-    """A reach scorer that reaches from the left of the room's middle alone."""
+    """A reach scorer that reaches only from the left half of the room."""
 
     def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     ) -> Float[np.ndarray, "n g"]:
-        """Score 1 on the left, else 0."""
+        """Return 1 on the left, else 0."""
         return np.repeat((bases[:, :1] < 0.0).astype(np.float32), len(Ts_world_tool), 1)
 
 
-def room_of(scene: Scene, robot: Robot, start: np.ndarray = START) -> Room:
+def placer_room(scene: Scene, robot: Robot, start: np.ndarray = START) -> PlacerRoom:
     task = make_task(scene, "open", "cabinet", to=1.2)
     prepared = prepare(scene, robot, task, PipelineConfig(), clearance=0.01)
-    return Room(prepared, Everywhere(), driving_lengths(prepared, start), start, 24)
+    return PlacerRoom(prepared, Everywhere(), driving_lengths(prepared, start), start, 24)
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]) -> Room:
-    return room_of(cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e"))
+def room(tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]) -> PlacerRoom:
+    return placer_room(cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e"))
 
 
-def proposed(placer: BasePlacer, room: Room, *, seed: int = 0) -> Float[np.ndarray, "n 3"]:
+def proposed(placer: BasePlacer, room: PlacerRoom, *, seed: int = 0) -> Float[np.ndarray, "n 3"]:
     return np.concatenate(list(placer(room, np.random.default_rng(seed))))
 
 
@@ -61,13 +61,11 @@ PAPER = PaperPlacer(PaperConfig(samples=40, batches=2))
 
 
 @pytest.mark.parametrize("name", [*PLACERS, "paper"])
-def test_proposals_stand_clear_of_what_stands_and_repeat_with_the_seed(
-    room: Room, name: str
-) -> None:
+def test_proposals_stand_clear_and_repeat_with_the_seed(room: PlacerRoom, name: str) -> None:
     placer = PLACERS.get(name, PAPER)
     poses = proposed(placer, room)
     assert len(poses)
-    if name == "paper":  # it asks for a free base; the others have the arm at home as well
+    if name == "paper":  # it checks the base only; the others also check the arm at home
         assert len(in_area(room, whole_boxes(room), poses)) == len(poses)
     else:
         assert room.stands_clear(poses).all()
@@ -75,21 +73,21 @@ def test_proposals_stand_clear_of_what_stands_and_repeat_with_the_seed(
 
 
 @pytest.mark.parametrize("placer", [habitat, m3, rm4d, behavior, momagen])
-def test_proposals_move_with_the_room(
+def test_proposals_move_with_the_scene(
     placer: BasePlacer, robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     shift = np.array([0.5, -0.25, np.pi / 2])
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    moved = room_of(move_scene(scene, *shift), robot, compose(shift, START[None])[0])
-    here, there = proposed(placer, room_of(scene, robot)), proposed(placer, moved)
-    front, back = room_of(scene, robot).handle_frame, moved.handle_frame
+    moved = placer_room(move_scene(scene, *shift), robot, compose(shift, START[None])[0])
+    here, there = proposed(placer, placer_room(scene, robot)), proposed(placer, moved)
+    front, back = placer_room(scene, robot).handle_frame, moved.handle_frame
     np.testing.assert_allclose(compose(shift, front[None])[0], back, atol=1e-9)
     low, high = local_points(front, here[:, :2]), local_points(back, there[:, :2])
     np.testing.assert_allclose(low.mean(0), high.mean(0), atol=0.15)
 
 
-def test_habitat_stands_in_the_middle_of_its_area_first_and_looks_at_the_object(
-    room: Room,
+def test_habitat_starts_in_the_middle_of_its_area_and_faces_the_object(
+    room: PlacerRoom,
 ) -> None:
     poses = proposed(habitat, room)
     local = local_points(room.object_frame, poses[:, :2])
@@ -100,7 +98,7 @@ def test_habitat_stands_in_the_middle_of_its_area_first_and_looks_at_the_object(
     np.testing.assert_allclose(np.arctan2(away[:, 1], away[:, 0]), poses[:, 2], atol=1e-9)
 
 
-def test_m3_stays_in_its_region_but_for_its_noise(room: Room) -> None:
+def test_m3_stays_in_its_region_up_to_noise(room: PlacerRoom) -> None:
     local = local_points(room.object_frame, proposed(m3, room)[:, :2])
     margin = 2 * NOISE[0] * np.sqrt(2) + 1e-9
     assert (local > REGIONS[0][0] - margin).all()
@@ -108,40 +106,42 @@ def test_m3_stays_in_its_region_but_for_its_noise(room: Room) -> None:
 
 
 @pytest.mark.parametrize("placer", [reuleaux, rm4d])
-def test_maps_propose_only_what_reaches_the_handle(room: Room, placer: BasePlacer) -> None:
-    half = Room(room.prepared, OneSide(), room.travel_cost, room.start, room.grasps)
+def test_maps_propose_only_poses_that_reach_the_handle(
+    room: PlacerRoom, placer: BasePlacer
+) -> None:
+    half = PlacerRoom(room.prepared, OneSide(), room.travel_cost, room.start, room.grasps)
     assert (proposed(placer, half)[:, 0] < 0.0).all()
     assert (proposed(placer, room)[:, 0] > 0.0).any()
 
 
-def test_rm4d_proposes_the_cells_that_reach_most_grasps_first(room: Room) -> None:
+def test_rm4d_proposes_the_cells_that_reach_most_grasps_first(room: PlacerRoom) -> None:
     class Share:
         def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
-            """The more grasps, the farther left."""
+            """Reach more grasps farther left."""
             order = np.linspace(-1.0, 1.0, len(Ts_world_tool))
             return (order[None] > bases[:, :1]).astype(np.float32)
 
-    poses = proposed(rm4d, Room(room.prepared, Share(), room.travel_cost, room.start, 24))
+    poses = proposed(rm4d, PlacerRoom(room.prepared, Share(), room.travel_cost, room.start, 24))
     grasps = len(room.Ts_world_tool)
     count = (np.linspace(-1.0, 1.0, grasps)[None] > poses[:, :1]).sum(1)
     assert (np.diff(count) <= 0).all()
 
 
-def test_samplers_hold_the_handle_with_exact_inverse_kinematics(room: Room) -> None:
+def test_samplers_propose_poses_with_an_exact_grasp(room: PlacerRoom) -> None:
     for placer in (behavior, momagen, pycram):
         poses = proposed(placer, room)[:5]
-        assert room.holds_at(poses, [GRASP]).all()
+        assert room.holds_at(poses, [GRASP_WAYPOINT]).all()
     away = np.linalg.norm(proposed(behavior, room)[:, :2] - room.target[:2], axis=1)
-    assert away.max() <= FARTHEST
+    assert away.max() <= MAX_DISTANCE
 
 
-def test_nothing_is_held_from_across_the_room(room: Room) -> None:
+def test_no_grasp_exists_from_across_the_room(room: PlacerRoom) -> None:
     far = room.facing(np.array([[0.0, -4.0]]), room.target[:2])
-    assert not room.holds_at(far, [GRASP]).any()
+    assert not room.holds_at(far, [GRASP_WAYPOINT]).any()
 
 
-def test_other_placers_do_not_know_where_the_door_goes(room: Room) -> None:
-    """That is what ours is better at: it never proposes a base in the way of the part."""
+def test_other_placers_propose_poses_that_block_the_door(room: PlacerRoom) -> None:
+    """Our method never proposes a base in the path of the part."""
     geometry = room.prepared.geometry
     blocked = [
         (base_pose_status(geometry, proposed(placer, room))[0] == 1).any()
@@ -150,7 +150,7 @@ def test_other_placers_do_not_know_where_the_door_goes(room: Room) -> None:
     assert any(blocked)
 
 
-def test_the_area_of_the_paper_keeps_clear_of_whole_boxes(room: Room) -> None:
+def test_the_paper_s_area_excludes_whole_boxes(room: PlacerRoom) -> None:
     boxes = whole_boxes(room)
     cells = room.facing(room.cells(room.target[:2], 1.0, 0.1), room.target[:2])
     inside = in_area(room, boxes, cells)
@@ -158,7 +158,7 @@ def test_the_area_of_the_paper_keeps_clear_of_whole_boxes(room: Room) -> None:
     assert (base_hits(inside, room.robot.base, boxes, clearance=0.0) == FREE).all()
 
 
-def test_the_potential_is_summed_over_waypoints_and_heights(room: Room) -> None:
+def test_the_potential_is_summed_over_waypoints_and_heights(room: PlacerRoom) -> None:
     boxes = whole_boxes(room)
     poses = in_area(
         room, boxes, room.facing(room.cells(room.target[:2], 1.0, 0.2), room.target[:2])
@@ -170,10 +170,10 @@ def test_the_potential_is_summed_over_waypoints_and_heights(room: Room) -> None:
     each = [potential(room, boxes, poses, scores, z) for z in (low, high)]
     np.testing.assert_allclose(both, each[0] + each[1])
     blind = potential(room, boxes, poses, 0 * scores, low)
-    np.testing.assert_allclose(each[0], blind + scores[:, GRASP:].sum(1))
+    np.testing.assert_allclose(each[0], blind + scores[:, GRASP_WAYPOINT:].sum(1))
 
 
-def test_without_the_field_or_the_map_the_other_decides_alone(room: Room) -> None:
+def test_without_the_field_or_the_map_the_other_alone_decides(room: PlacerRoom) -> None:
     def proposed(**changes: bool) -> np.ndarray:
         config = PaperConfig(samples=64, batches=1, group=1, **changes)
         return np.vstack(list(PaperPlacer(config)(room, np.random.default_rng(0))))
@@ -181,15 +181,15 @@ def test_without_the_field_or_the_map_the_other_decides_alone(room: Room) -> Non
     boxes, heights = whole_boxes(room), np.array(PaperConfig().heights)
     by_map, by_field = proposed(field=False), proposed(inverse_map=False)
     scores = room.scores(by_map, range(room.Ts_world_tool.shape[1])).max(1)
-    assert (np.diff(scores[:, GRASP:].sum(1)) <= 1e-5).all()
+    assert (np.diff(scores[:, GRASP_WAYPOINT:].sum(1)) <= 1e-5).all()
     nothing = np.zeros((len(by_field), room.Ts_world_tool.shape[1]))
     assert (np.diff(potential(room, boxes, by_field, nothing, heights)) <= 1e-9).all()
     assert len(by_field) >= len(by_map) == len(proposed())
 
 
-def test_the_field_is_one_over_the_distance_where_nothing_hides_the_handle(room: Room) -> None:
+def test_the_field_is_one_over_the_distance_where_the_handle_is_visible(room: PlacerRoom) -> None:
     boxes = whole_boxes(room)
-    targets = room.Ts_world_tool[0, GRASP:, :3, 3]
+    targets = room.Ts_world_tool[0, GRASP_WAYPOINT:, :3, 3]
     in_front_and_behind = room.target[:2] + np.array([[0.0, -0.8], [0.0, 1.5]])
     poses = room.facing(in_front_and_behind, room.target[:2])
     axes = place_points(poses, room.prepared.geometry.shoulder[None, :2])[:, 0]
@@ -200,7 +200,7 @@ def test_the_field_is_one_over_the_distance_where_nothing_hides_the_handle(room:
     assert hidden < (1 / np.linalg.norm(targets[:, :2] - axes[1:], axis=1)).sum()
 
 
-def test_the_paper_tries_groups_of_the_highest_potential_first(room: Room) -> None:
+def test_the_paper_tries_groups_of_high_potential_first(room: PlacerRoom) -> None:
     config = PaperConfig(samples=64, batches=1, group=4)
     groups = list(PaperPlacer(config)(room, np.random.default_rng(0)))
     assert all(len(group) == 4 for group in groups[:-1])

@@ -1,4 +1,4 @@
-"""Laws of open tours."""
+"""Test open tours."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_an_open_tour_visits_every_candidate_once(count: int) -> None:
     np.testing.assert_array_equal(*orders)
 
 
-def test_the_exact_open_tour_is_no_longer_than_any_other() -> None:
+def test_the_exact_open_tour_is_the_cheapest() -> None:
     rng = np.random.default_rng(3)
     positions, potential = rng.uniform(0, 5, (6, 2)), rng.uniform(0, 1, 6)
     k_d, k_p = 0.8, 0.2

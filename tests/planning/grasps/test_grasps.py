@@ -1,4 +1,4 @@
-"""Grasps that hold: fingers that close on the part as it is, and what they transmit."""
+"""Test the grasps of parts: contact of closing fingers, and transmitted forces."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from momapos.planning.grasps.handles import (
 from momapos.planning.grasps.part_grasps import grasps_of, push_grasps
 from momapos.planning.grasps.pinch_grasps import pinch_capacity
 from momapos.planning.grasps.resistance import resistance_of
-from momapos.planning.grasps.task_motions import TaskMotion, by_another_handle, task_motion
+from momapos.planning.grasps.task_motions import TaskMotion, task_motion, with_other_handle
 from momapos.planning.grasps.tasks import make_task, openable
 from momapos.planning.task_setup import prepare
 
 CONFIG = GraspConfig()
 DEEP = 1e-3
-"""Pads press into what they hold by no more [m]."""
+"""Maximum depth of the pads in the handle [m]."""
 
 
 def changed(folder: Path, *changes: tuple[str, str]) -> Scene:
-    """The cabinet with some of its URDF rewritten."""
+    """Return the cabinet scene with changes of its URDF."""
     cabinet_room(folder)
     file = folder / "cabinet.urdf"
     text = file.read_text()
@@ -54,7 +54,7 @@ def opened(scene: Scene, robot: Robot) -> TaskMotion:
 
 
 def box_corners(robot: Robot, travel: float) -> list[tuple[int, bool, np.ndarray]]:
-    """Side, whether a pad, and a grid of points of each box of a hand whose fingers have closed."""
+    """Return side, whether a pad, and grid points of each box of a hand with closed fingers."""
     hand, found = hand_of(robot), []
     t = np.linspace(-1, 1, 5)
     grid = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
@@ -66,7 +66,7 @@ def box_corners(robot: Robot, travel: float) -> list[tuple[int, bool, np.ndarray
     return found
 
 
-def test_the_pads_of_every_hand_are_its_opening_apart(robot: Robot) -> None:
+def test_the_distance_of_the_pads_is_the_opening(robot: Robot) -> None:
     hand = hand_of(robot)
     assert hand.closes
     assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
@@ -74,7 +74,7 @@ def test_the_pads_of_every_hand_are_its_opening_apart(robot: Robot) -> None:
     assert set(hand.side[hand.pad]) == {1, -1}
 
 
-def test_closed_fingers_touch_the_handle_alone_with_their_pads_alone(robot: Robot) -> None:
+def test_closed_fingers_touch_only_the_handle_and_only_with_their_pads(robot: Robot) -> None:
     scene = load_scene("kitchen_small")
     for item, joint in (("fridge", "door_hinge"), ("cabinet_left", "drawer_slide")):
         model = scene.object(item).model
@@ -94,15 +94,15 @@ def test_closed_fingers_touch_the_handle_alone_with_their_pads_alone(robot: Robo
             assert min(touched.values()) > -0.01
 
 
-def test_open_fingers_reach_their_grasp_without_a_touch(robot: Robot) -> None:
+def test_open_fingers_approach_without_contact(robot: Robot) -> None:
     model = load_scene("kitchen_small").object("microwave").model
     handle = find_handle(model, "door_hinge", 1.0)
     found = grasps_of(robot, model, "door_hinge", 1.0, handle, CONFIG)
     for T in found.Ts_part_tool[::5]:
         back = T[:3, :3] @ robot.approach_axis
         for _, _, points in box_corners(robot, 0.0):
-            for way in np.linspace(0, CONFIG.pregrasp, 9):
-                at = points @ T[:3, :3].T + T[:3, 3] - way * back
+            for distance in np.linspace(0, CONFIG.pregrasp, 9):
+                at = points @ T[:3, :3].T + T[:3, 3] - distance * back
                 for element in part_elements(model, "door_hinge"):
                     assert element.convex.depth(at).max() <= 0.0
 
@@ -120,20 +120,16 @@ def test_every_grasp_points_at_the_handle_and_closes_across_it(robot: Robot) -> 
     assert (np.abs(along) <= handle.half_length + 0.02).all()
 
 
-def test_a_pull_across_the_pads_is_carried_by_twice_the_friction_and_one_along_them_by_force() -> (
-    None
-):
+def test_friction_carries_a_pull_across_the_pads_and_force_one_along_them() -> None:
     assert pinch_capacity(60.0, 0.6, np.array([0.0]))[0] == pytest.approx(72.0)
     assert pinch_capacity(60.0, 0.6, np.array([1.0]))[0] == pytest.approx(60.0)
     both = pinch_capacity(60.0, 0.6, np.array([0.5]))[0]
-    # The pad that is unloaded rubs less: what it carries across the axis is less by as much.
+    # The unloaded pad has less friction.
     along, across = 0.5 * both, np.sqrt(0.75) * both
     assert across == pytest.approx(0.6 * (2 * 60.0 - along))
 
 
-def test_a_grasp_near_the_hinge_needs_more_than_one_far_from_it(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_the_needed_force_is_the_torque_over_the_lever_arm(robot: Robot, tmp_path: Path) -> None:
     motion = opened(changed(tmp_path), robot)
     item = changed(tmp_path).object("cabinet")
     lever = np.linalg.norm(find_handle(item.model, "hinge", 1.0).center[:2])
@@ -144,7 +140,7 @@ def test_a_grasp_near_the_hinge_needs_more_than_one_far_from_it(
     np.testing.assert_allclose(grasps.need * 0.5, torque, rtol=0.1)
 
 
-def test_a_seal_is_pulled_at_the_handle_and_a_flap_is_lifted(tmp_path: Path) -> None:
+def test_seals_and_weight_add_to_the_resistance(tmp_path: Path) -> None:
     scene = changed(tmp_path)
     item = scene.object("cabinet")
     cold = replace(item, category="fridge")
@@ -154,11 +150,11 @@ def test_a_seal_is_pulled_at_the_handle_and_a_flap_is_lifted(tmp_path: Path) -> 
     flap = changed(tmp_path / "flap", ('<axis xyz="0 0 1.0"/>', '<axis xyz="1 0 0"/>'))
     weight = resistance_of(flap.object("cabinet"), "hinge", values, 0.5, config) - 6 * 0.5 - 0.4
     mass = 300 * (0.56 * 0.02 * 0.6 + 0.016 * 0.016 * 0.2)
-    # Level after a quarter turn: the door's middle is 1 cm above its axis then.
+    # Horizontal after a quarter turn, when the door's middle is 1 cm above its axis.
     assert 0.9 * 0.01 * mass * 9.81 < weight < 0.03 * mass * 9.81
 
 
-def test_too_thick_a_handle_is_a_no_with_the_reason(robot: Robot, tmp_path: Path) -> None:
+def test_a_handle_too_thick_is_reported(robot: Robot, tmp_path: Path) -> None:
     size = robot.opening + 0.001
     scene = changed(tmp_path, ("0.016 0.016 0.2", f"{size} {size} 0.4"))
     task = make_task(scene, "open", "cabinet")
@@ -167,8 +163,10 @@ def test_too_thick_a_handle_is_a_no_with_the_reason(robot: Robot, tmp_path: Path
     assert f"opens {100 * robot.opening:.1f} cm" in ready.infeasible_reason
 
 
-def test_a_handle_too_wide_one_way_is_held_the_other_way(robot: Robot, tmp_path: Path) -> None:
-    """8.6 cm wide and 2.6 cm deep, well before its door: the hand comes from the side."""
+def test_a_handle_too_wide_in_one_direction_is_grasped_in_the_other(
+    robot: Robot, tmp_path: Path
+) -> None:
+    """The bar is 8.6 cm wide and 2.6 cm deep, far before its door: the hand comes from the side."""
     wide = robot.opening + 0.001
     scene = changed(
         tmp_path, ("0.016 0.016 0.2", f"{wide} 0.026 0.3"), ('-0.065 0"/>', '-0.165 0"/>')
@@ -178,7 +176,7 @@ def test_a_handle_too_wide_one_way_is_held_the_other_way(robot: Robot, tmp_path:
     assert motion.grasps.width.max() < 0.04
 
 
-def test_a_gripper_too_weak_for_a_part_is_a_no_with_both_forces(
+def test_a_gripper_too_weak_for_a_part_is_reported_with_both_forces(
     robot: Robot, tmp_path: Path
 ) -> None:
     scene = changed(tmp_path)
@@ -189,7 +187,7 @@ def test_a_gripper_too_weak_for_a_part_is_a_no_with_both_forces(
     assert "are needed there" in ready.infeasible_reason
 
 
-def test_an_unnamed_bar_is_found_by_its_shape_and_beats_the_edge(
+def test_an_unnamed_bar_is_found_by_its_shape_and_precedes_the_edge(
     robot: Robot, tmp_path: Path
 ) -> None:
     scene = changed(tmp_path, ("door_handle", "trim"))
@@ -211,14 +209,14 @@ def test_an_unnamed_bar_is_found_by_its_shape_and_beats_the_edge(
         ("0.016 0.04 0.2", "-0.04", HandleKind.LIP),
     ],
 )
-def test_handles_are_told_apart_by_their_proportions_and_the_room_behind(
+def test_handles_are_classified_by_proportions_and_the_space_behind(
     size: str, gap: str, kind: HandleKind, tmp_path: Path
 ) -> None:
     scene = changed(tmp_path, ("0.016 0.016 0.2", size), ('-0.065 0"/>', f'{gap} 0"/>'))
     assert find_handle(scene.object("cabinet").model, "hinge", 1.0).kind is kind
 
 
-def test_a_bar_with_its_posts_is_held_at_the_bar() -> None:
+def test_a_bar_with_posts_is_grasped_at_the_bar() -> None:
     scene = load_scene("kitchen_small")
     for item, joint in openable(scene):
         model = scene.object(item).model
@@ -228,30 +226,30 @@ def test_a_bar_with_its_posts_is_held_at_the_bar() -> None:
         assert any(e.convex.depth(handle.grip[None])[0] > 0.009 for e in handle.elements)
 
 
-def test_what_does_not_stick_out_of_a_panel_is_no_handle(tmp_path: Path) -> None:
+def test_geometry_flush_with_the_panel_is_no_handle(tmp_path: Path) -> None:
     flush = ('-0.065 0"/>', '-0.015 0"/>')
     scene = changed(tmp_path, ("door_handle", "trim"), flush, ("0.016 0.016", "0.016 0.002"))
     assert all(h.edge for h in find_handles(scene.object("cabinet").model, "hinge", 1.0))
 
 
-def test_a_free_edge_is_taken_only_from_where_fingers_get_around_it(
+def test_a_free_edge_is_grasped_only_where_fingers_get_behind_it(
     robot: Robot, tmp_path: Path
 ) -> None:
-    """The shut door's edge lies before its body, so that no finger gets behind it."""
+    """The closed door's edge lies before its body, so that no finger gets behind it."""
     bare = (("door_handle", "trim"), ("0.016 0.016 0.2", "0.001 0.001 0.001"))
     scene = changed(tmp_path, *bare)
     task = make_task(scene, "open", "cabinet")
-    shut = prepare(scene, robot, task, PipelineConfig(), clearance=0.0)
-    assert shut.motion.handle is not None
-    assert shut.motion.handle.edge
-    assert "in every grasp" in shut.infeasible_reason
+    closed = prepare(scene, robot, task, PipelineConfig(), clearance=0.0)
+    assert closed.motion.handle is not None
+    assert closed.motion.handle.edge
+    assert "in every grasp" in closed.infeasible_reason
     ajar = scene.with_joint("cabinet", "hinge", 1.0)
     half_open = prepare(ajar, robot, task, PipelineConfig(), clearance=0.0)
     assert half_open.infeasible_reason == ""
     assert set(half_open.motion.grasps.family) == {Family.HOOK}
 
 
-def test_a_door_is_pushed_shut_from_its_front(robot: Robot, tmp_path: Path) -> None:
+def test_a_door_is_closed_by_pushing_its_front(robot: Robot, tmp_path: Path) -> None:
     model = changed(tmp_path).object("cabinet").model
     pushed = push_grasps(robot, model, "hinge", 1.0, CONFIG)
     assert pushed is not None
@@ -261,13 +259,13 @@ def test_a_door_is_pushed_shut_from_its_front(robot: Robot, tmp_path: Path) -> N
     for T, point in zip(found.Ts_part_tool, found.point, strict=True):
         into = T[:3, :3] @ robot.approach_axis
         assert into @ motion_direction(model, "hinge", 1.0, point) < 0.0
-    shut = changed(tmp_path).with_joint("cabinet", "hinge", 1.2)
-    motion = task_motion(shut, robot, make_task(shut, "close", "cabinet"), MotionConfig())
+    ajar = changed(tmp_path).with_joint("cabinet", "hinge", 1.2)
+    motion = task_motion(ajar, robot, make_task(ajar, "close", "cabinet"), MotionConfig())
     assert set(motion.grasps.family) >= {Family.PINCH, Family.PUSH}
 
 
 @pytest.mark.parametrize("grips", [Grip.SUCTION, Grip.HOOK])
-def test_a_tool_without_closing_fingers_holds_with_what_its_file_says(
+def test_a_tool_without_closing_fingers_has_the_force_of_its_file(
     grips: Grip, robot: Robot, tmp_path: Path
 ) -> None:
     motion = opened(changed(tmp_path), replace(robot, grips=grips))
@@ -277,7 +275,7 @@ def test_a_tool_without_closing_fingers_holds_with_what_its_file_says(
     assert (motion.grasps.capacity == robot.grip_force).all()
 
 
-def test_what_is_known_of_grasps_is_dropped_with_them(robot: Robot, tmp_path: Path) -> None:
+def test_a_subset_of_grasps_keeps_their_records(robot: Robot, tmp_path: Path) -> None:
     motion = opened(changed(tmp_path), robot)
     kept = np.zeros(len(motion.Ts_world_tool), bool)
     kept[::3] = True
@@ -287,8 +285,8 @@ def test_what_is_known_of_grasps_is_dropped_with_them(robot: Robot, tmp_path: Pa
     np.testing.assert_array_equal(fewer.grasps.width, motion.grasps.width[kept])
 
 
-def test_the_sharp_edge_of_a_bar_is_no_contact(robot: Robot, tmp_path: Path) -> None:
-    """A square bar turned by 40 degrees between the pads slips, a round one does not."""
+def test_pads_do_not_hold_the_sharp_edge_of_a_bar(robot: Robot, tmp_path: Path) -> None:
+    """A square bar turned by 40 degrees slips between the pads; a round one does not."""
     square = changed(tmp_path, ("0.016 0.016 0.2", "0.02 0.02 0.2"))
     shape = '<box size="0.016 0.016 0.2"/>'
     round_bar = changed(tmp_path / "round", (shape, '<cylinder radius="0.01" length="0.2"/>'))
@@ -302,9 +300,7 @@ def test_the_sharp_edge_of_a_bar_is_no_contact(robot: Robot, tmp_path: Path) -> 
     assert counts[1] > 0
 
 
-def test_of_grasps_from_the_same_side_the_deepest_that_has_room_is_kept(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_the_deepest_grasp_of_each_line_is_kept(robot: Robot, tmp_path: Path) -> None:
     motion = opened(changed(tmp_path), robot)
     grasps = motion.grasps
     for rows in (np.ones(len(grasps), bool), np.arange(len(grasps)) % 3 > 0):
@@ -318,7 +314,7 @@ def test_of_grasps_from_the_same_side_the_deepest_that_has_room_is_kept(
             assert into[same].max() == pytest.approx(into[kept & same][0], abs=1e-9)
 
 
-def test_the_next_handle_is_held_where_the_hand_has_no_room_at_the_best(
+def test_the_next_handle_is_grasped_where_the_best_is_obstructed(
     robot: Robot, tmp_path: Path
 ) -> None:
     wall = (
@@ -346,8 +342,8 @@ def test_the_next_handle_is_held_where_the_hand_has_no_room_at_the_best(
     assert held(np.pi / 2) == "door_handle"
 
 
-def test_handles_that_no_hand_can_take_are_passed_over_once(tmp_path: Path) -> None:
-    """The edge of a door to be closed is too thick for any gripper: after the bar comes a push."""
+def test_handles_that_cannot_be_grasped_are_excluded_once(tmp_path: Path) -> None:
+    """The edge of the door is too thick for any gripper, so that a push follows the bar."""
     text = (Path(__file__).parents[3] / "examples" / "cupboard.urdf").read_text()
     path = tmp_path / "cupboard.urdf"
     thick = text.replace('size="0.02 0.59 0.88"', 'size="0.12 0.59 0.88"')
@@ -355,11 +351,11 @@ def test_handles_that_no_hand_can_take_are_passed_over_once(tmp_path: Path) -> N
     item = SceneObject.from_urdf("cupboard", path, (0.0, 0.0, 0.0), joints={"hinge": 1.2})
     scene, robot = Scene("room", (item,)), load_robot("fetch")
     motion = task_motion(scene, robot, make_task(scene, "close", "cupboard"), MotionConfig())
-    passed: list[Handle] = []
+    excluded: list[Handle] = []
     other: TaskMotion | None = motion
     for _ in range(10):
         if other is None:
             return
-        passed += other.grasps.handles
-        other = by_another_handle(motion, scene, robot, MotionConfig(), passed)
-    raise AssertionError("handles are passed over again and again")
+        excluded += other.grasps.handles
+        other = with_other_handle(motion, scene, robot, MotionConfig(), excluded)
+    raise AssertionError("the same handles are excluded repeatedly")

@@ -1,4 +1,4 @@
-"""Handles that are part of their panel's mesh are found by its shape, and held as it is."""
+"""Test handles that are part of their panel's mesh."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CONFIG = GraspConfig()
 def part(
     folder: Path, boxes: tuple[given.Box, ...], *, slides: bool, name: str = ""
 ) -> Articulated:
-    """A part of one mesh, of a drawer that opens toward -y or of a door that turns about z."""
+    """Return a part of one mesh: a drawer that opens toward -y, or a door that turns about z."""
     given.write_obj(folder / "part.obj", given.triangles_of(boxes))
     kind, axis = ("prismatic", "0 -1 0") if slides else ("revolute", "0 0 -1")
     (folder / "part.urdf").write_text(
@@ -44,7 +44,7 @@ def part(
 
 
 def one_mesh(folder: Path) -> Scene:
-    """The room with the cabinet, whose door and handle are one mesh."""
+    """Return the cabinet scene with door and handle as one mesh."""
     cabinet_room(folder)
     file, x = folder / "cabinet.urdf", -1.0
     text = file.read_text()
@@ -60,7 +60,7 @@ def one_mesh(folder: Path) -> Scene:
     return load_scene(folder / "room.json")
 
 
-def test_the_bow_of_a_door_of_one_mesh_is_found_as_the_bar_it_is(tmp_path: Path) -> None:
+def test_the_bow_handle_of_a_door_of_one_mesh_is_a_bar(tmp_path: Path) -> None:
     model = part(tmp_path, given.DOOR_WITH_BOW, slides=False)
     assert len(part_elements(model, "j")) == 1
     bar, *others = find_handles(model, "j", 1.0)
@@ -72,7 +72,7 @@ def test_the_bow_of_a_door_of_one_mesh_is_found_as_the_bar_it_is(tmp_path: Path)
     assert all(h.edge for h in others)
 
 
-def test_a_bow_of_one_mesh_that_is_named_a_handle_has_room_behind_it_in_pieces(
+def test_a_named_bow_handle_of_one_mesh_is_also_found_in_pieces(
     tmp_path: Path,
 ) -> None:
     model = part(tmp_path, (*given.BOW, given.PANEL), slides=False, name="handle")
@@ -81,7 +81,7 @@ def test_a_bow_of_one_mesh_that_is_named_a_handle_has_room_behind_it_in_pieces(
     assert kinds[-1] == (HandleSource.EDGE, False)
 
 
-def test_fingers_reach_behind_a_bow_and_touch_the_real_mesh_alone(
+def test_fingers_reach_behind_a_bow_handle_and_stay_outside_the_mesh(
     robot: Robot, tmp_path: Path
 ) -> None:
     model = part(tmp_path, given.DOOR_WITH_BOW, slides=False)
@@ -103,7 +103,7 @@ def test_fingers_reach_behind_a_bow_and_touch_the_real_mesh_alone(
     assert behind > 0
 
 
-def test_the_hull_of_the_mesh_fills_the_room_that_the_hand_uses(
+def test_the_hull_of_the_mesh_fills_the_space_that_the_hand_uses(
     robot: Robot, tmp_path: Path
 ) -> None:
     model = part(tmp_path, given.DOOR_WITH_BOW, slides=False)
@@ -115,7 +115,7 @@ def test_the_hull_of_the_mesh_fills_the_room_that_the_hand_uses(
     assert in_hulls.reason
 
 
-def test_a_grip_profile_is_a_lip_and_the_rim_of_a_pocket_a_recessed_pull(tmp_path: Path) -> None:
+def test_a_profile_is_a_lip_and_the_rim_of_a_pocket_a_recessed_pull(tmp_path: Path) -> None:
     lip = part(tmp_path, given.FRONT_WITH_LIP, slides=True)
     assert find_handle(lip, "j", 1.0).kind is HandleKind.LIP
     (tmp_path / "pocket").mkdir()
@@ -126,7 +126,9 @@ def test_a_grip_profile_is_a_lip_and_the_rim_of_a_pocket_a_recessed_pull(tmp_pat
     assert str(found) == "recessed pull 'part', by its shape"
 
 
-def test_a_recessed_pull_is_held_by_a_finger_in_the_pocket(robot: Robot, tmp_path: Path) -> None:
+def test_a_recessed_pull_is_grasped_with_a_finger_in_the_pocket(
+    robot: Robot, tmp_path: Path
+) -> None:
     model = part(tmp_path, given.FRONT_WITH_POCKET, slides=True)
     found = [grasps_of(robot, model, "j", 1.0, h, CONFIG) for h in find_handles(model, "j", 1.0)]
     T = np.concatenate([g.Ts_part_tool for g in found[:-2]])
@@ -135,8 +137,8 @@ def test_a_recessed_pull_is_held_by_a_finger_in_the_pocket(robot: Robot, tmp_pat
     assert ((tips[:, 1] > low[1]) & (np.abs(tips[:, 0]) < high[0])).any()
 
 
-def test_a_door_is_not_pulled_at_a_strip_beside_its_hinge(tmp_path: Path) -> None:
-    """Two slots leave a strip at the hinge and one at the free edge: the latter alone is held."""
+def test_a_door_is_not_pulled_at_a_strip_near_its_hinge(tmp_path: Path) -> None:
+    """Two slots leave a strip at the hinge and one at the free edge; only the latter is grasped."""
     plates = (((0.0, 0.04), 0.3), ((0.1, 0.46), 0.3), ((0.52, 0.56), 0.3))
     front = tuple(((x[0], -0.03, -z), (x[1], -0.01, z)) for x, z in plates)
     back = ((0.0, -0.01, -0.3), (0.56, 0.0, 0.3))
@@ -146,14 +148,12 @@ def test_a_door_is_not_pulled_at_a_strip_beside_its_hinge(tmp_path: Path) -> Non
     assert all(h.center[0] > 0.5 for h in found)
 
 
-def test_a_solid_front_shows_no_handle(tmp_path: Path) -> None:
+def test_a_solid_front_has_no_handle(tmp_path: Path) -> None:
     model = part(tmp_path, (given.PANEL,), slides=False)
     assert all(h.edge for h in handles_in_turn(model, "j", 1.0))
 
 
-def test_a_cabinet_of_one_mesh_a_door_opens_as_one_of_many_does(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_a_door_of_one_mesh_is_grasped_at_the_same_place(robot: Robot, tmp_path: Path) -> None:
     scene = one_mesh(tmp_path)
     motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), MotionConfig())
     assert not motion.refusal

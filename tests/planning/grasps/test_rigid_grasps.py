@@ -1,4 +1,4 @@
-"""How whole objects are held: by fingers closed on their own shape, with friction to spare."""
+"""Test the grasps of rigid objects."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig, ResistanceConfig
 from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.part_grasps import Family
-from momapos.planning.grasps.pinch_grasps import OWN, Contact, lifting_capacity
+from momapos.planning.grasps.pinch_grasps import HELD_CLEARANCE_SHARE, Contact, lifting_capacity
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 
 DEFAULT = MotionConfig()
-THINGS = ("cup", "apple", "bottle", "cereal_box")
+OBJECTS = ("cup", "apple", "bottle", "cereal_box")
 NONE = 1e-9
 
 
@@ -35,20 +35,20 @@ def kitchen() -> Scene:
 
 
 def in_object(motion: TaskMotion, scene: Scene) -> np.ndarray:
-    """The tool at the grasp, in the frame of the object."""
+    """Return the tool poses at the grasp in the object frame."""
     T = scene.object(motion.task.object).T_world_object
     return invert(T) @ motion.Ts_world_tool[:, motion.grasp_step]
 
 
 def box_of(scene: Scene, name: str) -> np.ndarray:
-    """Half edges of an object that is one box about its origin."""
+    """Return the half size of an object that is one box about its origin."""
     (hulls,) = scene.object(name).model.hulls.values()
     return hulls[0].vertices.max(0)
 
 
-@pytest.mark.parametrize("name", THINGS)
+@pytest.mark.parametrize("name", OBJECTS)
 @pytest.mark.parametrize("verb", ["pick", "place"])
-def test_the_pads_close_on_the_faces_of_a_box_and_lie_over_them(
+def test_the_pads_close_on_the_faces_of_a_box(
     robot: Robot, kitchen: Scene, verb: str, name: str
 ) -> None:
     motion = task_motion(kitchen, robot, make_task(kitchen, verb, name), DEFAULT)
@@ -56,21 +56,21 @@ def test_the_pads_close_on_the_faces_of_a_box_and_lie_over_them(
     hand, half = hand_of(robot), box_of(kitchen, name)
     Ts = in_object(motion, kitchen)
     closing = Ts[:, :3, :3] @ hand.closing
-    np.testing.assert_allclose(np.abs(closing).max(1), 1.0, atol=1e-6)  # square to two faces
+    np.testing.assert_allclose(np.abs(closing).max(1), 1.0, atol=1e-6)  # perpendicular to two faces
     np.testing.assert_allclose(motion.grasps.width, 2 * np.abs(closing) @ half, atol=1e-3)
     low, high = hand.inner(1)[1]
     along = np.linspace(low[0], high[0], 9)[:, None] * hand.approach
     side = np.linspace(low[1], high[1], 5)[:, None] * np.cross(hand.approach, hand.closing)
     pad = (along[:, None] + side).reshape(-1, 3)
     points = np.einsum("gij,kj->gki", Ts[:, :3, :3], pad) + Ts[:, None, :3, 3]
-    beside = np.abs(points) - half
+    outside = np.abs(points) - half
     faces = np.abs(closing).argmax(1)
-    beside[np.arange(len(Ts)), :, faces] = -1.0
-    assert (beside < 0).all(-1).any(1).all()
+    outside[np.arange(len(Ts)), :, faces] = -1.0
+    assert (outside < 0).all(-1).any(1).all()
 
 
-@pytest.mark.parametrize("name", THINGS)
-def test_a_grasp_bears_the_weight_with_its_torque_and_more_in_any_attitude(
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_grasp_bears_weight_and_torque_in_any_orientation(
     robot: Robot, kitchen: Scene, name: str
 ) -> None:
     lifts, carries = (
@@ -84,36 +84,34 @@ def test_a_grasp_bears_the_weight_with_its_torque_and_more_in_any_attitude(
 
 
 def box_room(width: float) -> Scene:
-    """A cup-like box on the floor, and nothing else."""
+    """Return a scene with only a box on the floor."""
     model = Articulated(box_urdf("box", (width, 0.12, 0.08)))
     return Scene("box", (SceneObject("box", "box", pose((0.0, 0.0, 0.04)), model),))
 
 
 @pytest.mark.parametrize("verb", ["pick", "place"])
-def test_fingers_pass_by_a_thing_as_near_as_they_stand_to_any_that_they_hold(
-    robot: Robot, verb: str
-) -> None:
-    least = DEFAULT.grasps.hand_clearance * OWN
-    for beside, refused in ((1.1 * least, False), (0.9 * least, True)):
-        scene = box_room(robot.opening - 2 * beside)
+def test_fingers_approach_an_object_with_the_clearance_of_a_grasp(robot: Robot, verb: str) -> None:
+    least = DEFAULT.grasps.hand_clearance * HELD_CLEARANCE_SHARE
+    for clearance, refused in ((1.1 * least, False), (0.9 * least, True)):
+        scene = box_room(robot.opening - 2 * clearance)
         motion = task_motion(scene, robot, make_task(scene, verb, "box"), DEFAULT)
         assert ("cm wide" in motion.refusal) == refused == bool(motion.refusal)
 
 
 def contact_at(*points: list[float]) -> Contact:
-    """Contact in some places, 1 cm wide."""
+    """Return contacts at points, with a spread of 1 cm."""
     count = np.ones(len(points))
     return Contact(1e-4 * count, np.array(points), 0 * count, 0.01 * count)
 
 
-def test_weight_beside_the_pads_takes_from_what_they_lift_and_beneath_them_nothing() -> None:
+def test_an_offset_of_the_center_of_mass_reduces_the_payload() -> None:
     contact = contact_at([0, 0, 0], [0, 0, 0.1], [0.01, 0, 0], [0.1, 0, 0], [0, 0.01, 0])
     closing = np.tile([0.0, 1.0, 0.0], (5, 1))
     lifts = lifting_capacity(
         50.0, 0.5, contact, closing, np.full(5, 0.04), np.zeros(3), np.array([[0.0, 0.0, -1.0]])
     )
     np.testing.assert_allclose(lifts[:2], 50.0)  # two pads, each by 0.5 x 50 N
-    assert lifts[2] == pytest.approx(50.0 / np.sqrt(2.0))  # 1 cm beside, over 1 cm of contact
+    assert lifts[2] == pytest.approx(50.0 / np.sqrt(2.0))  # offset 1 cm, spread 1 cm
     assert lifts[3] < 6.0
     assert lifts[4] == pytest.approx(50.0 / 1.5)  # nearer to one pad, which bears 3/4
     tilted = lifting_capacity(
@@ -123,7 +121,7 @@ def test_weight_beside_the_pads_takes_from_what_they_lift_and_beneath_them_nothi
 
 
 @pytest.mark.parametrize(
-    ("thing", "config", "words"),
+    ("name", "config", "words"),
     [
         ("table", GraspConfig(), "cm wide, and the gripper of"),
         (
@@ -134,14 +132,14 @@ def test_weight_beside_the_pads_takes_from_what_they_lift_and_beneath_them_nothi
         ("cup", GraspConfig(pad_contact=50.0), "touch too little"),
     ],
 )
-def test_what_no_fingers_hold_is_a_no_before_any_base_pose_is_looked_at(
-    kitchen: Scene, robot: Robot, thing: str, config: GraspConfig, words: str
+def test_an_object_that_cannot_be_grasped_is_refused_before_the_search(
+    kitchen: Scene, robot: Robot, name: str, config: GraspConfig, words: str
 ) -> None:
-    task = make_task(kitchen, "pick", thing)
+    task = make_task(kitchen, "pick", name)
     assert words in task_motion(kitchen, robot, task, MotionConfig(grasps=config)).refusal
 
 
-def test_the_answer_of_such_a_task_names_the_reason_alone(
+def test_the_plan_of_such_a_task_states_only_the_reason(
     kitchen: Scene, robot: Robot, tmp_path: Path
 ) -> None:
     heavy = MotionConfig(grasps=GraspConfig(resistance=ResistanceConfig(density=1e5)))
@@ -153,12 +151,12 @@ def test_the_answer_of_such_a_task_names_the_reason_alone(
     assert dict(plan.candidates.rejections) == {task_motion(kitchen, robot, task, heavy).refusal: 1}
 
 
-def test_a_cup_sucks_on_faces_straight_on(robot: Robot, kitchen: Scene) -> None:
-    sucks = replace(robot, grips=Grip.SUCTION)
-    motion = task_motion(kitchen, sucks, make_task(kitchen, "pick", "cereal_box"), DEFAULT)
+def test_a_suction_cup_is_perpendicular_to_faces(robot: Robot, kitchen: Scene) -> None:
+    suction = replace(robot, grips=Grip.SUCTION)
+    motion = task_motion(kitchen, suction, make_task(kitchen, "pick", "cereal_box"), DEFAULT)
     assert not motion.refusal
     assert set(motion.grasps.family) == {Family.SUCTION}
-    half, hand = box_of(kitchen, "cereal_box"), hand_of(sucks)
+    half, hand = box_of(kitchen, "cereal_box"), hand_of(suction)
     Ts = in_object(motion, kitchen)
     approach = Ts[:, :3, :3] @ hand.approach
     tips = Ts[:, :3, 3] + hand.tip * approach
@@ -167,7 +165,7 @@ def test_a_cup_sucks_on_faces_straight_on(robot: Robot, kitchen: Scene) -> None:
     assert (np.abs(beyond.max(1)) < 0.01).all()
 
 
-def test_a_stiff_finger_lifts_nothing(robot: Robot, kitchen: Scene) -> None:
+def test_a_hook_cannot_lift_an_object(robot: Robot, kitchen: Scene) -> None:
     hooks = replace(robot, grips=Grip.HOOK)
     motion = task_motion(kitchen, hooks, make_task(kitchen, "pick", "cup"), DEFAULT)
     assert "no fingers that close" in motion.refusal

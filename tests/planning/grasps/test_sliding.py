@@ -1,4 +1,4 @@
-"""A hook that slides along the bar that it holds, while the door rests."""
+"""Test hooks that slide along a bar while the door rests."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.urdf_records import Geometry
-from momapos.planning.base_pose_check import check_base_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.part_grasps import FAMILIES, Family
-from momapos.planning.grasps.sliding_hooks import STATES, SlidingMotion
+from momapos.planning.grasps.sliding_hooks import SLIDE_STATES, SlidingMotion
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import check_base_pose
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.sliding_grasp import SlidingHook, sliding_hooks
 from momapos.planning.task_setup import PreparedTask, prepare
@@ -27,7 +27,7 @@ from momapos.planning.task_setup import PreparedTask, prepare
 TURNING = PipelineConfig()
 CONFIG = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(turning=False)))
 BASE = np.array([0.300476, -1.502722, -3.024759])
-"""From here no hook that stays where it is opens the fridge all the way."""
+"""From here no hook opens the fridge completely without a slide."""
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +63,11 @@ def hook(fridge: PreparedTask) -> SlidingHook:
 @pytest.fixture(scope="module")
 def opened(hook: SlidingHook, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Motion:
     reach = load_reach_map(robot, tmp_path_factory.mktemp("maps"))
-    scores = hook.ways[0](reach, BASE[None]).scores
+    scores = hook.mode_scorers[0](reach, BASE[None]).scores
     screened = hook.screen(BASE[None], scores, None)
     assert screened is not None
-    ways = np.flatnonzero(scores[0] > 0)
-    motion = hook(BASE, screened[0], ways).motion
+    modes = np.flatnonzero(scores[0] > 0)
+    motion = hook(BASE, screened[0], modes).motion
     assert motion is not None
     return motion
 
@@ -77,7 +77,7 @@ def members(motion: SlidingMotion, group: int) -> np.ndarray:
     return np.asarray(row[row >= 0])
 
 
-def test_grasps_of_one_group_differ_by_a_way_along_the_bar(hook: SlidingHook) -> None:
+def test_grasps_of_one_group_differ_by_a_slide_along_the_bar(hook: SlidingHook) -> None:
     motion = hook.motion
     assert (motion.grasps.code == FAMILIES.index(Family.HOOK)).all()
     Ts = motion.Ts_world_tool[:, motion.grasp_step]
@@ -86,7 +86,7 @@ def test_grasps_of_one_group_differ_by_a_way_along_the_bar(hook: SlidingHook) ->
         assert len(some) > 1
         np.testing.assert_allclose(some[:, :3, :3], some[:1, :3, :3].repeat(len(some), 0))
         apart = np.diff(some[:, :3, 3], axis=0)
-        np.testing.assert_allclose(apart[:, :2], 0.0, atol=1e-3)  # the bar stands upright
+        np.testing.assert_allclose(apart[:, :2], 0.0, atol=1e-3)  # the bar is vertical
         assert (np.abs(apart[:, 2]) > 0.05).all()
 
 
@@ -97,16 +97,16 @@ def test_the_door_rests_and_the_fingers_are_open_on_a_slide(
     ends = motion.waypoint_steps[motion.after]
     assert len(ends) == len(fridge.motion.waypoint_steps) - 3
     for end in ends:
-        on_it = np.arange(end - STATES, end + 1)
-        assert np.ptp(motion.object_q[on_it]) == 0.0
-        assert motion.closed[on_it].tolist() == [True, *[False] * (STATES - 1), True]
-        assert motion.closes[on_it].tolist() == motion.closed[on_it].tolist()
+        slide = np.arange(end - SLIDE_STATES, end + 1)
+        assert np.ptp(motion.object_q[slide]) == 0.0
+        assert motion.closed[slide].tolist() == [True, *[False] * (SLIDE_STATES - 1), True]
+        assert motion.closes[slide].tolist() == motion.closed[slide].tolist()
     assert motion.closed.sum() == fridge.motion.closed.sum() + len(ends)
     moving = np.diff(motion.object_q) > 0
     assert moving.sum() == (np.diff(fridge.motion.object_q) > 0).sum()
 
 
-def test_the_tool_goes_straight_from_grasp_to_grasp(hook: SlidingHook) -> None:
+def test_the_tool_moves_straight_between_grasps(hook: SlidingHook) -> None:
     motion = hook.motion
     one, other = members(motion, 0)[:2]
     grasps = np.full(len(motion.waypoint_steps), one)
@@ -115,14 +115,14 @@ def test_the_tool_goes_straight_from_grasp_to_grasp(hook: SlidingHook) -> None:
     Ts = motion.tool_poses(grasps)
     end = int(motion.waypoint_steps[first])
     np.testing.assert_array_equal(
-        Ts[: end - STATES + 1], motion.Ts_world_tool[one, : end - STATES + 1]
+        Ts[: end - SLIDE_STATES + 1], motion.Ts_world_tool[one, : end - SLIDE_STATES + 1]
     )
     np.testing.assert_allclose(Ts[end:], motion.Ts_world_tool[other, end:], atol=1e-12)
-    way = np.diff(Ts[end - STATES : end + 1, :3, 3], axis=0)
-    np.testing.assert_allclose(way, way[:1].repeat(STATES, 0), atol=1e-12)
+    path = np.diff(Ts[end - SLIDE_STATES : end + 1, :3, 3], axis=0)
+    np.testing.assert_allclose(path, path[:1].repeat(SLIDE_STATES, 0), atol=1e-12)
 
 
-def test_a_hook_slides_along_and_turns(kitchen: Scene, robot: Robot) -> None:
+def test_a_hook_slides_and_turns(kitchen: Scene, robot: Robot) -> None:
     (hook,) = slides_of(ready(kitchen, robot, "fridge", TURNING), TURNING)
     motion = hook.motion
     lanes, row = motion.lanes
@@ -140,30 +140,30 @@ def test_a_hook_slides_along_and_turns(kitchen: Scene, robot: Robot) -> None:
     in_part = np.linalg.inv(Ts[:1]) @ Ts
     assert np.ptp(in_part[before : begin + 1, :3, :3], axis=0).max() > 0.1
     on_slide = Ts[begin : end + 1]
-    np.testing.assert_allclose(on_slide[:, :3, :3], on_slide[:1, :3, :3].repeat(STATES + 1, 0))
+    np.testing.assert_allclose(
+        on_slide[:, :3, :3], on_slide[:1, :3, :3].repeat(SLIDE_STATES + 1, 0)
+    )
     assert np.linalg.norm(on_slide[-1, :3, 3] - on_slide[0, :3, 3]) > 0.05
     for step, grasp in ((before, one), (begin, turned), (end, slid)):
         np.testing.assert_allclose(Ts[step], motion.Ts_world_tool[grasp, step], atol=1e-9)
 
 
-def test_a_hand_that_does_not_slide_has_the_motion_of_one_hold(
-    hook: SlidingHook, fridge: PreparedTask
-) -> None:
+def test_a_motion_without_slides_has_one_hold(hook: SlidingHook, fridge: PreparedTask) -> None:
     motion, group = hook.motion, 0
     grasp = members(motion, group)[0]
-    way = len(motion.Ts_world_tool) + group
-    steps, holds = motion.carried_out(way, motion.Ts_world_tool[grasp])
+    mode = len(motion.Ts_world_tool) + group
+    steps, holds = motion.executed_steps(mode, motion.Ts_world_tool[grasp])
     np.testing.assert_array_equal(motion.object_q[steps], fridge.motion.object_q)
     last = len(steps) - 1 - motion.grasp_step
     assert [(hold.first, hold.last) for hold in holds] == [(0, last)]
 
 
-def test_a_hook_that_slides_opens_what_one_that_stays_cannot(
+def test_a_sliding_hook_opens_the_door_where_a_rigid_one_cannot(
     fridge: PreparedTask, robot: Robot, opened: Motion, tmp_path: Path
 ) -> None:
     reach = load_reach_map(robot, tmp_path)
     still = fridge.feasibility(CONFIG, 0).screen(
-        BASE[None], fridge.ways[0](reach, BASE[None]).scores, None
+        BASE[None], fridge.mode_scorers[0](reach, BASE[None]).scores, None
     )
     assert still is not None
     assert still[0].q is None
@@ -175,13 +175,13 @@ def test_a_hook_that_slides_opens_what_one_that_stays_cannot(
     held = opened.Ts_world_tool[[one.last, other.first], :3, 3]
     assert np.linalg.norm(held[1] - held[0]) > 0.05
     assert fridge.violation(BASE, opened) is None
-    all_the_way = replace(one, last=other.last)
-    wrong = fridge.violation(BASE, replace(opened, holds=(all_the_way,)))
+    single = replace(one, last=other.last)
+    wrong = fridge.violation(BASE, replace(opened, holds=(single,)))
     assert wrong is not None
     assert "grasp slips" in wrong
 
 
-def test_one_base_pose_is_asked_for_a_slide_as_well(
+def test_the_check_of_one_base_pose_includes_slides(
     kitchen: Scene, robot: Robot, fridge: PreparedTask, tmp_path: Path
 ) -> None:
     reach = load_reach_map(robot, tmp_path)
@@ -194,20 +194,20 @@ def test_one_base_pose_is_asked_for_a_slide_as_well(
         assert (attempt.motion is not None) == sliding
 
 
-def test_no_hook_slides_while_the_door_would_fall(
+def test_no_hook_slides_where_the_door_would_fall(
     kitchen: Scene, robot: Robot, hook: SlidingHook
 ) -> None:
     (oven,) = slides_of(ready(kitchen, robot, "oven"))
-    assert rests(oven).max() < np.radians(10.0)  # farther on its weight beats its hinge
+    assert rests(oven).max() < np.radians(10.0)  # beyond, its weight exceeds the friction
     assert rests(hook).max() > np.radians(80.0)
 
 
 def rests(hook: SlidingHook) -> np.ndarray:
-    """Values of the joint at which a hook can slide."""
+    """Return the joint values at which a hook can slide."""
     return hook.motion.object_q[hook.motion.waypoint_steps[hook.motion.after]]
 
 
-def test_no_hook_slides_past_what_stands_beside_the_bar(
+def test_no_hook_slides_past_an_obstacle_at_the_bar(
     kitchen: Scene, robot: Robot, hook: SlidingHook
 ) -> None:
     free = hook.motion
@@ -221,7 +221,7 @@ def longest(motion: SlidingMotion) -> int:
 
 
 def with_crossbar(kitchen: Scene, motion: SlidingMotion) -> Scene:
-    """The same kitchen, with a crossbar between two places at which the bar is held."""
+    """Add a crossbar between two grasps of the bar."""
     fridge, handle = kitchen.object("fridge"), motion.handle
     assert handle is not None
     door = fridge.model.urdf.links["door"]

@@ -1,4 +1,4 @@
-"""When boxes that move along a line touch convex hulls."""
+"""Test when boxes that move along a line touch convex hulls."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_box_touches_a_cube_where_their_faces_meet() -> None:
     assert touch.begin[1, 0] == NEVER
 
 
-def test_the_cosine_is_that_of_the_face_that_is_met() -> None:
+def test_the_cosine_is_that_of_the_touched_face() -> None:
     turn = np.radians(30.0)
     p = np.array([[-1.0, 0.0, 0.0]])
     bar = cube(0.01)
@@ -54,7 +54,7 @@ def test_the_cosine_is_that_of_the_face_that_is_met() -> None:
     assert touch.cosine[0, 0] == pytest.approx(np.cos(turn))
 
 
-def test_no_touch_is_told_too_late_and_few_too_early() -> None:
+def test_contact_is_never_reported_late_and_rarely_early() -> None:
     rng = np.random.default_rng(5)
     early, checked = 0, 0
     for _ in range(30):
@@ -66,23 +66,23 @@ def test_no_touch_is_told_too_late_and_few_too_early() -> None:
         touch = touches_hull(boxes, hull, R, p, X)
         for g in range(4):
             for t in rng.uniform(0.2, 0.6, 5):
-                told = bool(touch.begin[g, 0] <= t <= touch.end[g, 0])
+                reported = bool(touch.begin[g, 0] <= t <= touch.end[g, 0])
                 truly = meet(hull, half, R[g], p[g] + t * R[g, :, 0])
-                assert told or not truly
-                early += told and not truly
+                assert reported or not truly
+                early += reported and not truly
                 checked += truly
     assert checked > 100
     assert early < 0.1 * checked
 
 
 def meet(hull: Convex, half: np.ndarray, R: np.ndarray, p: np.ndarray) -> bool:
-    """Whether a hull and a box have a point in common, by linear programming."""
+    """Check by linear programming whether a hull and a box intersect."""
     A = np.concatenate([hull.normals, R.T, -R.T])
     b = np.concatenate([hull.offsets, half + R.T @ p, half - R.T @ p]) - 1e-9
     return linprog(np.zeros(3), A, b, bounds=(None, None)).status == 0
 
 
-def test_a_point_is_as_deep_as_its_nearest_face_and_leaves_by_the_next_one() -> None:
+def test_depth_is_to_the_nearest_face_and_the_line_leaves_by_the_next_one() -> None:
     points = np.array([[[0.05, 0.0, 0.08], [0.0, 0.0, 0.2]]])
     depth, cosine = cube(0.1).surface(points, np.array([[0.6, 0.0, 0.8]]))
     np.testing.assert_allclose(depth, [[0.02, -0.1]])

@@ -1,4 +1,4 @@
-"""What may be asked, and where things can be held."""
+"""Test tasks: what may be requested, and the resulting handles and motions."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from tests.rooms import cabinet_room
 
-from momapos.core.errors import TaskError, UnknownNameError
+from momapos.core.errors import InputError, TaskError, UnknownNameError
 from momapos.model.robots.arm_states import touches
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.joint_opening import opening_of
-from momapos.planning.arm_motion.feasibility import touched_at_home, with_payload
+from momapos.planning.arm_motion.feasibility import payload_hits_at_home, with_payload
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.handles import find_handle
 from momapos.planning.grasps.task_motions import task_motion
@@ -24,14 +24,14 @@ from momapos.planning.grasps.tasks import make_task, openable
 KITCHENS = ("kitchen_small", "kitchen_island")
 
 
-def test_a_door_is_opened_a_quarter_turn_and_a_drawer_all_the_way() -> None:
+def test_doors_open_a_quarter_turn_and_drawers_completely_by_default() -> None:
     scene = load_scene("kitchen_small")
     assert make_task(scene, "open", "microwave").to == pytest.approx(np.pi / 2)
     drawer = scene.object("cabinet_left").model.joint("drawer_slide")
     assert make_task(scene, "open", "cabinet_left", "drawer_slide").to == drawer.upper
 
 
-def test_closing_leads_back_to_where_opening_began() -> None:
+def test_closing_returns_to_the_closed_value() -> None:
     scene = load_scene("kitchen_small")
     opened = make_task(scene, "open", "microwave")
     assert opened.joint is not None
@@ -47,7 +47,7 @@ def test_closing_leads_back_to_where_opening_began() -> None:
         ("open", "cup", None, None, "no movable joint"),
         ("open", "microwave", "door_hinge", 9.0, "outside its limits"),
         ("open", "microwave", "door_hinge", 0.0, "already at"),
-        ("open", "microwave", "door_hinge", float("nan"), "finite"),
+        ("open", "microwave", "door_hinge", "1e400", "finite"),
         ("close", "microwave", "door_hinge", 1.0, "means to open"),
         ("close", "microwave", "door_hinge", None, "already at"),
         ("pick", "fridge", None, None, "rigid objects"),
@@ -55,16 +55,21 @@ def test_closing_leads_back_to_where_opening_began() -> None:
         ("turn", "microwave", None, None, "one of open, close, pick, place"),
     ],
 )
-def test_a_senseless_request_is_refused_in_one_line(
-    verb: str, target: str, joint: str | None, to: float | None, words: str
+def test_an_invalid_request_is_refused_in_one_line(
+    verb: str, target: str, joint: str | None, to: float | str | None, words: str
 ) -> None:
     with pytest.raises(TaskError, match=words) as caught:
         make_task(load_scene("kitchen_small"), verb, target, joint, to)
     assert "\n" not in str(caught.value)
 
 
+def test_a_value_that_is_no_number_is_refused() -> None:
+    with pytest.raises(InputError, match="to must be a finite number"):
+        make_task(load_scene("kitchen_small"), "open", "microwave", "door_hinge", float("nan"))
+
+
 @pytest.mark.parametrize("kind", ["continuous", "prismatic"])
-def test_a_part_that_nothing_stops_is_not_moved_without_end(kind: str, tmp_path: Path) -> None:
+def test_a_part_without_limits_is_not_moved_endlessly(kind: str, tmp_path: Path) -> None:
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text()
     endless = text.replace('type="revolute"', f'type="{kind}"')
@@ -77,7 +82,7 @@ def test_a_part_that_nothing_stops_is_not_moved_without_end(kind: str, tmp_path:
         make_task(scene, "open", "cabinet", "hinge", 1e9)
 
 
-def test_a_wrong_joint_names_the_object_and_not_the_file_of_its_model(tmp_path: Path) -> None:
+def test_a_wrong_joint_error_names_the_object_not_its_model(tmp_path: Path) -> None:
     room = cabinet_room(tmp_path)
     item = room.objects[0]
     room = replace(room, objects=(replace(item, name="elementE"), *room.objects[1:]))
@@ -86,7 +91,7 @@ def test_a_wrong_joint_names_the_object_and_not_the_file_of_its_model(tmp_path: 
         make_task(room, "open", "elementE", "dor", None)
 
 
-def test_a_wrong_name_is_answered_with_the_nearest() -> None:
+def test_a_wrong_name_error_suggests_the_nearest() -> None:
     scene = load_scene("kitchen_small")
     with pytest.raises(UnknownNameError, match="did you mean microwave"):
         make_task(scene, "open", "micowave")
@@ -95,7 +100,7 @@ def test_a_wrong_name_is_answered_with_the_nearest() -> None:
 
 
 @pytest.mark.parametrize("name", KITCHENS)
-def test_handles_face_the_way_the_part_moves_off(name: str) -> None:
+def test_handles_face_the_opening_direction(name: str) -> None:
     scene = load_scene(name)
     found = openable(scene)
     assert len(found) > 10
@@ -113,7 +118,7 @@ def test_handles_face_the_way_the_part_moves_off(name: str) -> None:
         assert 0.005 < handle.thickness < 0.05
 
 
-def test_a_part_without_handle_is_held_at_the_edge_far_from_its_hinge(tmp_path: Path) -> None:
+def test_a_part_without_handle_is_grasped_at_its_free_edge(tmp_path: Path) -> None:
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text().replace("door_handle", "trim")
     bare = text.replace('size="0.016 0.016 0.2"', 'size="0.001 0.001 0.001"')
@@ -125,7 +130,7 @@ def test_a_part_without_handle_is_held_at_the_edge_far_from_its_hinge(tmp_path: 
     assert handle.center[0] < -0.45
 
 
-def test_the_grasp_is_carried_along_rigidly_by_the_joint(robot: Robot, tmp_path: Path) -> None:
+def test_the_grasp_moves_rigidly_with_the_part(robot: Robot, tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     task = make_task(scene, "open", "cabinet")
     motion = task_motion(scene, robot, task, MotionConfig())
@@ -150,14 +155,14 @@ def test_the_straight_approach_moves_along_the_approach_axis(robot: Robot, tmp_p
 @pytest.mark.parametrize(
     ("target", "joint", "to", "words"),
     [
-        ("microwave", "door_hinge", "30cm", "--to 30cm is no angle; write it as 90deg"),
-        ("cabinet_left", "drawer_slide", "20deg", "--to 20deg is no length; write it as 0.3m"),
+        ("microwave", "door_hinge", "30cm", "to 30cm is not an angle; write it as 90deg"),
+        ("cabinet_left", "drawer_slide", "20deg", "to 20deg is not a length; write it as 0.3m"),
         ("microwave", "door_hinge", "90", "did you mean 90deg?"),
         ("microwave", "door_hinge", 90.0, "did you mean 90deg?"),
         ("cabinet_left", "drawer_slide", "30", "did you mean 30cm?"),
     ],
 )
-def test_a_value_in_the_wrong_unit_or_none_is_refused_with_the_right_one(
+def test_a_value_in_a_wrong_unit_is_refused_with_a_suggestion(
     target: str, joint: str, to: float | str, words: str
 ) -> None:
     with pytest.raises(TaskError, match=re.escape(words)) as caught:
@@ -177,7 +182,7 @@ def test_a_limit_written_with_fewer_digits_is_that_limit(tmp_path: Path, digits:
         make_task(scene, "open", "cabinet", "hinge", upper + 0.01)
 
 
-def test_ninety_degrees_are_a_limit_of_1_57(tmp_path: Path) -> None:
+def test_ninety_degrees_match_a_limit_of_1_57(tmp_path: Path) -> None:
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text()
     (tmp_path / "cabinet.urdf").write_text(text.replace('upper="1.9"', 'upper="1.57"'))
@@ -185,19 +190,19 @@ def test_ninety_degrees_are_a_limit_of_1_57(tmp_path: Path) -> None:
     assert make_task(scene, "open", "cabinet", "hinge", "90deg").to == 1.57
 
 
-def test_as_far_as_possible_ends_at_the_limit_and_is_no_way_to_close(tmp_path: Path) -> None:
+def test_as_far_as_possible_ends_at_the_limit_and_is_not_for_closing(tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     task = make_task(scene, "open", "cabinet", to="max")
     assert (task.to, task.farthest) == (1.9, True)
     assert not make_task(scene, "open", "cabinet", to="1.9rad").farthest
     ajar = scene.with_joint("cabinet", "hinge", 1.0)
-    with pytest.raises(TaskError, match="close shuts it all the way"):
+    with pytest.raises(TaskError, match="close always closes a part completely"):
         make_task(ajar, "close", "cabinet", to="max")
     with pytest.raises(TaskError, match="nothing to open"):
         make_task(scene.with_joint("cabinet", "hinge", 1.9), "open", "cabinet", to="max")
 
 
-def test_a_door_that_turns_without_end_is_opened_by_a_full_turn_at_most(tmp_path: Path) -> None:
+def test_a_door_without_limits_is_opened_by_a_full_turn_at_most(tmp_path: Path) -> None:
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text().replace("revolute", "continuous")
     (tmp_path / "cabinet.urdf").write_text(text)
@@ -205,30 +210,30 @@ def test_a_door_that_turns_without_end_is_opened_by_a_full_turn_at_most(tmp_path
     assert make_task(scene, "open", "cabinet", to="max").to == pytest.approx(2 * np.pi)
 
 
-@pytest.mark.parametrize("shut", ["lower", "upper"])
-def test_a_door_whose_zero_is_halfway_can_be_opened_and_closed(tmp_path: Path, shut: str) -> None:
-    """The joint's frame is turned, so that the door is shut at a limit and half open at zero."""
+@pytest.mark.parametrize("limit", ["lower", "upper"])
+def test_a_door_whose_zero_is_halfway_can_be_opened_and_closed(tmp_path: Path, limit: str) -> None:
+    """The joint frame is rotated: the door is closed at a limit and half open at zero."""
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text()
-    # It opens with growing values: shut at the lower limit as it is, at the upper one mirrored.
-    lower, upper, axis = (-1.05, 1.92, 1) if shut == "lower" else (-1.92, 1.05, -1)
+    # Closed at the lower limit, it opens with growing values; at the upper one it is mirrored.
+    lower, upper, axis = (-1.05, 1.92, 1) if limit == "lower" else (-1.92, 1.05, -1)
     text = text.replace('<axis xyz="0 0 1.0"/>', f'<axis xyz="0 0 {axis}"/>')
     text = text.replace('-0.25 0.8"/>', '-0.25 0.8" rpy="0 0 1.05"/>')
     text = text.replace('lower="0" upper="1.9"', f'lower="{lower}" upper="{upper}"')
     (tmp_path / "cabinet.urdf").write_text(text)
     scene = load_scene(tmp_path / "room.json")
-    closed = lower if shut == "lower" else upper
-    way = 1.0 if shut == "lower" else -1.0
+    closed = lower if limit == "lower" else upper
+    sign = 1.0 if limit == "lower" else -1.0
     assert make_task(scene, "close", "cabinet").to == closed
-    assert make_task(scene, "open", "cabinet").to == pytest.approx(closed + way * np.pi / 2)
+    assert make_task(scene, "open", "cabinet").to == pytest.approx(closed + sign * np.pi / 2)
     ajar = scene.with_joint("cabinet", "hinge", closed)
     assert make_task(ajar, "open", "cabinet", "hinge", "0deg").to == 0.0
     model = scene.object("cabinet").model
-    assert opening_of(model, "hinge").sign == way
+    assert opening_of(model, "hinge").sign == sign
 
 
-def test_a_door_that_is_shut_at_zero_stays_so_whatever_lies_behind_it(tmp_path: Path) -> None:
-    """A limit that lets it swing into its cupboard makes it no less shut at zero."""
+def test_a_door_closed_at_zero_is_closed_there_whatever_its_limits(tmp_path: Path) -> None:
+    """A limit that lets the door swing into its cupboard does not change its closed value."""
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text()
     (tmp_path / "cabinet.urdf").write_text(text.replace('lower="0"', 'lower="-1.0"'))
@@ -236,7 +241,7 @@ def test_a_door_that_is_shut_at_zero_stays_so_whatever_lies_behind_it(tmp_path: 
     assert (opening_of(model, "hinge").closed, opening_of(model, "hinge").wide) == (0.0, 1.9)
 
 
-def test_knobs_stand_apart_from_doors_when_a_joint_must_be_named(tmp_path: Path) -> None:
+def test_the_error_for_an_ambiguous_joint_lists_knobs_separately(tmp_path: Path) -> None:
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text()
     knob = (
@@ -246,32 +251,29 @@ def test_knobs_stand_apart_from_doors_when_a_joint_must_be_named(tmp_path: Path)
         '<limit lower="0" upper="3" effort="1" velocity="1"/></joint></robot>'
     )
     (tmp_path / "cabinet.urdf").write_text(text.replace("</robot>", knob))
-    with pytest.raises(TaskError, match="with one of hinge; knobs: a_knob"):
+    with pytest.raises(TaskError, match="cabinet/JOINT: hinge; knobs: a_knob"):
         make_task(load_scene(tmp_path / "room.json"), "open", "cabinet")
 
 
 @pytest.mark.parametrize("verb", ["pick", "place"])
-def test_a_robot_without_a_gripper_picks_and_places_nothing(verb: str, robot: Robot) -> None:
+def test_a_robot_without_a_gripper_cannot_pick_or_place(verb: str, robot: Robot) -> None:
     scene = load_scene("kitchen_small")
     task = make_task(scene, verb, "cup")
     assert robot.has_gripper
     assert len(task_motion(scene, robot, task, MotionConfig()).Ts_world_tool)
     last = robot.model.joint(robot.arm_joints[-1]).child
     bare = replace(robot, gripper_links=(last,))
-    # The Fetch's last link is its wrist, the others' the flange.
     assert not bare.has_gripper
     with pytest.raises(TaskError, match="has no gripper, so it cannot"):
         task_motion(scene, bare, task, MotionConfig())
 
 
 @pytest.mark.parametrize("name", ["cup", "cereal_box"])
-def test_a_thing_that_would_touch_the_arm_at_home_is_not_carried_by_that_grasp(
-    robot: Robot, name: str
-) -> None:
-    """The way of a placed thing begins at home; its spheres and the robot's tell."""
+def test_grasps_whose_payload_touches_the_robot_at_home_are_found(robot: Robot, name: str) -> None:
+    """A placed object starts with the arm at home."""
     scene = load_scene("kitchen_small")
     motion = task_motion(scene, robot, make_task(scene, "place", name), MotionConfig())
-    touched = touched_at_home(robot, motion)
+    touched = payload_hits_at_home(robot, motion)
     for g in range(0, len(touched), 7):
         spheres = with_payload(robot, motion, motion.Ts_world_tool[g, 0], 0)
         hits = touches(robot.chain, spheres, robot.home[None])[0]

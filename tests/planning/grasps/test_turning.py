@@ -1,4 +1,4 @@
-"""A hand that turns about the bar that it holds."""
+"""Test hands that turn about a bar or a knob."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.grasps.turning_grasps import LEAST
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.grasps.turning_grasps import MIN_GROUP
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.task_setup import PreparedTask, prepare
 
 CONFIG = PipelineConfig()
 BASE = np.array([0.458, -1.39, 2.532])
-"""From here no rigid grasp opens the fridge all the way."""
+"""From here no rigid grasp opens the fridge completely."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def robot() -> Robot:
 
 
 def with_round_bars(item: SceneObject) -> SceneObject:
-    """The same object with cylinders where its handles are square bars along z."""
+    """Replace square bar handles along z by cylinders."""
     links = {}
     for name, link in item.model.urdf.links.items():
         shapes = tuple(
@@ -56,7 +56,7 @@ def fridge(robot: Robot) -> PreparedTask:
 
 
 def in_part(motion: TaskMotion, Ts: np.ndarray) -> np.ndarray:
-    """Tool poses in the frame of the door, from where the first grasp has it there."""
+    """Return tool poses in the door frame, given by the first grasp."""
     T_part_tool = np.eye(4)
     T_part_tool[:3, :3] = motion.turning.R_part_tool[0]
     rigid = motion.Ts_world_tool[0, motion.grasp_step :]
@@ -75,7 +75,7 @@ def test_grasps_of_one_group_differ_by_a_turn_about_the_bar(fridge: PreparedTask
         assert np.ptp(held, axis=0).max() < 1e-9
 
 
-def test_a_turning_hand_keeps_its_place_in_the_bar(fridge: PreparedTask) -> None:
+def test_a_turning_hand_keeps_its_position_on_the_bar(fridge: PreparedTask) -> None:
     motion = fridge.motion
     group = motion.turning.groups[0]
     members = group[group >= 0]
@@ -86,7 +86,7 @@ def test_a_turning_hand_keeps_its_place_in_the_bar(fridge: PreparedTask) -> None
         turned[:, :3, 3], turned[:1, :3, 3].repeat(len(turned), 0), atol=1e-9
     )
     R = turned[:, :3, :3] @ turned[0, :3, :3].T
-    # What turns about the axis leaves the axis where it is.
+    # A rotation about the axis leaves the axis unchanged.
     np.testing.assert_allclose(
         R @ motion.turning.axis, motion.turning.axis[None].repeat(len(R), 0), atol=1e-9
     )
@@ -94,18 +94,18 @@ def test_a_turning_hand_keeps_its_place_in_the_bar(fridge: PreparedTask) -> None
     assert change == pytest.approx(abs(np.diff(motion.turning.angles[members[:2]])[0]))
 
 
-def test_single_grasps_stay_where_they_are(fridge: PreparedTask) -> None:
+def test_single_grasps_are_rigid(fridge: PreparedTask) -> None:
     motion = fridge.motion
     grasps = np.full(len(motion.waypoint_steps), 5)
     np.testing.assert_array_equal(motion.tool_poses(grasps), motion.Ts_world_tool[5])
 
 
-def test_groups_lose_the_grasps_that_are_dropped(fridge: PreparedTask) -> None:
+def test_groups_lose_dropped_grasps(fridge: PreparedTask) -> None:
     motion = fridge.motion
     kept = np.ones(len(motion.Ts_world_tool), bool)
     group = motion.turning.groups[0]
     members = group[group >= 0]
-    kept[members[LEAST - 1 :]] = False
+    kept[members[MIN_GROUP - 1 :]] = False
     left = motion.only(kept)
     assert len(left.turning.groups) == len(motion.turning.groups) - 1
     old = np.flatnonzero(kept)
@@ -114,14 +114,14 @@ def test_groups_lose_the_grasps_that_are_dropped(fridge: PreparedTask) -> None:
         assert len(same) == 1
 
 
-def test_a_turning_hand_opens_what_a_rigid_one_cannot(
+def test_a_turning_hand_opens_the_door_where_a_rigid_one_cannot(
     fridge: PreparedTask, robot: Robot, tmp_path: Path
 ) -> None:
     reach = load_reach_map(robot, tmp_path)
     feasible = fridge.feasibility(CONFIG, seed=0)
     poses = BASE[None]
-    rigid = feasible.screen(poses, fridge.ways[0](reach, poses).scores, None)
-    turning = feasible.screen(poses, fridge.ways[1](reach, poses).scores, None)
+    rigid = feasible.screen(poses, fridge.mode_scorers[0](reach, poses).scores, None)
+    turning = feasible.screen(poses, fridge.mode_scorers[1](reach, poses).scores, None)
     assert rigid is not None
     assert turning is not None
     assert rigid[0].q is None
@@ -134,7 +134,7 @@ def test_a_turning_hand_opens_what_a_rigid_one_cannot(
 
 
 def knob_drawer(folder: Path, shape: str) -> Scene:
-    """A drawer that a knob of its own opens."""
+    """Return a drawer with a knob."""
     (folder / "drawer.urdf").write_text(
         '<robot name="drawer"><link name="body"/><link name="front"><collision>'
         '<origin xyz="0 0 0.7"/><geometry><box size="0.02 0.5 0.2"/></geometry></collision></link>'
@@ -163,7 +163,7 @@ def test_a_short_arm_turns_about_a_round_knob(tmp_path: Path) -> None:
     assert hold.words.endswith(", about which the hand turns")
 
 
-def test_a_hand_turns_about_a_knob_only_where_it_is_round_and_its_arm_is_short(
+def test_only_short_arms_turn_about_knobs_and_only_about_round_ones(
     robot: Robot, tmp_path: Path
 ) -> None:
     stretch = load_robot("stretch")
@@ -181,7 +181,7 @@ def test_a_hand_turns_about_a_knob_only_where_it_is_round_and_its_arm_is_short(
         assert bool(len(motion.turning.groups)) is turns, name
 
 
-def test_grasps_of_one_group_of_a_knob_differ_by_a_turn_about_its_own_axis(tmp_path: Path) -> None:
+def test_grasps_of_one_knob_group_differ_by_a_turn_about_its_axis(tmp_path: Path) -> None:
     scene, stretch = knob_drawer(tmp_path, ROUND_KNOB), load_robot("stretch")
     motion = task_motion(scene, stretch, make_task(scene, "open", "drawer"), MotionConfig())
     turning = motion.turning

@@ -1,4 +1,4 @@
-"""Skip-gram: the same company gives similar vectors, as gensim's does, without any chance."""
+"""Skip-gram: the same context gives similar vectors, as in gensim, and reproducibly."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def island_walks(count: int) -> tuple[np.ndarray, int]:
     return walk(transitions(graph, k0=0.5), first, 20, rng), len(graph)
 
 
-def test_words_of_one_circle_are_closer_than_words_of_two() -> None:
+def test_words_of_one_group_are_closer_than_words_of_two() -> None:
     rng = np.random.default_rng(0)
     walks = np.concatenate([rng.integers(0, 4, (200, 10)), rng.integers(4, 8, (200, 10))])
     similar = np.array([cosine(embed_walks(walks, 8, CONFIG), k) for k in range(8)])
-    circle = np.arange(8) // 4
-    same = circle[:, None] == circle[None]
+    group = np.arange(8) // 4
+    same = group[:, None] == group[None]
     assert similar[same].min() > 0.5 > similar[~same].max()
 
 
@@ -47,10 +47,10 @@ def test_similarities_agree_with_gensim() -> None:
     assert np.abs(gap).max() < 0.1
 
 
-def test_the_kernel_does_the_update_that_skip_gram_prescribes() -> None:
+def test_the_kernel_does_the_update_of_skip_gram() -> None:
     rng = np.random.default_rng(0)
     vectors, outputs = rng.normal(size=(2, 3, 6))
-    table, state = np.array([2]), np.uint64(1)  # every word that is drawn is number 2
+    table, state = np.array([2]), np.uint64(1)  # every negative sample is word 2
     u, v = vectors.copy(), outputs.copy()
     change = np.zeros(6)
     for other, label in ((1, 1.0), (2, 0.0), (2, 0.0)):
@@ -78,7 +78,7 @@ def test_a_seed_gives_the_same_vectors_and_another_seed_others() -> None:
     assert not np.array_equal(first, embed_walks(walks, n, SkipGram(16, 3, 5, seed=2)))
 
 
-def test_vectors_of_words_do_not_depend_on_what_the_words_are() -> None:
+def test_vectors_do_not_depend_on_the_spelling_of_words() -> None:
     sentences = [["cup", "table"], ["cup", "plate", "table"]]
     renamed = [[{"cup": "a", "table": "b", "plate": "c"}[w] for w in s] for s in sentences]
     mine, theirs = embed_words(sentences, CONFIG), embed_words(renamed, CONFIG)

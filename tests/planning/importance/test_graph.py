@@ -1,4 +1,4 @@
-"""Relations from geometry: on, in, inside, near; tolerances, turned things, stacks, hollow ones."""
+"""Relations from geometry: on, in, inside, near; tolerances, rotated, stacked, hollow objects."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def tall(name: str, x: float, y: float, z: float, yaw: float = 0.0):
     return box(name, (0.08, 0.08, 0.2), (x, y, z), yaw)
 
 
-def test_a_stack_of_three_is_a_chain_of_on() -> None:
+def test_a_stack_of_three_is_a_chain_of_on_relations() -> None:
     stack = room(TABLE, box("tray", (0.4, 0.3, 0.03), (0, 0, 0.7)), tall("cup", 0, 0, 0.73))
     assert hierarchy(stack) == {("tray", "on", "table"), ("cup", "on", "tray")}
 
@@ -62,7 +62,7 @@ def test_surfaces_touch_within_two_centimeters(gap: float, rests: bool) -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, np.pi / 2, 2.9])
-def test_a_turned_box_rests_where_its_turned_outline_overlaps(yaw: float) -> None:
+def test_a_rotated_box_carries_only_what_its_rotated_outline_overlaps(yaw: float) -> None:
     turned = box("table", (1.0, 0.2, 0.7), (0, 0, 0), yaw)
     along, across = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     on = tall("cup", *(0.45 * along), 0.7)
@@ -88,19 +88,19 @@ def test_an_object_on_top_of_a_fridge_is_on_it() -> None:
     assert hierarchy(room(fridge(), tall("box", 0, 0, 1.6))) == {("box", "on", "fridge")}
 
 
-def test_what_an_open_door_passes_over_is_not_inside() -> None:
+def test_an_object_below_an_open_door_is_not_inside() -> None:
     before = tall("bin", 0.1, -0.6, 0.0)
     assert hierarchy(room(fridge(1.57), before)) == set()
 
 
-def test_an_object_in_a_drawer_is_in_it_when_open_and_inside_when_shut() -> None:
+def test_an_object_in_a_drawer_is_in_it_when_open_and_inside_when_closed() -> None:
     fork = box("fork", (0.1, 0.1, 0.05), (0, 0, 0.32))
     assert hierarchy(room(drawers(), fork)) == {("fork", "inside", "drawers")}
     out = replace(fork, T_world_object=pose((0, -0.5, 0)) @ fork.T_world_object)
     assert hierarchy(room(drawers(0.5), out)) == {("fork", "in", "drawers")}
 
 
-def test_an_apple_in_a_bowl_on_a_table_is_in_the_bowl_alone() -> None:
+def test_an_apple_in_a_bowl_on_a_table_is_in_the_bowl_only() -> None:
     apple = box("apple", (0.07, 0.07, 0.07), (0.02, 0, 0.71))
     assert hierarchy(room(TABLE, bowl((0, 0, 0.7)), apple)) == {
         ("bowl", "on", "table"), ("apple", "in", "bowl"),
@@ -123,7 +123,7 @@ def test_a_stool_under_a_table_is_neither_in_it_nor_on_it() -> None:
 
 
 def test_a_cup_on_a_counter_below_wall_cabinets_is_on_it_and_not_inside() -> None:
-    """One model for the whole row, as kitchens often are."""
+    """The whole row is one model, as in many kitchens."""
     row = link(
         "row", ((2.0, 0.6, 0.9), (0, 0, 0.45)), ((2.0, 0.35, 0.7), (0, 0.12, 1.75)),
         ((2.0, 0.02, 2.1), (0, 0.31, 1.05)),
@@ -136,7 +136,7 @@ def test_a_cup_on_a_counter_below_wall_cabinets_is_on_it_and_not_inside() -> Non
 @given(
     st.floats(-5, 5), st.floats(-5, 5), st.floats(-np.pi, np.pi), st.floats(0, 1.5)
 )  # fmt: skip
-def test_moving_and_turning_the_whole_room_changes_no_relation(
+def test_moving_and_turning_the_whole_scene_changes_no_relation(
     x: float, y: float, yaw: float, opening: float
 ) -> None:
     scene = room(
@@ -147,7 +147,7 @@ def test_moving_and_turning_the_whole_room_changes_no_relation(
     assert edges(move_scene(scene, x, y, yaw)) == edges(scene)
 
 
-def test_the_nearest_are_near_and_nobody_beyond_the_reach() -> None:
+def test_only_the_nearest_within_reach_are_near() -> None:
     line = [box(f"b{k}", (0.2, 0.2, 0.2), (x, 0, 0)) for k, x in enumerate((0.0, 0.5, 1.2, 3.0))]
     config = GraphConfig(neighbors=1, near=1.0)
     assert edges(room(*line), config) == {("b0", "near", "b1"), ("b1", "near", "b2")}
@@ -183,7 +183,7 @@ def test_turning_a_row_of_touching_cabinets_changes_no_neighbor(
     assert edges(move_scene(scene, x, y, yaw)) == edges(scene)
 
 
-def test_the_nearest_found_are_the_nearest_of_all() -> None:
+def test_the_neighbors_are_those_of_a_full_search() -> None:
     rng = np.random.default_rng(1)
     items = [
         box(f"b{k}", tuple(size), tuple(rng.uniform(-2, 2, 3)), rng.uniform(-3, 3))
@@ -200,7 +200,7 @@ def test_the_nearest_found_are_the_nearest_of_all() -> None:
     assert {tuple(row) for row in neighbors(box_, count=3, reach=1.0).tolist()} == expected
 
 
-def test_an_object_stands_in_one_relation_to_another_at_most() -> None:
+def test_two_objects_have_at_most_one_relation() -> None:
     for name in ("kitchen_small", "kitchen_island"):
         graph = build_graph(load_scene(name))
         pairs = [tuple(sorted(p)) for p in zip(graph.child, graph.parent, strict=True)]
@@ -208,7 +208,7 @@ def test_an_object_stands_in_one_relation_to_another_at_most() -> None:
         assert (graph.child != graph.parent).all()
 
 
-def test_built_in_kitchens_have_the_relations_one_sees() -> None:
+def test_built_in_kitchens_have_the_visible_relations() -> None:
     found = hierarchy(load_scene("kitchen_small"))
     assert found == {
         ("counter", "on", "cabinet_left"), ("counter", "on", "dishwasher"),
@@ -218,7 +218,7 @@ def test_built_in_kitchens_have_the_relations_one_sees() -> None:
     }  # fmt: skip
 
 
-def test_real_kitchens_have_the_relations_one_sees(shared: Path) -> None:
+def test_real_kitchens_have_the_visible_relations(shared: Path) -> None:
     derived, scenes = shared / "bestman/derived", shared / "bestman/Asset/Scene/Scene"
     assert hierarchy(load_scene(derived / "MoMa_Kitchen.json")) == {
         ("elementD", "on", "elementA"), ("Bowl_Target", "inside", "elementE"),
@@ -230,13 +230,13 @@ def test_real_kitchens_have_the_relations_one_sees(shared: Path) -> None:
     assert table >= fruit
 
 
-def test_a_long_worktop_rests_on_every_narrow_cabinet_below_it() -> None:
+def test_a_long_countertop_rests_on_every_narrow_cabinet_below_it() -> None:
     cabinets = [box(f"c{k}", (0.4, 0.6, 0.86), (0.4 * k, 0, 0)) for k in range(10)]
     found = hierarchy(room(*cabinets, box("top", (4.0, 0.6, 0.04), (1.8, 0, 0.86))))
     assert found == {("top", "on", f"c{k}") for k in range(10)}
 
 
-def test_an_object_without_geometry_is_a_point_and_does_no_harm() -> None:
+def test_an_object_without_geometry_is_a_point() -> None:
     bare = assembly("marker", [Link("marker", (), ())], [])
     graph = build_graph(room(bare, TABLE))
     assert np.isfinite(graph.dist_xy).all()
@@ -250,20 +250,20 @@ def test_distances_and_sizes_are_never_zero() -> None:
     assert (graph.size > 0).all()
 
 
-def test_a_scene_without_objects_and_useless_tolerances_are_refused() -> None:
-    with pytest.raises(SceneError, match="no object"):
+def test_a_scene_without_objects_and_invalid_tolerances_are_refused() -> None:
+    with pytest.raises(SceneError, match="no objects"):
         build_graph(Scene("empty", ()))
     for wrong in ({"near": -1.0}, {"neighbors": -1}, {"contact": 0.0}, {"floor": float("nan")}):
         with pytest.raises(InputError):
             GraphConfig(**wrong)
 
 
-def test_an_unknown_object_is_named_with_the_nearest() -> None:
+def test_an_unknown_object_is_reported_with_the_nearest_name() -> None:
     with pytest.raises(MomaposError, match="did you mean table"):
         build_graph(room(TABLE)).index("tabel")
 
 
-def test_a_thing_that_lies_on_its_side_rests_on_what_is_below() -> None:
+def test_an_object_on_its_side_rests_on_the_object_below() -> None:
     lying = tall("bottle", 0, 0, 0.7)
     T = pose(
         (0, 0, 0.74), rotation_about(UP, 0.6) @ rotation_about(np.array([0, 1.0, 0]), np.pi / 2)
@@ -271,10 +271,10 @@ def test_a_thing_that_lies_on_its_side_rests_on_what_is_below() -> None:
     assert hierarchy(room(TABLE, replace(lying, T_world_object=T))) == {("bottle", "on", "table")}
 
 
-def test_steps_are_the_shortest_ways_over_the_edges() -> None:
+def test_steps_are_the_shortest_path_lengths_over_the_edges() -> None:
     for name in ("kitchen_small", "kitchen_island"):
         graph = build_graph(load_scene(name))
-        ways = csgraph.shortest_path(graph.adjacency, unweighted=True)
-        expected = np.where(np.isfinite(ways), ways, -1)
+        lengths = csgraph.shortest_path(graph.adjacency, unweighted=True)
+        expected = np.where(np.isfinite(lengths), lengths, -1)
         for target in range(len(graph)):
             np.testing.assert_array_equal(graph.steps(target), expected[target])

@@ -1,4 +1,4 @@
-"""The set S in an answer: what is modeled, what joins, and that nothing is ever missed."""
+"""The set S in planning: which objects are modeled, which are added, and that none is missed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from momapos.planning.grasps.tasks import make_task
 from momapos.planning.importance.config import ImportanceConfig
 from momapos.planning.importance.key_objects import Selection, everything
 from momapos.planning.importance.ranking import rank
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from rooms import Everywhere, cabinet_room
@@ -27,7 +27,7 @@ from rooms import Everywhere, cabinet_room
 QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=600.0)
 PORCH = """, {"name": "porch", "category": "porch", "urdf": "porch.urdf", "scale": 1.0,
  "joints": {}, "pose": {"xyz": [0, -1.2, 0], "wxyz": [1, 0, 0, 0]}}"""
-"""Four thin posts: the box around them fills the floor before the cabinet."""
+"""Four thin posts: the box around them covers the floor in front of the cabinet."""
 
 
 def porch_room(folder: Path) -> Scene:
@@ -44,7 +44,7 @@ def porch_room(folder: Path) -> Scene:
     return cabinet_room(folder, extra=PORCH)
 
 
-def ask(
+def plan_with(
     scene: Scene, robot: Robot, target: str, alpha: float, scorer: str = "distance"
 ) -> PlacementResult:
     importance = ImportanceConfig(scorer=scorer, alpha=alpha)  # type: ignore[arg-type]
@@ -55,7 +55,7 @@ def ask(
     return plan_base_placement(scene, robot, task, Everywhere(), start=start, config=config)
 
 
-def test_lowering_alpha_ends_with_everything_and_never_loses_an_object() -> None:
+def test_lowering_alpha_ends_with_all_objects_and_never_drops_one() -> None:
     ranked = rank(load_scene("kitchen_small"), "fridge")
     selection, sizes = Selection(ranked, 1.0), []
     while selection.boxes:
@@ -67,7 +67,7 @@ def test_lowering_alpha_ends_with_everything_and_never_loses_an_object() -> None
     assert everything(ranked).names == ranked.names
 
 
-def test_what_joins_stays_whatever_its_score() -> None:
+def test_an_added_object_stays_regardless_of_its_score() -> None:
     ranked = rank(load_scene("kitchen_small"), "fridge")
     selection = Selection(ranked, 1.0).join(["cup"])
     assert set(selection.names) == {"fridge", "cup"}
@@ -75,15 +75,16 @@ def test_what_joins_stays_whatever_its_score() -> None:
     assert "cup" in selection.relax_alpha().names
 
 
-def test_a_box_that_is_in_the_way_falls_and_its_object_does_not(
+def test_an_object_whose_box_blocks_the_task_is_modeled(
     tmp_path: Path, robots: Callable[[str], Robot]
 ) -> None:
-    """Among four posts there is room; in the box around them there is none."""
+    """The robot fits between four posts, but not into the box around them."""
     scene, robot = porch_room(tmp_path), robots("segway_ur5e")
     assert (
-        ask(scene.with_box_proxies({"cabinet"}), robot, "cabinet", 0.0).plan.status == "infeasible"
+        plan_with(scene.with_box_proxies({"cabinet"}), robot, "cabinet", 0.0).plan.status
+        == "infeasible"
     )
-    answer = ask(scene, robot, "cabinet", 1.0)
+    answer = plan_with(scene, robot, "cabinet", 1.0)
     assert answer.plan.status == "solved"
     assert answer.plan.key_objects is not None
     assert set(answer.plan.key_objects.names) == {"cabinet", "porch"}
@@ -91,11 +92,11 @@ def test_a_box_that_is_in_the_way_falls_and_its_object_does_not(
 
 @pytest.mark.parametrize("scorer", ["deepwalk", "distance", "size"])
 @pytest.mark.parametrize("target", ["fridge/door_hinge", "microwave"])
-def test_a_plan_made_among_boxes_holds_among_the_objects(
+def test_a_plan_among_boxes_is_valid_among_the_objects(
     robots: Callable[[str], Robot], scorer: str, target: str
 ) -> None:
     scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    answer = ask(scene, robot, target, 1.0, scorer)
+    answer = plan_with(scene, robot, target, 1.0, scorer)
     plan, key = answer.plan, answer.plan.key_objects
     assert plan.status == "solved"
     assert plan.base_pose is not None
@@ -109,11 +110,13 @@ def test_a_plan_made_among_boxes_holds_among_the_objects(
     assert set(key.scores) == {item.name for item in scene.objects}
 
 
-def test_a_box_that_a_plan_comes_near_joins_and_the_plan_is_checked_again(
+def test_an_object_near_the_plan_is_added_and_the_plan_is_checked_again(
     robots: Callable[[str], Robot],
 ) -> None:
-    """By walks the counter below the microwave does not score 1; the hand passes over it."""
-    key = ask(load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 1.0, "deepwalk")
+    """The counter below the microwave scores less than 1 by walks; the hand passes over it."""
+    key = plan_with(
+        load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 1.0, "deepwalk"
+    )
     joined = key.plan.key_objects
     assert joined is not None
     assert joined.rounds > 0
@@ -121,16 +124,16 @@ def test_a_box_that_a_plan_comes_near_joins_and_the_plan_is_checked_again(
     assert joined.scores["counter"] < joined.alpha
 
 
-def test_the_plan_file_says_what_was_modeled(
+def test_the_plan_file_lists_the_modeled_objects(
     tmp_path: Path, robots: Callable[[str], Robot]
 ) -> None:
-    answer = ask(load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 0.9)
+    answer = plan_with(load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 0.9)
     write_plan(answer.plan, tmp_path / "plan.json")
     assert read_plan(tmp_path / "plan.json").key_objects == answer.plan.key_objects
 
 
-def test_what_is_free_among_boxes_is_free_among_objects() -> None:
-    """Each box holds its object's every corner, whatever way the object is turned."""
+def test_each_box_contains_its_object() -> None:
+    """So a pose that is free among boxes is free among objects."""
     scene = load_scene("kitchen_island")
     for item in scene.objects:
         box = item.box_proxy

@@ -1,4 +1,4 @@
-"""Importance: scores in (0, 1] with the target's at 1, the same for a seed, never NaN."""
+"""Importance: scores in (0, 1], 1 for the target, reproducible with a seed, never NaN."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.importance.config import GraphConfig, ImportanceConfig
 from momapos.planning.importance.ranking import rank
-from momapos.planning.importance.scorers import KNEE, LEAST, SCORERS, score_of_cosine, words
+from momapos.planning.importance.scorers import KNEE, MIN_SCORE, SCORERS, score_of_cosine, words
 
 WALKS = ImportanceConfig(scorer="deepwalk")
 PRINT = (
@@ -46,9 +46,7 @@ def crowd(count: int, seed: int = 0) -> Scene:
 
 @pytest.mark.parametrize("scorer", SCORERS)
 @pytest.mark.parametrize("kitchen", ["kitchen_small", "kitchen_island"])
-def test_scores_are_above_zero_at_most_one_and_the_target_leads_with_one(
-    scorer: str, kitchen: str
-) -> None:
+def test_scores_are_in_0_to_1_and_the_target_comes_first_with_1(scorer: str, kitchen: str) -> None:
     scene = load_scene(kitchen)
     for item in scene.objects[::4]:
         found = rank(scene, item.name, ImportanceConfig(scorer=scorer))
@@ -60,7 +58,7 @@ def test_scores_are_above_zero_at_most_one_and_the_target_leads_with_one(
         assert sorted(found.names) == sorted(o.name for o in scene.objects)
 
 
-def test_s_grows_as_alpha_falls_and_holds_everything_at_zero() -> None:
+def test_s_grows_as_alpha_falls_and_contains_all_objects_at_zero() -> None:
     found = rank(load_scene("kitchen_small"), "fridge", WALKS)
     sets = [set(found.selected(alpha)) for alpha in (1.0, 0.7, 0.45, 0.2, 0.0)]
     assert all(a <= b for a, b in itertools.pairwise(sets))
@@ -70,9 +68,9 @@ def test_s_grows_as_alpha_falls_and_holds_everything_at_zero() -> None:
 
 
 def test_every_object_is_in_s_for_some_alpha_above_zero() -> None:
-    """What Lemma 1 of the paper asks of a score."""
+    """Lemma 1 of the paper requires this of a score."""
     found = rank(load_scene("kitchen_island"), "cup", WALKS)
-    assert set(found.selected(LEAST)) == set(found.names)
+    assert set(found.selected(MIN_SCORE)) == set(found.names)
 
 
 def test_the_same_seed_gives_the_same_scores_and_another_seed_others() -> None:
@@ -83,7 +81,7 @@ def test_the_same_seed_gives_the_same_scores_and_another_seed_others() -> None:
     assert not np.array_equal(a.scores, c.scores)
 
 
-def test_scores_do_not_depend_on_the_hash_seed_nor_on_the_processor() -> None:
+def test_scores_depend_neither_on_the_hash_seed_nor_on_the_processor() -> None:
     def scores(**change: str) -> str:
         done = subprocess.run(
             [sys.executable, "-c", PRINT], capture_output=True, text=True, check=True,
@@ -101,7 +99,7 @@ def test_scores_do_not_depend_on_the_hash_seed_nor_on_the_processor() -> None:
     assert scores(PYTHONHASHSEED="2", OPENBLAS_CORETYPE="Nehalem") == here
 
 
-def test_moving_and_turning_the_whole_room_leaves_s_as_it_is() -> None:
+def test_moving_and_turning_the_whole_scene_does_not_change_s() -> None:
     scene = load_scene("kitchen_small")
     for scorer in SCORERS:
         config = ImportanceConfig(scorer=scorer)
@@ -109,14 +107,14 @@ def test_moving_and_turning_the_whole_room_leaves_s_as_it_is() -> None:
         assert set(moved.selected()) == set(rank(scene, "fridge", config).selected())
 
 
-def test_noise_between_seeds_is_small_against_the_spread_of_scores() -> None:
+def test_noise_between_seeds_is_small_relative_to_the_spread_of_scores() -> None:
     scene = load_scene("kitchen_small")
     runs = [rank(scene, "fridge", WALKS, seed=seed) for seed in range(5)]
     scores = np.array([[run.score(item.name) for item in scene.objects] for run in runs])
     assert scores.std(axis=0).mean() < 0.05 < scores.mean(axis=0).std()
 
 
-def test_the_neighbor_is_more_important_than_what_stands_far_away() -> None:
+def test_a_near_object_is_more_important_than_a_far_one() -> None:
     line = room(*(box(f"b{k}", (0.5, 0.5, 0.8), (0.6 * k, 0, 0)) for k in range(12)))
     config = ImportanceConfig(graph=GraphConfig(neighbors=2, near=0.3))
     for scorer in ("deepwalk", "distance", "size"):
@@ -125,25 +123,25 @@ def test_the_neighbor_is_more_important_than_what_stands_far_away() -> None:
         assert scores == sorted(scores, reverse=True)
 
 
-def test_what_is_not_related_has_the_lowest_score_and_is_still_there() -> None:
+def test_an_unrelated_object_gets_the_lowest_score() -> None:
     scene = room(*(box(f"b{k}", (0.5, 0.5, 0.5), (5.0 * k, 0, 0)) for k in range(4)))
     found = rank(scene, "b1", WALKS)
     assert found.names[0] == "b1"
-    assert found.scores.tolist() == [1.0, LEAST, LEAST, LEAST]
+    assert found.scores.tolist() == [1.0, MIN_SCORE, MIN_SCORE, MIN_SCORE]
     assert found.relations == ("", "", "", "")
     assert found.steps == (0, -1, -1, -1)
     assert found.selected() == ("b1",)
 
 
 @pytest.mark.parametrize("scorer", SCORERS)
-def test_one_object_alone_is_the_answer(scorer: str) -> None:
+def test_a_single_object_scores_one(scorer: str) -> None:
     found = rank(room(box("b", (1, 1, 1), (0, 0, 0))), "b", ImportanceConfig(scorer=scorer))
     assert found.names == ("b",)
     assert found.scores.tolist() == [1.0]
 
 
 @pytest.mark.parametrize("scorer", SCORERS)
-def test_a_thousand_objects_at_one_place_have_finite_scores(scorer: str) -> None:
+def test_a_thousand_objects_at_one_position_have_finite_scores(scorer: str) -> None:
     model = box("b", (0.3, 0.3, 0.3), (0, 0, 0))
     scene = room(*(replace(model, name=f"b{k}") for k in range(1000)))
     found = rank(scene, "b7", ImportanceConfig(scorer=scorer, walks=2, epochs=1))
@@ -154,19 +152,19 @@ def test_a_thousand_objects_at_one_place_have_finite_scores(scorer: str) -> None
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(1, 40), st.integers(0, 1000), st.sampled_from([0.0, 0.5, 1.0]))
-def test_no_random_room_gives_a_nan(count: int, seed: int, k0: float) -> None:
+def test_no_random_scene_gives_a_nan(count: int, seed: int, k0: float) -> None:
     found = rank(crowd(count, seed), "b0", replace(WALKS, k0=k0, walks=2, epochs=1))
     assert np.isfinite(found.scores).all()
     assert found.scores[0] == 1.0
 
 
-def test_relations_are_told_from_the_side_of_the_object() -> None:
+def test_relations_are_from_the_object_to_the_target() -> None:
     found = rank(load_scene("kitchen_small"), "counter", WALKS)
-    told = dict(zip(found.names, found.relations, strict=True))
-    assert told["microwave"] == "on"
-    assert told["cabinet_left"] == "carries"
-    assert told["oven"] == "near"
-    assert told["counter"] == ""
+    relations = dict(zip(found.names, found.relations, strict=True))
+    assert relations["microwave"] == "on"
+    assert relations["cabinet_left"] == "carries"
+    assert relations["oven"] == "near"
+    assert relations["counter"] == ""
 
 
 @pytest.mark.parametrize("name", ["alpha", "k0"])
@@ -181,12 +179,12 @@ def test_alpha_and_k0_outside_zero_to_one_are_refused_in_one_line(name: str, val
 @pytest.mark.parametrize(
     "wrong", [{"walks": 0}, {"length": 1}, {"window": 0}, {"epochs": 10**9}, {"scorer": "best"}]
 )
-def test_counts_and_scorers_that_cannot_be_used_are_refused(wrong: dict[str, object]) -> None:
+def test_invalid_counts_and_scorers_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(InputError), unchecked():
         ImportanceConfig(**wrong)  # type: ignore[arg-type]
 
 
-def test_unknown_objects_and_useless_seeds_are_refused() -> None:
+def test_unknown_objects_and_invalid_seeds_are_refused() -> None:
     scene = load_scene("kitchen_small")
     with pytest.raises(UnknownNameError, match="did you mean fridge"):
         rank(scene, "fridg")
@@ -209,7 +207,7 @@ def test_words_of_a_name_are_lower_case_without_digits() -> None:
     assert words("42", "") == ("42",)
 
 
-def test_names_alone_know_nothing_of_places() -> None:
+def test_the_names_scorer_does_not_depend_on_positions() -> None:
     scene = load_scene("kitchen_small")
     cup = scene.object("cup")
     away = replace(cup, T_world_object=cup.T_world_object + np.diag([1.0, 1.0, 1.0], 1))
@@ -218,8 +216,8 @@ def test_names_alone_know_nothing_of_places() -> None:
     assert rank(other, "fridge", config).score("cup") == rank(scene, "fridge", config).score("cup")
 
 
-def test_what_is_on_the_hand_s_way_matters_more_the_nearer_and_the_larger_it_is() -> None:
-    """A box at the path scores 1 whatever its size; farther off, size and distance decide."""
+def test_an_object_matters_more_the_larger_and_the_nearer_to_the_hand_s_path_it_is() -> None:
+    """A box at the path scores 1 regardless of its size."""
     scene = room(
         box("target", (0.5, 0.5, 0.5), (0.0, 3.0, 0.0)),
         box("at", (0.1, 0.1, 0.1), (0.0, 0.0, 0.0)),

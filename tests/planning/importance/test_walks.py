@@ -1,4 +1,4 @@
-"""Walks: chances that sum to one and mean what k0 says, and a kernel that keeps to them."""
+"""Walks: transition probabilities, the effect of k0, and the kernel that draws the steps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ALL = GraphConfig(neighbors=10, near=100.0)
 
 
 def triple(far: float = 2.0, size: float = 0.3) -> SceneGraph:
-    """A middle, something 1 m to its left, something at `far` to its right."""
+    """Build a graph of three objects: a middle one, one 1 m to its left, one `far` to its right."""
     return build_graph(
         room(
             box("middle", (0.3, 0.3, 0.3), (0, 0, 0)), box("left", (0.3, 0.3, 0.3), (-1, 0, 0)),
@@ -30,7 +30,7 @@ def triple(far: float = 2.0, size: float = 0.3) -> SceneGraph:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 1))
-def test_chances_sum_to_one_and_run_along_edges_both_ways(seed: int, k0: float) -> None:
+def test_probabilities_sum_to_one_over_undirected_edges(seed: int, k0: float) -> None:
     rng = np.random.default_rng(seed)
     items = [
         box(f"b{k}", tuple(rng.uniform(0.01, 1, 3)), (*rng.uniform(-2, 2, 2), 0.0))
@@ -45,9 +45,7 @@ def test_chances_sum_to_one_and_run_along_edges_both_ways(seed: int, k0: float) 
 
 
 @pytest.mark.parametrize("printed", [True, False])
-def test_chances_are_the_formula_of_the_paper_as_printed_or_with_both_terms_scaled(
-    printed: bool,
-) -> None:
+def test_probabilities_follow_the_formula_of_the_paper_as_printed_or_scaled(printed: bool) -> None:
     graph, k0 = build_graph(load_scene("kitchen_small")), 0.3
     P = transitions(graph, k0=k0, printed=printed).dense()
     n = len(graph)
@@ -59,20 +57,20 @@ def test_chances_are_the_formula_of_the_paper_as_printed_or_with_both_terms_scal
     assert np.allclose(P * w.sum(1, keepdims=True), w)
 
 
-def test_the_nearer_of_two_equal_neighbors_gets_the_larger_chance() -> None:
+def test_the_nearer_of_two_equal_neighbors_gets_the_larger_probability() -> None:
     for k0 in (0.1, 0.5, 1.0):
         P = transitions(triple(far=2.0), k0=k0).dense()
         assert P[0, 1] > P[0, 2]
 
 
-def test_the_larger_of_two_equally_near_neighbors_gets_the_larger_chance() -> None:
+def test_the_larger_of_two_equally_near_neighbors_gets_the_larger_probability() -> None:
     for k0 in (0.0, 0.5, 0.9):
         P = transitions(triple(far=1.0, size=0.6), k0=k0).dense()
         assert P[0, 2] > P[0, 1]
 
 
 def altered(graph: SceneGraph, **values: np.ndarray) -> SceneGraph:
-    """A graph in which something that follows from the scene is otherwise."""
+    """Copy a graph with other values of derived properties."""
     copy = replace(graph)
     copy.__dict__.update(values)
     return copy
@@ -90,7 +88,7 @@ def test_k0_of_one_ignores_sizes_and_k0_of_zero_ignores_distances() -> None:
     )
 
 
-def test_scaling_the_unit_of_length_changes_no_chance() -> None:
+def test_changing_the_unit_of_length_changes_no_probability() -> None:
     graph = build_graph(load_scene("kitchen_island"))
     feet = altered(graph, dist_xy=graph.dist_xy / 0.3048, size=graph.size / 0.3048)
     assert np.allclose(
@@ -98,7 +96,7 @@ def test_scaling_the_unit_of_length_changes_no_chance() -> None:
     )
 
 
-def test_steps_of_the_kernel_are_as_frequent_as_their_chances() -> None:
+def test_steps_of_the_kernel_are_as_frequent_as_their_probabilities() -> None:
     graph = build_graph(load_scene("kitchen_small"))
     steps, n = transitions(graph, k0=0.5), len(graph)
     walks = walk(steps, np.tile(np.arange(n), 1000), 20, np.random.default_rng(0))
@@ -109,8 +107,8 @@ def test_steps_of_the_kernel_are_as_frequent_as_their_chances() -> None:
     assert (np.abs(pairs / visits - P) <= 5 * error + 1e-9).all()
 
 
-def test_a_kernel_step_is_the_inverse_of_the_cumulated_chances() -> None:
-    """The plain twin of the kernel."""
+def test_a_kernel_step_inverts_the_cumulative_probabilities() -> None:
+    """Compares the kernel with a reference implementation."""
     steps = transitions(build_graph(load_scene("kitchen_island")), k0=0.5)
     first = np.arange(len(steps.start) - 1)
     walks = walk(steps, first, 8, np.random.default_rng(3))
@@ -124,14 +122,14 @@ def test_a_kernel_step_is_the_inverse_of_the_cumulated_chances() -> None:
             assert walks[w, s + 1] == here
 
 
-def test_a_leaf_is_no_dead_end() -> None:
+def test_a_walk_leaves_a_leaf_of_the_graph() -> None:
     scene = room(box("table", (1, 1, 0.7), (0, 0, 0)), box("cup", (0.1, 0.1, 0.1), (0, 0, 0.7)))
     steps = transitions(build_graph(scene), k0=0.5)
     walks = walk(steps, np.array([1]), 5, np.random.default_rng(0))
     assert walks.tolist() == [[1, 0, 1, 0, 1]]
 
 
-def test_an_object_without_relations_walks_in_place() -> None:
+def test_a_walk_stays_at_an_object_without_relations() -> None:
     scene = room(box("a", (1, 1, 1), (0, 0, 0)), box("b", (1, 1, 1), (9, 0, 0)))
     steps = transitions(build_graph(scene), k0=0.5)
     assert walk(steps, np.array([0, 1]), 4, np.random.default_rng(0)).tolist() == [[0] * 4, [1] * 4]

@@ -1,4 +1,4 @@
-"""Word vectors of the user's: both text formats, and files that are none."""
+"""Word vectors from files: both text formats, and invalid files."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from momapos.core.errors import FileFormatError, InputError
 from momapos.model.scene.scene import Scene
 from momapos.planning.importance.config import ImportanceConfig
 from momapos.planning.importance.ranking import rank
-from momapos.planning.importance.scorers import LEAST
-from momapos.planning.importance.word_vectors import LONGEST, read_word_vectors
+from momapos.planning.importance.scorers import MIN_SCORE
+from momapos.planning.importance.word_vectors import MAX_LINE, read_word_vectors
 
 GLOVE = "the 0.1 0.2 0.3\nfridge 1 0 0\ncup 0.6 0.8 0\nshoe -1 0 0\n"
 
@@ -27,7 +27,7 @@ def kitchen() -> Scene:
 
 
 @pytest.mark.parametrize("head", ["", "4 3\n"])
-def test_a_word_and_its_numbers_a_line_with_or_without_a_head(head: str, tmp_path: Path) -> None:
+def test_files_with_and_without_a_header_are_read(head: str, tmp_path: Path) -> None:
     path = tmp_path / "vectors.txt"
     path.write_text(head + GLOVE)
     found = read_word_vectors(path, {"cup", "fridge", "spoon"})
@@ -35,46 +35,49 @@ def test_a_word_and_its_numbers_a_line_with_or_without_a_head(head: str, tmp_pat
     np.testing.assert_array_equal(found["cup"], [0.6, 0.8, 0.0])
 
 
-def test_scores_are_cosines_of_the_files_vectors(kitchen: Scene, tmp_path: Path) -> None:
+def test_scores_are_cosines_of_the_vectors_in_the_file(kitchen: Scene, tmp_path: Path) -> None:
     path = tmp_path / "vectors.txt"
     path.write_text(GLOVE)
     found = rank(kitchen, "fridge", ImportanceConfig(scorer="names", vectors=str(path)))
     assert found.score("cup_1") == pytest.approx(0.6)
-    assert found.score("shoe") == LEAST == found.score("thing")
+    assert found.score("shoe") == MIN_SCORE == found.score("thing")
     with pytest.raises(InputError, match="has none of the target's words: thing"):
         rank(kitchen, "thing", ImportanceConfig(scorer="names", vectors=str(path)))
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
-        ("fridge 1 x 0\n", "line 1: 'fridge' is followed by what is no number"),
-        ("the 1 2\nfridge 1 2 3\n", "line 2: 'fridge' has 3 numbers, and the file's first word 2"),
+        ("fridge 1 x 0\n", "line 1: 'fridge' must be followed by numbers only"),
+        ("the 1 2\nfridge 1 2 3\n", "line 2: 'fridge' has 3 numbers; the file's first word has 2"),
         ("fridge\n", "'fridge' has 0 numbers"),
         ("fridge 1 inf 0\n", "not finite"),
-        ("a" * LONGEST, "line 1: longer than"),
+        ("a" * MAX_LINE, "line 1: longer than"),
     ],
 )
-def test_what_is_no_such_file_is_told_with_its_line(text: str, said: str, tmp_path: Path) -> None:
+def test_an_invalid_line_is_reported(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "vectors.txt"
     path.write_text(text)
-    with pytest.raises(FileFormatError, match=said):
+    with pytest.raises(FileFormatError, match=message):
         read_word_vectors(path, {"fridge"})
 
 
-def test_a_fifo_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_fifo_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
     with pytest.raises(FileFormatError, match="is a fifo"):
         read_word_vectors(tmp_path / "fifo", {"fridge"})
 
 
-def test_vectors_are_an_option_of_rank(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rank_reads_vectors_from_a_setting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "vectors.txt"
     path.write_text(GLOVE)
-    command = ["rank", "kitchen_small", "fridge", "--vectors", str(path)]
+    command = ["rank", "kitchen_small", "fridge", "--set", f"importance.vectors={path}"]
     assert main([*command, "--scorer", "names"]) == 0
     assert "cup" in capsys.readouterr().out
     assert main(command) == 2
     assert "word vectors are for the scorer names" in capsys.readouterr().err
-    assert main([*command[:-1], str(tmp_path / "none.txt"), "--scorer", "names"]) == 2
+    missing = f"importance.vectors={tmp_path / 'none.txt'}"
+    assert main([*command[:-1], missing, "--scorer", "names"]) == 2
     assert "none.txt: no such file" in capsys.readouterr().err

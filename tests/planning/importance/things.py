@@ -1,4 +1,4 @@
-"""Things to put into a room: boxes, a fridge with a shelf, a cabinet with a drawer, a bowl."""
+"""Objects for test scenes: boxes, a fridge with a shelf, a cabinet with a drawer, a bowl."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ HOLLOW: tuple[Panel, ...] = (
     ((0.56, 0.56, 0.02), (0, 0, 0.01)),
     ((0.56, 0.56, 0.02), (0, 0, 1.59)),
 )
-"""A case, open towards -y: back, sides, bottom, top."""
+"""A case, open toward -y: back, sides, bottom, top."""
 SHELF: Panel = ((0.56, 0.5, 0.02), (0, 0, 0.8))
 SHELF_TOP = 0.81
 
 
 def box(name: str, size: Size, xyz: Size, yaw: float = 0.0, category: str = "") -> SceneObject:
-    """A rigid box; xyz is the middle of its underside."""
+    """Make a rigid box; xyz is the center of its underside."""
     T = pose((xyz[0], xyz[1], xyz[2] + size[2] / 2), rotation_about(UP, yaw))
     return SceneObject(name, category, T, Articulated(box_urdf(name, size)))
 
@@ -58,14 +58,14 @@ def joint(
 
 
 def fridge(opening: float = 0.0) -> SceneObject:
-    """A case with a shelf and a door in front, opened by so much [rad]."""
+    """Make a case with a shelf and a front door, opened by an angle [rad]."""
     door = link("door", ((0.6, 0.04, 1.6), (-0.3, -0.02, 0.8)))
     hinge = joint("hinge", "door", "revolute", (0.3, -0.3, 0), UP, 2.0)
     return assembly("fridge", [link("body", *HOLLOW, SHELF), door], [hinge], hinge=opening)
 
 
 def drawers(pull: float = 0.0) -> SceneObject:
-    """A low case with one drawer, pulled out towards -y by so much [m]."""
+    """Make a low case with one drawer, pulled out toward -y [m]."""
     case = tuple(((x, y, z / 2), (a, b, c / 2)) for (x, y, z), (a, b, c) in HOLLOW)
     tray = link(
         "tray",
@@ -78,7 +78,7 @@ def drawers(pull: float = 0.0) -> SceneObject:
 
 
 def bowl(xyz: Size) -> SceneObject:
-    """A square bowl of five plates, 30 cm wide and 10 cm high."""
+    """Make a square bowl of five plates, 30 cm wide and 10 cm high."""
     plates = link(
         "bowl",
         ((0.3, 0.3, 0.01), (0, 0, 0.005)), ((0.3, 0.01, 0.1), (0, -0.145, 0.05)),
@@ -89,7 +89,7 @@ def bowl(xyz: Size) -> SceneObject:
 
 
 def edges(scene: Scene, config: GraphConfig | None = None) -> set[tuple[str, str, str]]:
-    """The relations of a scene as (child, kind, parent); neighbors in alphabetical order."""
+    """Return the relations of a scene as (child, kind, parent); neighbors in alphabetical order."""
     graph = build_graph(scene, config)
     found = set()
     for child, parent, kind in zip(graph.child, graph.parent, graph.kind, strict=True):
@@ -100,5 +100,5 @@ def edges(scene: Scene, config: GraphConfig | None = None) -> set[tuple[str, str
 
 
 def hierarchy(scene: Scene) -> set[tuple[str, str, str]]:
-    """The relations of a scene without the neighbors."""
+    """Return the relations of a scene without near."""
     return {edge for edge in edges(scene) if edge[1] != "near"}

@@ -1,4 +1,4 @@
-"""Rooms of boxes to drive in."""
+"""Scenes of boxes for driving."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from momapos.planning.navigation.footprint_map import NavigationMap
 from momapos.planning.navigation.outline_gaps import gaps
 
 Box = tuple[float, float, float, float, float]
-"""Center x, y, size x, y [m], yaw [rad]; boxes are one meter high unless told otherwise."""
+"""Center x, y, size x, y [m], yaw [rad]."""
 UP = np.array([0.0, 0.0, 1.0])
 
 
 def square(side: float) -> Float[np.ndarray, "4 2"]:
-    """A floor around the origin."""
+    """Return a square floor around the origin."""
     return side / 2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
@@ -31,7 +31,7 @@ def room(
     low: float = 0.0,
     high: float = 1.0,
 ) -> Scene:
-    """Boxes that reach from one height to another, on a floor of 6 m by 6 m."""
+    """Make a scene of boxes from one height to another, by default on a floor of 6 m x 6 m."""
     objects = [
         SceneObject(
             f"box_{k}",
@@ -45,7 +45,7 @@ def room(
 
 
 def wall_with_door(width: float) -> list[Box]:
-    """A wall along x = 0, thin, with a door in its middle."""
+    """Return a thin wall along x = 0 with a door in its middle."""
     half = (3.0 - width / 2) / 2
     return [(0.0, s * (width / 2 + half), 0.1, 2 * half, 0.0) for s in (-1.0, 1.0)]
 
@@ -53,7 +53,7 @@ def wall_with_door(width: float) -> list[Box]:
 def free_pose(
     nav_map: NavigationMap, rng: np.random.Generator, *, gap: float
 ) -> Float[np.ndarray, "3"]:
-    """A random pose with some room around the robot."""
+    """Draw a random pose with a gap around the robot."""
     while True:
         poses = np.column_stack([rng.uniform(-2.9, 2.9, (64, 2)), rng.uniform(-3.14, 3.14, 64)])
         inside = (np.abs(poses[:, :2]) < 2.4).all(1)

@@ -12,7 +12,7 @@ from momapos.planning.navigation.convex_hull import convex_hull
 
 @pytest.mark.parametrize("count", [3, 4, 10, 100, 1000])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_corners_are_those_of_qhull_counterclockwise(count: int, seed: int) -> None:
+def test_the_corners_equal_those_of_qhull(count: int, seed: int) -> None:
     points = np.random.default_rng(seed).normal(size=(count, 2))
     found, expected = convex_hull(points), points[ConvexHull(points).vertices]
     first = int(np.lexsort((expected[:, 1], expected[:, 0]))[0])
@@ -20,7 +20,7 @@ def test_the_corners_are_those_of_qhull_counterclockwise(count: int, seed: int) 
     assert signed_area(found) > 0
 
 
-def test_repeated_points_and_points_on_edges_are_no_corners() -> None:
+def test_repeated_points_and_points_on_edges_are_not_corners() -> None:
     grid = np.stack(np.meshgrid(np.linspace(-1, 1, 5), np.linspace(0, 0.3, 4)), -1).reshape(-1, 2)
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
     points = np.concatenate([grid, grid[::-1]]) @ turn.T

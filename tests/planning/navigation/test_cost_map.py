@@ -1,4 +1,4 @@
-"""Driving lengths."""
+"""Driving lengths of the cost map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def wall(center: tuple[float, float, float], half: tuple[float, float, float]) -
     return Boxes(np.array([center]), np.eye(3)[None], np.array([half]))
 
 
-def test_in_the_open_a_length_is_the_distance() -> None:
+def test_without_obstacles_the_length_is_the_distance() -> None:
     plan = floor_plan(
         wall((5, 5, 0.5), (0.1, 0.1, 0.5)), height=0.5, margin=6.0, floor_polygon=None
     )
@@ -21,13 +21,13 @@ def test_in_the_open_a_length_is_the_distance() -> None:
     goals = np.random.default_rng(0).uniform(-0.9, 3.0, (200, 2))
     straight = np.linalg.norm(goals, axis=1)
     lengths = cost.lengths(goals)
-    # Sixteen directions: at most 2.8 % too long, give or take the cells at both ends.
+    # Sixteen directions give lengths at most 2.8 % too long, plus the cells at both ends.
     assert (lengths <= straight * 1.028 + 3 * CELL).all()
     assert (lengths >= straight - 3 * CELL).all()
 
 
 @pytest.mark.parametrize("start", [(3.3, 0.4), (-0.1, 9.0), (-40.0, 25.0), (5e3, 0.0)])
-def test_a_start_beside_what_is_mapped_is_as_far_as_it_is(start: tuple[float, float]) -> None:
+def test_lengths_from_a_start_outside_the_map_are_right(start: tuple[float, float]) -> None:
     xy, box = np.array(start), wall((0, 0, 0.5), (0.1, 0.1, 0.5))
     plan = floor_plan(box, height=0.5, margin=2.0, floor_polygon=None, start=xy)
     assert plan.blocked.size < 1e6
@@ -36,11 +36,11 @@ def test_a_start_beside_what_is_mapped_is_as_far_as_it_is(start: tuple[float, fl
     straight = np.linalg.norm(goals - xy, axis=1)
     lengths = build_cost_map(plan, xy, radius=0.3).lengths(goals)
     assert (lengths >= straight - 3 * CELL).all()
-    # Past the box, and from far away by the nearest point of the map.
+    # The path leads around the box, and from far away through the nearest point of the map.
     assert (lengths <= straight * 1.028 + 3 * CELL + (0.5 if straight.max() < 12 else 6.0)).all()
 
 
-def test_a_wall_makes_the_way_longer_and_a_closed_room_cuts_it_off() -> None:
+def test_a_wall_makes_the_path_longer_and_a_closed_room_has_none() -> None:
     plan = floor_plan(
         wall((1, 0, 0.5), (0.05, 2.0, 0.5)), height=0.5, margin=2.0, floor_polygon=None
     )
@@ -55,13 +55,13 @@ def test_a_wall_makes_the_way_longer_and_a_closed_room_cuts_it_off() -> None:
     )
 
 
-def test_what_hangs_above_the_base_is_no_obstacle() -> None:
+def test_a_shelf_above_the_base_is_no_obstacle() -> None:
     shelf = wall((1, 0, 1.5), (0.05, 2.0, 0.2))
     assert not floor_plan(shelf, height=0.5, margin=2.0, floor_polygon=None).blocked.any()
     assert floor_plan(shelf, height=1.4, margin=2.0, floor_polygon=None).blocked.any()
 
 
-def test_a_turned_box_blocks_the_cells_under_it() -> None:
+def test_a_rotated_box_blocks_the_cells_under_it() -> None:
     c, s = np.cos(0.6), np.sin(0.6)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     boxes = Boxes(np.array([[0.0, 0.0, 0.5]]), R[None], np.array([[0.8, 0.3, 0.5]]))

@@ -1,4 +1,4 @@
-"""Drives in closed loop: what is true is judged by outlines alone."""
+"""Closed-loop drives; an independent checker judges the true poses by outlines alone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def go(
     return drive(nav_map, start, goal, rng=np.random.default_rng(seed), **more)  # type: ignore[arg-type]
 
 
-def test_a_base_arrives_within_the_tolerance_and_its_limits_hold(robot: Robot) -> None:
+def test_a_base_arrives_within_the_tolerance_and_keeps_its_limits(robot: Robot) -> None:
     config = DriveConfig()
     nav_map = build_navigation_map(room([(0.0, 0.1, 0.5, 0.7, 0.3)]), robot)
     record = go(nav_map, config=config)
@@ -60,26 +60,22 @@ def test_the_same_seed_gives_the_same_drive(robots: Callable[[str], Robot]) -> N
     assert not np.array_equal(first.pose, other.pose)
 
 
-def test_without_noise_the_controller_knows_where_it_is(
-    robots: Callable[[str], Robot],
-) -> None:
+def test_without_noise_the_controller_knows_where_it_is(robots: Callable[[str], Robot]) -> None:
     config = DriveConfig(noise=NoiseConfig(position=0.0, heading=0.0, odometry=0.0))
     record = go(build_navigation_map(room([]), robots("ranger_rm63")), config=config)
     assert record.arrived
-    np.testing.assert_allclose(record.pose, record.believed, atol=1e-9)
+    np.testing.assert_allclose(record.pose, record.estimated_pose, atol=1e-9)
     assert np.hypot(*(record.pose - record.goal)[:2]) < 0.01
 
 
-def test_what_cannot_be_driven_is_refused_with_the_reason(
-    robots: Callable[[str], Robot],
-) -> None:
+def test_an_impossible_drive_is_refused_with_the_reason(robots: Callable[[str], Robot]) -> None:
     nav_map = build_navigation_map(room([(1.5, 0.0, 0.5, 0.5, 0.0)]), robots("segway_ur5e"))
     inside, off = np.array([1.5, 0.0, 0.0]), np.array([2.9, 2.0, 0.0])
     assert go(nav_map, goal=inside).reason == "the goal is in collision with box_0/box"
     assert go(nav_map, start=inside).reason == "the start is in collision with box_0/box"
     assert go(nav_map, goal=off).reason == "the goal is in collision with the edge of the floor"
-    shut = build_navigation_map(room(wall_with_door(0.3)), robots("segway_ur5e"))
-    refused = go(shut)
+    blocked = build_navigation_map(room(wall_with_door(0.3)), robots("segway_ur5e"))
+    refused = go(blocked)
     assert refused.reason == "there is no way for the footprint"
     assert refused.ending is DriveEnding.NO_PATH
     assert not refused.arrived
@@ -99,7 +95,7 @@ def test_a_floor_smaller_than_the_base_is_named_as_the_reason(
     assert refused.reason == "the start is in collision with the edge of the floor"
 
 
-def test_a_room_without_a_known_floor_has_no_edges(robots: Callable[[str], Robot]) -> None:
+def test_a_scene_without_a_known_floor_has_no_edges(robots: Callable[[str], Robot]) -> None:
     walls = replace(room([(0.0, 0.0, 0.4, 0.4, 0.3)]), floor_polygon=None)
     for scene in (walls, replace(walls, objects=())):
         record = go(build_navigation_map(scene, robots("ranger_rm63")))
@@ -107,7 +103,7 @@ def test_a_room_without_a_known_floor_has_no_edges(robots: Callable[[str], Robot
 
 
 @pytest.mark.parametrize("wrong", [np.zeros(5), np.zeros((1, 4)), np.full((1, 5), np.nan)])
-def test_moving_obstacles_that_are_no_discs_are_refused(
+def test_moving_obstacles_that_are_not_discs_are_refused(
     robots: Callable[[str], Robot], wrong: np.ndarray
 ) -> None:
     with pytest.raises(SceneError, match="rows of five finite numbers"):
@@ -119,7 +115,7 @@ def test_moving_obstacles_that_are_no_discs_are_refused(
     seed=st.integers(0, 10_000),
     name=st.sampled_from(["segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63"]),
 )
-def test_no_drive_through_a_random_room_touches_anything(seed: int, name: str) -> None:
+def test_no_drive_through_a_random_scene_touches_anything(seed: int, name: str) -> None:
     rng = np.random.default_rng(seed)
     boxes = [
         (*rng.uniform(-2.5, 2.5, 2), *rng.uniform(0.05, 0.9, 2), rng.uniform(-3, 3))
@@ -133,7 +129,7 @@ def test_no_drive_through_a_random_room_touches_anything(seed: int, name: str) -
 
 
 def crossing(speed: float, radius: float) -> Callable[[float], np.ndarray]:
-    """A disc that crosses the way of the robot from one side to the other."""
+    """Return a disc that crosses the path of the robot."""
 
     def discs(t: float) -> np.ndarray:
         return np.array([[0.0, -2.6 + speed * t, 0.0, speed, radius]])
@@ -143,7 +139,7 @@ def crossing(speed: float, radius: float) -> Callable[[float], np.ndarray]:
 
 @pytest.mark.parametrize("speed", [0.25, 0.5])
 @pytest.mark.parametrize("name", ["fetch", "ranger_rm63"])
-def test_what_crosses_the_way_is_waited_for_or_passed_and_never_hit(
+def test_the_base_waits_for_or_passes_a_crossing_obstacle_and_never_hits_it(
     robots: Callable[[str], Robot], name: str, speed: float
 ) -> None:
     nav_map = build_navigation_map(room([]), robots(name))
@@ -153,13 +149,13 @@ def test_what_crosses_the_way_is_waited_for_or_passed_and_never_hit(
     assert record.clearance_moving > 0
 
 
-def test_what_moves_is_told_where_the_base_is(robots: Callable[[str], Robot]) -> None:
+def test_the_true_pose_is_reported_at_every_control_step(robots: Callable[[str], Robot]) -> None:
     seen: list[np.ndarray] = []
-    record = go(build_navigation_map(room([]), robots("fetch")), meet=seen.append)
+    record = go(build_navigation_map(room([]), robots("fetch")), on_pose=seen.append)
     np.testing.assert_array_equal(record.poses[3::3], np.array(seen))
 
 
-def test_what_comes_to_stand_in_the_only_door_is_named_as_the_reason(
+def test_an_obstacle_standing_in_the_only_door_is_named_as_the_reason(
     robots: Callable[[str], Robot],
 ) -> None:
     nav_map = build_navigation_map(room(wall_with_door(1.0)), robots("fetch"))

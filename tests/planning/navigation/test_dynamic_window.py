@@ -1,4 +1,4 @@
-"""The choice of a velocity."""
+"""The choice of a velocity by the dynamic window."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ DT = 0.06
 BOXES = [(0.0, 0.2, 0.9, 0.5, 0.4), (-1.4, 1.2, 0.5, 0.5, 0.0), (1.3, -1.2, 0.4, 0.8, 1.0)]
 
 
-def samples_on_the_way(
+def samples_along_paths(
     robot: Robot, discs: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Poses, velocities, their scores looked at together, and one by one."""
+    """Return poses, velocities, and their scores when rated together and one by one."""
     nav_map = build_navigation_map(room(BOXES), robot)
     rng, found = np.random.default_rng(0), []
     while len(found) < 30:
@@ -47,13 +47,13 @@ def samples_on_the_way(
 
 
 @pytest.mark.parametrize("name", ["segway_ur5e", "ranger_rm63"])
-def test_the_velocity_chosen_is_the_best_of_all_looked_at_one_by_one(
+def test_the_chosen_velocity_is_the_best_of_all_rated_one_by_one(
     robots: Callable[[str], Robot], name: str
 ) -> None:
     walker = np.array([[0.5, -0.5, -0.4, 0.2, 0.25]])
     moving = 0
     for discs in (np.zeros((0, 5)), walker):
-        for _, _, together, alone in samples_on_the_way(robots(name), discs):
+        for _, _, together, alone in samples_along_paths(robots(name), discs):
             assert together.max() == alone.max()
             seen = np.isfinite(together)
             np.testing.assert_array_equal(together[seen], alone[seen])
@@ -61,14 +61,14 @@ def test_the_velocity_chosen_is_the_best_of_all_looked_at_one_by_one(
     assert moving > 20
 
 
-def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
+def test_after_an_allowed_velocity_the_base_can_brake_without_collision(
     robots: Callable[[str], Robot],
 ) -> None:
     robot = robots("husky_ur5e")
     nav_map = build_navigation_map(room(BOXES), robot)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     checked = 0
-    for pose, window, _, alone in samples_on_the_way(robot, np.zeros((0, 5))):
+    for pose, window, _, alone in samples_along_paths(robot, np.zeros((0, 5))):
         for v in window[np.isfinite(alone)][::9]:
             braking = max(
                 float(np.hypot(v[0], v[1])) / robot.max_acceleration,
@@ -81,7 +81,9 @@ def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
 
 
 @pytest.mark.parametrize("ahead", [0.2, 0.5])
-def test_what_walks_ahead_may_stop_at_once(robots: Callable[[str], Robot], ahead: float) -> None:
+def test_the_base_can_stop_behind_an_obstacle_that_stops_at_once(
+    robots: Callable[[str], Robot], ahead: float
+) -> None:
     robot = robots("fetch")
     nav_map = build_navigation_map(room([]), robot)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
@@ -89,33 +91,33 @@ def test_what_walks_ahead_may_stop_at_once(robots: Callable[[str], Robot], ahead
     assert path is not None
     pose, pace = path.poses[0], 0.6 * robot.max_speed
     disc = np.array([[pose[0] + 2.0, pose[1], pace, 0.0, 0.3]])
-    disc[0, 0] -= judge.to_discs(pose, disc)[0] - ahead
+    disc[0, 0] -= judge.disc_distances(pose, disc)[0] - ahead
     speeds = np.linspace(0.0, robot.max_speed, 40)
     window = np.column_stack([speeds, np.zeros((40, 2))])
     steering = Steering(nav_map, path, WindowConfig(), DT)
-    # Each alone: of several, those that cannot be the best are left out.
+    # Rate each alone, because rating them together skips those that cannot be the best.
     alone = [np.isfinite(steering.ratings(pose, v[None], 0, disc)[0]) for v in window]
     allowed = speeds[np.array(alone)]
     assert (allowed * DT + allowed**2 / (2 * robot.max_acceleration) < ahead).all()
     assert 0 < len(allowed) < len(speeds)
 
 
-def test_the_separation_from_a_disc_is_that_of_the_nearest_of_all_prisms(robot: Robot) -> None:
+def test_the_separation_from_a_disc_is_that_of_the_nearest_prism(robot: Robot) -> None:
     nav_map = build_navigation_map(room([]), robot)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     rng = np.random.default_rng(0)
     pose = np.array([0.3, -0.2, 0.7])
     points = pose[:2] + rng.uniform(-1.2, 1.2, (400, 2))
     found = np.array([disc_separation(pose, x, y, nav_map.prisms.arrays) for x, y in points])
-    twin = np.full(len(points), np.inf)
+    expected = np.full(len(points), np.inf)
     for outline in nav_map.prisms.outlines:
         corners = place_points(pose[None], outline)[0]
         along = np.roll(corners, -1, axis=0) - corners
         normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.hypot(*along.T)[:, None]
         beyond = np.einsum("ei,nei->ne", normal, points[:, None] - corners)
-        twin = np.minimum(twin, beyond.max(1))
-    np.testing.assert_allclose(found, twin, atol=1e-9)
+        expected = np.minimum(expected, beyond.max(1))
+    np.testing.assert_allclose(found, expected, atol=1e-9)
     discs = np.column_stack([points, np.zeros((len(points), 3))])
-    distance = judge.to_discs(pose, discs)
+    distance = judge.disc_distances(pose, discs)
     assert (found <= distance + 1e-9).all()
     assert (distance > 0).sum() > 100

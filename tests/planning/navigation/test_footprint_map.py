@@ -1,4 +1,4 @@
-"""Where the real footprint fits: the map and its kernels against plain outlines."""
+"""The map of the real footprint: its kernels against plain outlines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from momapos.core.geometry.polygons import edge_normals
 from momapos.core.geometry.transforms import apply, invert
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.navigation.convex_polygons import obstacles_of, prisms_of, thinned
+from momapos.planning.navigation.convex_polygons import obstacles_of, planning_outlines, prisms_of
 from momapos.planning.navigation.cost_map import CELL
 from momapos.planning.navigation.footprint_map import (
     HEADINGS,
@@ -34,9 +34,7 @@ CLUTTER = [
 ]
 
 
-def test_a_gap_is_positive_where_outlines_do_not_overlap_and_never_above_the_distance(
-    robot: Robot,
-) -> None:
+def test_a_gap_is_positive_without_overlap_and_at_most_the_distance(robot: Robot) -> None:
     nav_map = build_navigation_map(room(CLUTTER), robot)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, None)
     rng = np.random.default_rng(0)
@@ -49,7 +47,7 @@ def test_a_gap_is_positive_where_outlines_do_not_overlap_and_never_above_the_dis
     assert (found[free] <= distance[free] + 1e-9).all()
 
 
-def test_a_cell_of_the_map_is_free_where_the_footprint_stands_clear_and_on_the_floor(
+def test_a_cell_is_free_where_the_footprint_is_clear_and_on_the_floor(
     robots: Callable[[str], Robot],
 ) -> None:
     nav_map = build_navigation_map(room(CLUTTER), robots("husky_ur5e"))
@@ -63,12 +61,10 @@ def test_a_cell_of_the_map_is_free_where_the_footprint_stands_clear_and_on_the_f
     assert (nav_map.free[h, i, j] == free).all()
 
 
-def test_leaving_out_what_lies_inside_other_things_changes_no_gap(
-    robots: Callable[[str], Robot],
-) -> None:
+def test_dropping_outlines_inside_other_ones_changes_no_gap(robots: Callable[[str], Robot]) -> None:
     body = prisms_of(robots("fetch"))
     everything = obstacles_of(room(CLUTTER), body)
-    fewer = thinned(everything, None)
+    fewer = planning_outlines(everything, None)
     assert len(fewer) < len(everything)
     rng = np.random.default_rng(2)
     poses = np.column_stack([rng.uniform(-2, 2, (200, 2)), rng.uniform(-3.14, 3.14, 200)])
@@ -77,7 +73,7 @@ def test_leaving_out_what_lies_inside_other_things_changes_no_gap(
     np.testing.assert_allclose(gaps(poses, body, fewer)[outside], full[outside], atol=1e-12)
 
 
-def test_only_what_is_between_the_floor_and_the_top_of_the_robot_is_in_the_way(
+def test_only_objects_between_the_floor_and_the_top_of_the_robot_are_obstacles(
     robot: Robot,
 ) -> None:
     body = prisms_of(robot)
@@ -88,7 +84,7 @@ def test_only_what_is_between_the_floor_and_the_top_of_the_robot_is_in_the_way(
     assert len(obstacles_of(above, body)) == len(obstacles_of(mat, body)) == 0
 
 
-def test_a_low_base_goes_under_what_its_arm_does_not_touch(
+def test_a_low_base_passes_under_a_shelf_that_its_arm_clears(
     robots: Callable[[str], Robot],
 ) -> None:
     husky = robots("husky_ur5e")
@@ -104,7 +100,7 @@ def test_a_low_base_goes_under_what_its_arm_does_not_touch(
     assert gaps(pose, body, obstacles_of(step, body))[0] < 0
 
 
-def test_the_prisms_of_a_robot_hold_all_of_it(robots: Callable[[str], Robot]) -> None:
+def test_the_prisms_of_a_robot_contain_all_of_it(robots: Callable[[str], Robot]) -> None:
     for name in ("fetch", "husky_ur5e", "ranger_rm63", "segway_ur5e"):
         robot = robots(name)
         body = prisms_of(robot)
@@ -122,7 +118,7 @@ def test_the_prisms_of_a_robot_hold_all_of_it(robots: Callable[[str], Robot]) ->
                     assert (points[within, :2] @ normal.T <= level + 1e-9).all()
 
 
-def test_what_a_wider_prism_meets_as_well_is_asked_of_that_alone(robot: Robot) -> None:
+def test_an_obstacle_of_several_nested_prisms_is_checked_against_the_widest(robot: Robot) -> None:
     body = prisms_of(robot)
     pillar = room([(0.0, 0.0, 0.1, 0.1, 0.0)], low=0.0, high=body.heights[-1])
     layers = set(obstacles_of(pillar, body).layer.tolist())
@@ -132,18 +128,18 @@ def test_what_a_wider_prism_meets_as_well_is_asked_of_that_alone(robot: Robot) -
     assert all(not body.inside[a, b] for a in layers for b in layers if a != b)
 
 
-def test_a_room_too_large_to_be_mapped_is_refused(robots: Callable[[str], Robot]) -> None:
+def test_a_scene_too_large_for_a_map_is_refused(robots: Callable[[str], Robot]) -> None:
     robot = robots("fetch")
     body = prisms_of(robot)
-    with pytest.raises(SceneError, match="can be mapped"):
+    with pytest.raises(SceneError, match="covers at most"):
         navigation_map_of(robot, body, obstacles_of(room([]), body), square(1000.0))
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_a_map_in_which_an_object_has_moved_is_that_of_the_room_after(
+def test_an_updated_map_equals_the_map_of_the_scene_after_the_motion(
     robots: Callable[[str], Robot], back: bool
 ) -> None:
-    """A drawer is pulled out, or shut; what lies in it stays where it is."""
+    """A drawer is pulled out, or pushed in; the objects in it stay in place."""
     scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
     name, joint = "cabinet_right", "drawer_middle_slide"
     after = scene.with_joint(name, joint, 0.4)
@@ -151,15 +147,15 @@ def test_a_map_in_which_an_object_has_moved_is_that_of_the_room_after(
         scene, after = after, scene
     outlines = obstacles_of(replace(after, objects=(after.object(name),)), prisms_of(robot))
     before = build_navigation_map(scene, robot)
-    moved, anew = with_object_moved(before, name, outlines), build_navigation_map(after, robot)
+    moved, rebuilt = with_object_moved(before, name, outlines), build_navigation_map(after, robot)
     rng = np.random.default_rng(2)
-    low, high = anew.obstacles.bounds[:, :2].min(0), anew.obstacles.bounds[:, 2:].max(0)
+    low, high = rebuilt.obstacles.bounds[:, :2].min(0), rebuilt.obstacles.bounds[:, 2:].max(0)
     xy = rng.uniform(low - 0.5, high + 0.5, (4000, 2))
     poses = np.column_stack([xy, rng.uniform(-3.14, 3.14, 4000)])
-    free = gaps(poses, anew.prisms, anew.planning_obstacles) > 0
+    free = gaps(poses, rebuilt.prisms, rebuilt.planning_obstacles) > 0
     assert (free == (gaps(poses, moved.prisms, moved.planning_obstacles) > 0)).all()
-    every = [gaps(poses, one.prisms, one.obstacles) > 0 for one in (anew, moved)]
+    every = [gaps(poses, one.prisms, one.obstacles) > 0 for one in (rebuilt, moved)]
     assert (every[0] == every[1]).all()
     assert (free != (gaps(poses, before.prisms, before.planning_obstacles) > 0)).any()
-    assert sorted(moved.obstacles.names) == sorted(anew.obstacles.names)
+    assert sorted(moved.obstacles.names) == sorted(rebuilt.obstacles.names)
     assert moved.shape == before.shape

@@ -1,4 +1,4 @@
-"""Ways from pose to pose."""
+"""Paths from pose to pose."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.navigation.cost_map import CELL, FloorPlan, build_cost_map
 from momapos.planning.navigation.footprint_map import (
-    FARTHEST,
     HEADINGS,
+    MAX_GAP,
     MOVES,
     NavigationMap,
     build_navigation_map,
@@ -23,12 +23,12 @@ from momapos.planning.navigation.footprint_map import (
 from momapos.planning.navigation.global_path import BasePath, direct_path, leads_straight, plan_path
 from momapos.planning.navigation.judge import FootprintCollisionChecker
 from momapos.planning.navigation.lattice import Lattice, PathModel, standable
-from momapos.planning.navigation.outline_gaps import CostWeights, Surroundings
-from momapos.planning.navigation.path_ends import NEEDED
+from momapos.planning.navigation.outline_gaps import CostWeights, OutlineArrays
+from momapos.planning.navigation.path_ends import MIN_GAP
 
 
 def finely(path: BasePath) -> np.ndarray:
-    """Poses of a way, at most 1.3 cm and 1.5 degrees apart."""
+    """Return poses of a path at most 1.3 cm and 1.5 degrees apart."""
     step = np.diff(path.poses, axis=0)
     step[:, 2] = wrap_angle(step[:, 2])
     share = np.arange(2)[:, None, None] / 2
@@ -43,7 +43,7 @@ def touches_nothing(nav_map: NavigationMap, path: BasePath) -> bool:
     )
 
 
-def test_the_way_through_an_empty_room_is_the_straight_line(robot: Robot) -> None:
+def test_the_path_through_an_empty_room_is_the_straight_line(robot: Robot) -> None:
     nav_map = build_navigation_map(room([]), robot)
     start, goal = np.array([-1.5, -1.0, 0.4]), np.array([1.3, 0.7, -2.0])
     path = plan_path(nav_map, start, goal)
@@ -52,7 +52,7 @@ def test_the_way_through_an_empty_room_is_the_straight_line(robot: Robot) -> Non
     np.testing.assert_allclose(path.poses[[0, -1]], [start, goal], atol=1e-9)
 
 
-def test_there_is_no_way_through_a_door_narrower_than_the_footprint(robot: Robot) -> None:
+def test_there_is_no_path_through_a_door_narrower_than_the_footprint(robot: Robot) -> None:
     start, goal = np.array([-1.5, 0.3, 0.0]), np.array([1.5, -0.2, 1.0])
     width = float(min(np.ptp(robot.footprint, axis=0)))
     narrow = build_navigation_map(room(wall_with_door(width - 0.02)), robot)
@@ -66,9 +66,7 @@ def test_there_is_no_way_through_a_door_narrower_than_the_footprint(robot: Robot
     assert not leads_straight(narrow, start, goal)
 
 
-def test_a_way_touches_nothing_and_is_little_longer_than_a_disc_would_need(
-    robot: Robot,
-) -> None:
+def test_a_path_is_free_of_collision_and_little_longer_than_that_of_a_disc(robot: Robot) -> None:
     scene = load_scene("kitchen_small")
     nav_map = build_navigation_map(scene, robot)
     inner = float(inscribed_radius(robot.footprint))
@@ -89,7 +87,7 @@ def test_a_way_touches_nothing_and_is_little_longer_than_a_disc_would_need(
         checked += 1
 
 
-def test_a_search_computes_the_gaps_of_the_map_where_it_comes_by(robot: Robot) -> None:
+def test_a_search_computes_only_the_gaps_of_visited_states(robot: Robot) -> None:
     nav_map = build_navigation_map(room([(0.0, 0.0, 1.0, 1.0, 0.4)]), robot)
     assert plan_path(nav_map, np.array([-1.8, -1.0, 2.0]), np.array([1.8, 0.6, 0.0])) is not None
     known = np.isfinite(nav_map.known_gaps)
@@ -102,12 +100,12 @@ def test_a_cell_is_standable_where_the_base_fits_with_some_heading(
 ) -> None:
     for name in ("fetch", "segway_ur5e"):
         nav_map = build_navigation_map(load_scene("kitchen_small"), robots(name))
-        lattice = Lattice(nav_map.origin, CELL, MOVES, HEADINGS, FARTHEST)
-        surroundings = Surroundings(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
-        model = PathModel(False, surroundings, CostWeights(NEEDED, 0.08, 1.0, 0.1, 1.3))
+        lattice = Lattice(nav_map.origin, CELL, MOVES, HEADINGS, MAX_GAP)
+        surroundings = OutlineArrays(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
+        model = PathModel(False, surroundings, CostWeights(MIN_GAP, 0.08, 1.0, 0.1, 1.3))
         found = standable(nav_map.inside, lattice, model)
         assert 0.05 < found.mean() < 0.95
-        np.testing.assert_array_equal(found, (nav_map.gap >= NEEDED).any(0))
+        np.testing.assert_array_equal(found, (nav_map.gap >= MIN_GAP).any(0))
 
 
 def test_a_differential_base_drives_along_its_heading_and_turns_on_the_spot(
@@ -135,13 +133,13 @@ def test_an_omni_base_needs_no_turning(robots: Callable[[str], Robot]) -> None:
     assert np.abs(wrap_angle(straight.poses[:, 2] - 0.1)).max() < 1e-9
 
 
-def test_a_base_close_to_furniture_can_back_out_and_come_in(
+def test_a_base_close_to_furniture_can_back_out_and_drive_in(
     robots: Callable[[str], Robot],
 ) -> None:
     robot = robots("husky_ur5e")
     front = float(robot.footprint[:, 0].max())
     side = float(robot.footprint[:, 1].max())
-    # A niche that is hardly wider than the base, in front of a wall.
+    # A niche slightly wider than the base, in front of a wall.
     niche = [(2.0, s * (side + 0.07), 1.0, 0.1, 0.0) for s in (-1, 1)]
     nav_map = build_navigation_map(room([*niche, (2.55, 0.0, 0.1, 2.0, 0.0)]), robot)
     docked = np.array([2.5 - front - 0.015, 0.0, 0.0])
@@ -154,30 +152,30 @@ def test_a_base_close_to_furniture_can_back_out_and_come_in(
 
 
 @pytest.mark.parametrize("name", ["husky_ur5e", "segway_ur5e"])
-def test_a_base_beside_a_long_wall_shuffles_away_from_it_and_back(
+def test_a_base_along_a_long_wall_shuffles_away_from_it_and_back(
     robots: Callable[[str], Robot], name: str
 ) -> None:
     robot = robots(name)
     side = float(robot.footprint[:, 1].max())
     wall = 0.3
     nav_map = build_navigation_map(room([(0.0, 2.5, 6.0, wall, 0.0)]), robot)
-    # Along the wall, with too little room to turn at once to any heading of the lattice.
-    beside = np.array([0.2, 2.5 - wall / 2 - side - 0.03, 0.02])
+    # Too close to the wall to turn at once to any heading of the lattice.
+    close = np.array([0.2, 2.5 - wall / 2 - side - 0.03, 0.02])
     away = np.array([-1.2, -1.0, 2.0])
     assert (
         FootprintCollisionChecker(
             nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon
-        ).distance(beside[None])[0][0]
+        ).distance(close[None])[0][0]
         > 0.01
     )
-    for start, goal in ((beside, away), (away, beside)):
+    for start, goal in ((close, away), (away, close)):
         path = plan_path(nav_map, start, goal)
         assert path is not None
         assert touches_nothing(nav_map, path)
         np.testing.assert_allclose(path.poses[[0, -1]], [start, goal], atol=1e-9)
 
 
-def test_a_room_hardly_larger_than_the_base_has_ways_but_no_turn(
+def test_a_room_slightly_larger_than_the_base_allows_driving_but_not_turning(
     robots: Callable[[str], Robot],
 ) -> None:
     robot = robots("husky_ur5e")
@@ -192,7 +190,7 @@ def test_a_room_hardly_larger_than_the_base_has_ways_but_no_turn(
     assert plan_path(nav_map, np.zeros(3), np.array([0.0, 0.0, np.pi])) is None
 
 
-def test_the_way_keeps_its_distance_where_there_is_room(
+def test_a_path_keeps_its_distance_from_an_obstacle_where_possible(
     robots: Callable[[str], Robot],
 ) -> None:
     nav_map = build_navigation_map(room([(0.0, -0.4, 1.0, 0.8, 0.0)]), robots("fetch"))
@@ -201,7 +199,7 @@ def test_the_way_keeps_its_distance_where_there_is_room(
     assert path.gap.min() > 0.02
 
 
-def test_no_way_through_a_random_room_touches_anything(robots: Callable[[str], Robot]) -> None:
+def test_no_path_through_a_random_scene_touches_anything(robots: Callable[[str], Robot]) -> None:
     rng = np.random.default_rng(0)
     boxes = [(*rng.uniform(-2, 2, 2), *rng.uniform(0.1, 0.8, 2), 1.0) for _ in range(6)]
     nav_map = build_navigation_map(room(boxes), robots("ranger_rm63"))

@@ -1,4 +1,4 @@
-"""Distances over cells are, bit for bit, those that scipy computes."""
+"""Distances over cells equal those of scipy to the last bit."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def test_clearance_is_the_exact_euclidean_distance_transform(
     np.testing.assert_array_equal(clearance(blocked), distance_transform_edt(~blocked))
 
 
-def test_clearance_tells_distances_apart_up_to_the_largest_that_is_asked_for() -> None:
+def test_a_cap_bounds_the_clearance_and_changes_no_smaller_one() -> None:
     rng = np.random.default_rng(2)
     blocked = rng.random((40, 55)) < 0.01
     every = clearance(blocked)
     assert every.max() > 5.3
-    np.testing.assert_array_equal(clearance(blocked, most=5.3), np.minimum(every, 5.3))
+    np.testing.assert_array_equal(clearance(blocked, cap=5.3), np.minimum(every, 5.3))
 
 
 def test_clearance_is_infinite_where_nothing_is_blocked() -> None:

@@ -1,4 +1,4 @@
-"""The motion of a base, and what it believes of it."""
+"""The motion of a base, and its estimate of it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.planning.navigation.base_motion import integrate
-from momapos.planning.navigation.localization import Localiser, NoiseConfig
+from momapos.planning.navigation.localization import Localizer, NoiseConfig
 
 
-def test_a_motion_is_that_of_many_small_steps() -> None:
+def test_integration_equals_many_small_steps() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         pose, velocity = rng.uniform(-3, 3, 3), rng.uniform(-1, 1, 3)
@@ -25,18 +25,18 @@ def test_a_motion_is_that_of_many_small_steps() -> None:
         assert abs(wrap_angle(end[2] - yaw)) < 1e-9
 
 
-def test_fixes_fused_with_odometry_are_better_than_fixes() -> None:
+def test_fixes_fused_with_odometry_are_better_than_fixes_alone() -> None:
     noise, velocity, dt = NoiseConfig(), np.array([0.5, 0.0, 0.3]), 0.06
     errors = {}
     for fused in (True, False):
         rng = np.random.default_rng(0)
         pose = np.zeros(3)
-        localiser = Localiser(pose, NoiseConfig(fused=fused), rng)
+        localizer = Localizer(pose, NoiseConfig(fused=fused), rng)
         squared = []
         for _ in range(1000):
             pose = integrate(pose, velocity, dt)
-            localiser.step(pose, velocity, dt)
-            error = localiser.pose - pose
+            localizer.step(pose, velocity, dt)
+            error = localizer.pose - pose
             squared.append([error[0], error[1], float(wrap_angle(error[2]))])
         errors[fused] = np.sqrt((np.array(squared[50:]) ** 2).mean(0))
     np.testing.assert_allclose(

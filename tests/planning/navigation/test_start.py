@@ -1,9 +1,10 @@
-"""Where a robot starts: nothing may touch it, its arm at home included."""
+"""The start of a robot: it touches nothing with its arm at home."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.navigation.footprint_map import build_navigation_map
 from momapos.planning.navigation.judge import FootprintCollisionChecker
 from momapos.planning.navigation.start import (
@@ -27,7 +29,6 @@ from momapos.planning.navigation.start import (
     touched_at_home,
 )
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.plan import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
 from momapos.verification.exact_check import PlanVerifier
 
@@ -38,7 +39,7 @@ STRETCHED = np.array([0.15, 0.0, -0.1, 0.0, 0.2, 0.0, 0.2, 0.0])
 
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    """A Fetch that drives with its arm stretched out."""
+    """Return a Fetch that drives with its arm stretched out."""
     fetch = load_robot("fetch")
     folder = tmp_path_factory.mktemp("wide")
     text = fetch.path.read_text()
@@ -50,7 +51,7 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 
 
 @pytest.fixture
-def room(tmp_path: BasePath) -> Scene:
+def room(tmp_path: Path) -> Scene:
     return cabinet_room(tmp_path)
 
 
@@ -60,9 +61,7 @@ def touching(ground_robot: Robot, scene: Scene, pose: np.ndarray) -> str:
     return checker.distance(pose[None])[1][0]
 
 
-def test_a_start_where_the_arm_at_home_hits_is_refused_though_the_base_is_free(
-    wide: Robot, room: Scene
-) -> None:
+def test_a_start_where_only_the_arm_at_home_collides_is_refused(wide: Robot, room: Scene) -> None:
     start = np.array([0.0, -1.0, np.pi / 2])
     assert touching(wide, room, start).startswith("cabinet/")
     task = make_task(room, "open", "cabinet")
@@ -70,10 +69,8 @@ def test_a_start_where_the_arm_at_home_hits_is_refused_though_the_base_is_free(
         plan_base_placement(room, wide, task, Everywhere(), start=start, config=CONFIG)
 
 
-def test_a_start_that_is_chosen_leaves_room_for_the_arm_at_home(
-    wide: Robot, tmp_path: BasePath
-) -> None:
-    """A board at the height of the arm is farther from the base than the start's clearance."""
+def test_a_chosen_start_has_clearance_for_the_arm_at_home(wide: Robot, tmp_path: Path) -> None:
+    """A board at arm height is farther from the base than the clearance of a start."""
     board = (
         ', {"name": "board", "category": "board", "pose": {"xyz": [0.95, -1.5, 0.9], '
         '"wxyz": [1, 0, 0, 0]}, "box": [0.1, 2.0, 1.2]}'
@@ -90,7 +87,7 @@ def test_a_start_that_is_chosen_leaves_room_for_the_arm_at_home(
     assert touching(wide, room, answer.start) == ""
 
 
-def test_a_plan_holds_its_start_and_a_free_way_to_its_base_pose(
+def test_a_plan_contains_its_start_and_a_free_path_to_its_base_pose(
     robots: Callable[[str], Robot], room: Scene
 ) -> None:
     robot = robots("segway_ur5e")
@@ -112,12 +109,15 @@ def test_a_plan_holds_its_start_and_a_free_way_to_its_base_pose(
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        ({"start": (0.0, -0.3, 0.0), "base_path": None}, "start and way, arm at home"),
+        (
+            {"start": (0.0, -0.3, 0.0), "base_path": None},
+            "start and base path collision, arm at home",
+        ),
         ({"start": (0.0, -2.6, 1.57)}, "base path from start to base pose"),
-        ({"base_path": np.zeros((0, 3))}, "base path has one to 20 000 poses"),
+        ({"base_path": np.zeros((0, 3))}, "base path has 1 to 20000 poses"),
     ],
 )
-def test_a_start_or_way_that_is_not_free_fails_the_check(
+def test_a_start_or_path_that_is_not_free_fails_the_check(
     robots: Callable[[str], Robot], room: Scene, change: dict[str, object], name: str
 ) -> None:
     robot = robots("segway_ur5e")
@@ -129,10 +129,10 @@ def test_a_start_or_way_that_is_not_free_fails_the_check(
     assert name in [check.name for check in checks if not check.ok]
 
 
-def test_a_base_pose_that_cannot_be_driven_to_with_the_arm_at_home_is_no_answer(
-    robots: Callable[[str], Robot], tmp_path: BasePath
+def test_a_base_pose_that_is_unreachable_with_the_arm_at_home_is_rejected(
+    robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
-    """Bars at the height of the arm close the room off; the base would pass under them."""
+    """Bars at arm height surround the base pose; the base alone would pass under them."""
     bars = "".join(
         f', {{"name": "bar{k}", "category": "bar", "pose": {{"xyz": [{x}, {y}, 1.1], '
         f'"wxyz": [1, 0, 0, 0]}}, "box": [{dx}, {dy}, 0.5]}}'
@@ -140,19 +140,19 @@ def test_a_base_pose_that_cannot_be_driven_to_with_the_arm_at_home_is_no_answer(
             [(0, -1.9, 6, 0.05), (0, 0.9, 6, 0.05), (-3, -0.5, 0.05, 2.9), (3, -0.5, 0.05, 2.9)]
         )
     )
-    shut = cabinet_room(tmp_path, extra=bars)
+    scene = cabinet_room(tmp_path, extra=bars)
     robot = robots("ranger_rm63")
     start = np.array([0.0, -3.0, np.pi / 2])
     config = PipelineConfig(place=PlaceConfig(count=64, rounds=1, grid=False), timeout=60.0)
     plan = plan_base_placement(
-        shut, robot, make_task(shut, "open", "cabinet"), Everywhere(), start=start, config=config
+        scene, robot, make_task(scene, "open", "cabinet"), Everywhere(), start=start, config=config
     ).plan
     assert plan.status == "infeasible"
     reasons = " ".join(plan.candidates.rejections)
-    assert "no way to drive there" in reasons
+    assert "no base path" in reasons
 
 
-def test_outlines_after_a_task_are_what_the_room_has_of_the_object_then(
+def test_outlines_after_a_task_are_those_of_the_object_in_the_scene_after_it(
     robots: Callable[[str], Robot], room: Scene
 ) -> None:
     robot, task = robots("segway_ur5e"), make_task(room, "open", "cabinet", to=1.2)
@@ -170,16 +170,18 @@ def test_outlines_after_a_task_are_what_the_room_has_of_the_object_then(
     assert [touched_at_home(pose, robot, outlines) for pose in poses] == touched
 
 
-def test_a_task_without_a_joint_leaves_nothing_in_the_way(robots: Callable[[str], Robot]) -> None:
+def test_a_task_without_a_joint_has_no_outlines_after_it(robots: Callable[[str], Robot]) -> None:
     scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    thing = next(item.name for item in scene.objects if not item.model.joints)
-    outlines = outlines_after(scene, robot, Task("pick", thing))
+    rigid = next(item.name for item in scene.objects if not item.model.joints)
+    outlines = outlines_after(scene, robot, Task("pick", rigid))
     assert not len(outlines)
     assert clear_at_home(np.zeros((3, 3)), robot, outlines).all()
     assert touched_at_home(np.zeros(3), robot, outlines) == ""
 
 
-def test_the_next_task_starts_where_a_door_was_opened(robots: Callable[[str], Robot]) -> None:
+def test_the_next_task_can_start_at_the_base_pose_that_opened_a_door(
+    robots: Callable[[str], Robot],
+) -> None:
     scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
     reach = load_reach(robot, default_cache_dir())
     task = make_task(scene, "open", "fridge", "door_hinge")

@@ -1,4 +1,4 @@
-"""The cabinet of `rooms.cabinet_room`, as placement wants it."""
+"""Provide the placement geometry of `rooms.cabinet_room`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a base can stand."""
+"""Test the free area of the base."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.area import (
     BaseStatus,
     PlacementGeometry,
@@ -28,10 +29,9 @@ from momapos.planning.placement.area import (
 )  # fmt: skip
 from momapos.planning.placement.order import by_expected_cost
 from momapos.planning.placement.potential import attraction
-from momapos.planning.plan import plan_base_placement
 
 
-def make_site(scene: Scene, robot: Robot, to: float = 1.5) -> PlacementGeometry:
+def make_geometry(scene: Scene, robot: Robot, to: float = 1.5) -> PlacementGeometry:
     motion = task_motion(scene, robot, make_task(scene, "open", "cabinet", to=to), MotionConfig())
     return PlacementGeometry(
         robot, np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps]), motion.static,
@@ -47,9 +47,7 @@ def grid(geometry: PlacementGeometry, count: int = 17) -> np.ndarray:
     return compose(task_frame(geometry), np.stack(np.meshgrid(x, y, yaw), -1).reshape(-1, 3))
 
 
-def test_a_low_door_that_swings_over_the_floor_excludes_its_sweep(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_the_base_cannot_stand_in_the_sweep_of_a_low_door(robot: Robot, tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     low = scene.object("cabinet").model.urdf.path
     assert low is not None
@@ -57,28 +55,28 @@ def test_a_low_door_that_swings_over_the_floor_excludes_its_sweep(
         low.read_text().replace(" 0.8", " 0.31").replace(" 1.09", " 0.6").replace(" 0.51", " 0.02")
     )
     scene = load_scene(tmp_path / "room.json")
-    geometry = make_site(scene, robot)
+    geometry = make_geometry(scene, robot)
     in_swing = np.array([[0.0, -0.65, 0.0]])
     outcome, _ = base_pose_status(geometry, in_swing)
     assert outcome[0] == BaseStatus.BLOCKED
     still = PlacementGeometry(
         geometry.robot, geometry.Ts_world_tool, geometry.static, geometry.sweep, None, 0.0
     )
-    shut = PlacementGeometry(
+    no_sweep = PlacementGeometry(
         still.robot, still.Ts_world_tool, still.static,
         type(still.sweep)(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))), None, 0.0,
     )  # fmt: skip
     poses = grid(geometry)
     with_sweep, _ = base_pose_status(still, poses)
-    without, _ = base_pose_status(shut, poses)
+    without, _ = base_pose_status(no_sweep, poses)
     assert (without[with_sweep == BaseStatus.CLEAR] == BaseStatus.CLEAR).all()
     assert (with_sweep == BaseStatus.BLOCKED).sum() > (without == BaseStatus.BLOCKED).sum()
 
 
-def test_standing_moves_with_the_room(robot: Robot, tmp_path: Path) -> None:
+def test_the_free_area_moves_with_the_scene(robot: Robot, tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     moved = move_scene(scene, 3.0, -1.0, 0.7)
-    geometry, other = make_site(scene, robot), make_site(moved, robot)
+    geometry, other = make_geometry(scene, robot), make_geometry(moved, robot)
     poses = grid(geometry)
     carried = compose(np.array([3.0, -1.0, 0.7]), poses)
     np.testing.assert_array_equal(
@@ -90,9 +88,12 @@ def test_standing_moves_with_the_room(robot: Robot, tmp_path: Path) -> None:
     )  # fmt: skip
 
 
-def test_the_sampling_frame_moves_with_the_room(robot: Robot, tmp_path: Path) -> None:
+def test_the_sampling_frame_moves_with_the_scene(robot: Robot, tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
-    geometry, other = make_site(scene, robot), make_site(move_scene(scene, 3.0, -1.0, 0.7), robot)
+    geometry, other = (
+        make_geometry(scene, robot),
+        make_geometry(move_scene(scene, 3.0, -1.0, 0.7), robot),
+    )
     a, b = sampling_box(geometry), sampling_box(other)
     assert a is not None
     assert b is not None
@@ -104,12 +105,10 @@ def test_the_sampling_frame_moves_with_the_room(robot: Robot, tmp_path: Path) ->
     assert abs(wrap_angle(difference[2])) < 1e-9
 
 
-def test_a_mirrored_room_mirrors_where_a_symmetric_base_can_stand(
-    robots: object, tmp_path: Path
-) -> None:
+def test_a_mirrored_scene_mirrors_the_free_area(robots: object, tmp_path: Path) -> None:
     robot: Robot = robots("fetch")  # type: ignore[operator]
-    right = make_site(cabinet_room(tmp_path / "r"), robot)
-    left = make_site(cabinet_room(tmp_path / "l", left=True), robot)
+    right = make_geometry(cabinet_room(tmp_path / "r"), robot)
+    left = make_geometry(cabinet_room(tmp_path / "l", left=True), robot)
     poses = grid(right)
     mirrored = poses * [-1.0, 1.0, 1.0]
     mirrored[:, 2] = np.pi - poses[:, 2]
@@ -121,7 +120,7 @@ def test_a_mirrored_room_mirrors_where_a_symmetric_base_can_stand(
 
 
 def test_no_pose_outside_the_sampling_box_is_within_reach(robot: Robot, tmp_path: Path) -> None:
-    geometry = make_site(cabinet_room(tmp_path), robot)
+    geometry = make_geometry(cabinet_room(tmp_path), robot)
     corners = sampling_box(geometry)
     assert corners is not None
     rng = np.random.default_rng(0)
@@ -132,10 +131,10 @@ def test_no_pose_outside_the_sampling_box_is_within_reach(robot: Robot, tmp_path
     assert (arm_radius(geometry) > 0.2).all()
 
 
-def test_a_base_off_the_floor_is_refused(robot: Robot, tmp_path: Path) -> None:
+def test_a_base_off_the_floor_is_rejected(robot: Robot, tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     floor = np.array([[-2.0, -3.0], [2.0, -3.0], [2.0, 0.5], [-2.0, 0.5]])
-    geometry = make_site(scene, robot)
+    geometry = make_geometry(scene, robot)
     bounded = PlacementGeometry(
         robot, geometry.Ts_world_tool, geometry.static, geometry.sweep, floor - [0, 20], 0.0
     )
@@ -146,16 +145,14 @@ def test_a_base_off_the_floor_is_refused(robot: Robot, tmp_path: Path) -> None:
     assert BaseStatus.OFF_FLOOR in outcome
 
 
-def test_candidates_come_in_the_order_of_expected_cost() -> None:
+def test_candidates_are_ordered_by_expected_cost() -> None:
     travel = np.array([3.0, 1.0, np.inf, 2.0])
     odds = np.array([1.0, 0.0, 1.0, 1.0])
     assert by_expected_cost(travel, odds, miss=5.0).tolist() == [3, 0, 1]
     assert by_expected_cost(travel, np.ones(4), miss=5.0).tolist() == [1, 3, 0]
 
 
-def test_what_hangs_too_high_is_said_to_be_out_of_reach_in_height(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_a_handle_that_is_too_high_is_reported_as_such(robot: Robot, tmp_path: Path) -> None:
     cabinet_room(tmp_path)
     text = (tmp_path / "room.json").read_text()
     (tmp_path / "room.json").write_text(text.replace('"xyz": [0, 0, 0]', '"xyz": [0, 0, 3]'))

@@ -1,4 +1,4 @@
-"""Laws of what base poses cost, and of the weights by which they are ordered."""
+"""Test the cost of base poses and its weights."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.tasks import make_task
-from momapos.planning.iterate import iter_placements
+from momapos.planning.keyword_forms import iter_placements, plan_base_placement
 from momapos.planning.placement.area import PlacementGeometry
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.placement.pose_cost import missing_clearance
-from momapos.planning.placement.pose_search import search, search_every
-from momapos.planning.plan import plan_base_placement
+from momapos.planning.placement.pose_search import iter_searches, search
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach
-from momapos.planning.search_setup import ready_search
+from momapos.planning.search_setup import prepare_search
 
 NAMES = ["driving", "room", "clearance", "manipulability", "effort"]
 WORDS = ["place", "open", "kitchen_small", "cabinet_right/drawer_middle_slide"]
@@ -53,63 +52,63 @@ def task(kitchen: Scene) -> Task:
 
 
 def total(plan: PlacementPlan, place: PlaceConfig) -> float:
-    """What a plan costs by some weights; its own may be others."""
+    """Return a plan's cost under the given weights, which may differ from its own."""
     terms = ((term.value, getattr(place, f"weight_{name}")) for name, term in plan.cost.items())
     return sum(value * weight for value, weight in terms if weight and value is not None)
 
 
-def test_clearance_lacks_what_the_base_hits_with_it(geometry: PlacementGeometry) -> None:
+def test_the_base_is_free_with_the_clearance_it_has(geometry: PlacementGeometry) -> None:
     rng = np.random.default_rng(3)
     poses = np.stack([rng.uniform(-2, 2, 200), rng.uniform(-3, 0, 200), rng.uniform(-3, 3, 200)], 1)
-    lacks = missing_clearance(geometry, poses)
-    assert 0.0 <= lacks.min() < 0.05 < lacks.max() <= 0.2
+    missing = missing_clearance(geometry, poses)
+    assert 0.0 <= missing.min() < 0.05 < missing.max() <= 0.2
     robot = geometry.robot.base
     for boxes in (geometry.static, geometry.sweep):
-        kept = 0.2 - lacks
+        clearance = 0.2 - missing
         clear = np.array([
-            base_hits(pose[None], robot, boxes, clearance=max(room - 1e-9, 0.0))[0] == FREE
-            for pose, room in zip(poses, kept, strict=True)
+            base_hits(pose[None], robot, boxes, clearance=max(one - 1e-9, 0.0))[0] == FREE
+            for pose, one in zip(poses, clearance, strict=True)
         ])  # fmt: skip
-        assert clear[kept > 0].all()
+        assert clear[clearance > 0].all()
 
 
 def test_a_plan_names_each_term_with_its_value_and_weight(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    words = ["--robot", "segway_ur5e", "--weight-effort", "0.5", "--out", str(file)]
+    words = ["--robot", "segway_ur5e", "--set", "place.weight_effort=0.5", "--out", str(file)]
     assert main([*WORDS, *words]) == 0
     plan = read_plan(file)
     assert list(plan.cost) == NAMES
     assert [term.weight for term in plan.cost.values()] == [1.0, None, 0.0, 0.0, 0.5]
     assert plan.cost["driving"].value == pytest.approx(plan.navigation_cost)
     assert plan.motion is not None
-    moved = np.abs(np.diff(plan.motion.q, axis=0)).sum()  # no joint of it slides
+    moved = np.abs(np.diff(plan.motion.q, axis=0)).sum()  # it has no prismatic joint
     assert plan.cost["effort"].value == pytest.approx(moved)
     assert all(term.value is not None and term.value >= 0.0 for term in plan.cost.values())
 
 
-def test_of_the_grid_no_base_pose_costs_less_than_the_answer(
+def test_no_grid_pose_costs_less_than_the_solution(
     kitchen: Scene, segway: Robot, task: Task
 ) -> None:
     grid = PlaceConfig(method="exhaustive", grid_cell=0.2, grid_turn=30.0, weight_room=0.0)
     weighed = replace(grid, weight_effort=0.2, weight_manipulability=0.5, weight_clearance=1.0)
     config = PipelineConfig(place=weighed, timeout=300.0)
     query = PlacementQuery(
-        kitchen, segway, task, Everywhere(), None, None, config, 0, Stopwatch(lambda: 0.0)
+        kitchen, segway, task, Everywhere(), config=config, watch=Stopwatch(lambda: 0.0)
     )
-    ready = ready_search(query, kitchen, task_motion(kitchen, segway, task, config.motion))
+    ready = prepare_search(query, kitchen, task_motion(kitchen, segway, task, config.motion))
     least = total(
         ready.result(search(ready.problem, weighed, np.random.default_rng(0))).plan, weighed
     )
     costs = [
         total(ready.result(replace(found)).plan, weighed)
-        for found in search_every(ready.problem, grid, np.random.default_rng(0))
+        for found in iter_searches(ready.problem, grid, np.random.default_rng(0))
     ]
     assert len(costs) > 20
     assert min(costs) < costs[0] - 0.1  # the first is the nearest, which is not the cheapest
     assert least <= min(costs) + 1e-6
 
 
-def test_without_weight_on_room_less_is_driven(kitchen: Scene, segway: Robot) -> None:
+def test_without_weight_on_robustness_the_drive_is_shorter(kitchen: Scene, segway: Robot) -> None:
     reach = load_reach(segway, None)
     cheapest = PipelineConfig(place=PlaceConfig(weight_room=0.0))
     driven = []
@@ -125,9 +124,7 @@ def test_without_weight_on_room_less_is_driven(kitchen: Scene, segway: Robot) ->
     assert sum(near for _, near in driven) < sum(usual for usual, _ in driven)
 
 
-def test_further_answers_come_in_the_order_of_their_cost(
-    kitchen: Scene, segway: Robot, task: Task
-) -> None:
+def test_further_solutions_come_in_order_of_cost(kitchen: Scene, segway: Robot, task: Task) -> None:
     place = PlaceConfig(count=1024, rounds=1, grid=False, weight_room=0.0, weight_effort=1.0)
     config = PipelineConfig(place=place, timeout=300.0)
     given = iter_placements(kitchen, segway, task, Everywhere(), config=config)
@@ -141,16 +138,16 @@ def test_further_answers_come_in_the_order_of_their_cost(
 
 
 @pytest.mark.parametrize(
-    "words",
+    "setting",
     [
-        ["--weight-room", "-1"], ["--weight-driving", "inf"], ["--weight-effort", "nan"],
-        ["--weight-room", "nan"],
+        "place.weight_room=-1", "place.weight_driving=inf", "place.weight_effort=nan",
+        "place.weight_room=nan",
     ],
 )  # fmt: skip
-def test_what_is_no_weight_is_one_line(
-    words: list[str], capsys: pytest.CaptureFixture[str]
+def test_an_invalid_weight_is_reported_in_one_line(
+    setting: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*WORDS, *words]) == 2
-    said = capsys.readouterr().err
-    assert words[0].strip("-") in said
-    assert said.count("\n") == 1
+    assert main([*WORDS, "--set", setting]) == 2
+    message = capsys.readouterr().err
+    assert f"--set {setting.partition('=')[0]} must be" in message
+    assert message.count("\n") == 1

@@ -1,4 +1,4 @@
-"""A "no" of a redundant arm is looked at with inverse kinematics that overlooks less."""
+"""Test that a redundant arm's "no" is rechecked with denser inverse kinematics."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import pytest
 from momapos.model.kinematics.ik import build_ik
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.base_paths import WaysOn
+from momapos.planning.base_paths import OnwardPaths
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.tasks import make_task
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.placement.problem import Search
-from momapos.planning.plan import plan_base_placement
-from momapos.planning.search_setup import ReadySearch
+from momapos.planning.search_setup import SearchSetup
 
 COARSE = PlaceConfig(rounds=1, count=128, grid_cell=0.1, grid_turn=20.0)
 
 
-def test_the_finer_arm_is_the_same_but_for_the_joints_that_are_locked() -> None:
+def test_the_finer_arm_differs_only_in_its_locked_joint_samples() -> None:
     robot = load_robot("fetch")
     spheres = robot.spheres
     assert robot.finer.chain is robot.chain
@@ -29,30 +29,32 @@ def test_the_finer_arm_is_the_same_but_for_the_joints_that_are_locked() -> None:
     assert load_robot("segway_ur5e").ik.complete
 
 
-def test_what_coarse_inverse_kinematics_overlooks_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_recheck_finds_what_coarse_inverse_kinematics_misses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     robot, scene = load_robot("fetch"), load_scene("kitchen_small")
     vars(robot)["ik"] = build_ik(robot.chain, samples_per_joint=1)
-    looked: list[Search] = []
-    finely = ReadySearch.finely
+    rechecks: list[Search] = []
+    refine = SearchSetup.refine
 
-    def spied(self: ReadySearch, found: Search, place: PlaceConfig) -> Search:
+    def spied_recheck(self: SearchSetup, found: Search, place: PlaceConfig) -> Search:
         assert found.is_no
-        looked.append(finely(self, found, place))
-        return looked[-1]
+        rechecks.append(refine(self, found, place))
+        return rechecks[-1]
 
-    monkeypatch.setattr(ReadySearch, "finely", spied)
-    asked: list[bytes] = []
-    leads = WaysOn.__call__
+    monkeypatch.setattr(SearchSetup, "refine", spied_recheck)
+    departures: list[bytes] = []
+    check = OnwardPaths.__call__
 
-    def asks(self: WaysOn, base: np.ndarray) -> bool:
-        asked.append(base.tobytes())
-        return leads(self, base)
+    def spied_departure(self: OnwardPaths, base: np.ndarray) -> bool:
+        departures.append(base.tobytes())
+        return check(self, base)
 
-    monkeypatch.setattr(WaysOn, "__call__", asks)
+    monkeypatch.setattr(OnwardPaths, "__call__", spied_departure)
     task = make_task(scene, "open", "fridge", "door_hinge")
     plan = plan_base_placement(scene, robot, task, config=PipelineConfig(place=COARSE)).plan
-    assert len(looked) == 1
+    assert len(rechecks) == 1
     assert plan.status == "solved"
-    assert looked[0].base is not None
-    assert plan.base_pose == tuple(looked[0].base.tolist())
-    assert looked[0].base.tobytes() in asked
+    assert rechecks[0].base is not None
+    assert plan.base_pose == tuple(rechecks[0].base.tolist())
+    assert rechecks[0].base.tobytes() in departures

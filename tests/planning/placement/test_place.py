@@ -1,4 +1,4 @@
-"""The search, with stages that are made up: which poses work, and what they cost."""
+"""Test the search with fake stages that decide which poses work and what they cost."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float, Int
 
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
 from momapos.model.records.plans import ArmPathResult, Attempt, Motion
-from momapos.planning.placement.area import PlacementGeometry, clear_of_sweep
+from momapos.planning.placement.area import PlacementGeometry, clears_sweep
 from momapos.planning.placement.config import Method, PlaceConfig
-from momapos.planning.placement.grasp_scores import ways_of_holding
+from momapos.planning.placement.grasp_scores import grasp_mode_scorers
 from momapos.planning.placement.pose_search import search
 from momapos.planning.placement.problem import Problem, Search
 from rooms import Everywhere
@@ -27,18 +27,18 @@ START = np.array([0.0, -2.5, np.pi / 2])
 
 
 @dataclass
-class Leads:
-    """Where base poses lead on, and whether others are known not to once one was looked at."""
+class FakeDeparture:
+    """A departure check that the given poses pass; it may know the failures beforehand."""
 
     which: Works
     knows: bool = False
-    looked: list[np.ndarray] = field(default_factory=list)
+    checked: list[np.ndarray] = field(default_factory=list)
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
-        self.looked.append(base)
+        self.checked.append(base)
         return bool(self.which(base[None])[0])
 
-    def hopeless(self, base: Float[np.ndarray, "3"]) -> bool:
+    def is_known_blocked(self, base: Float[np.ndarray, "3"]) -> bool:
         return self.knows and not self.which(base[None])[0]
 
 
@@ -61,8 +61,8 @@ def find(
     *,
     method: Method = "ours",
     seed: int = 0,
-    goes_home: Works | None = None,
-    leads_on: Leads | None = None,
+    home_is_free: Works | None = None,
+    departure: FakeDeparture | None = None,
     **changes: int | float,
 ) -> Search:
     def screen(
@@ -82,10 +82,10 @@ def find(
     def length(xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         return np.linalg.norm(xy - START[:2], axis=1)
 
-    ways = ways_of_holding(geometry.Ts_world_tool, np.zeros((0, 1), int))
+    scorers = grasp_mode_scorers(geometry.Ts_world_tool, np.zeros((0, 1), int))
     problem = Problem(
-        geometry, Everywhere(), Everywhere(), ways, length, attempt, screen, START, lambda: False,
-        goes_home=goes_home, leads_on=leads_on,
+        geometry, Everywhere(), Everywhere(), scorers, length, attempt, screen, START,
+        lambda: False, home_is_free=home_is_free, departure=departure,
     )  # fmt: skip
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
@@ -94,7 +94,7 @@ def find(
 
 @pytest.mark.parametrize("method", ["ours", "exhaustive"])
 @pytest.mark.parametrize("which", [always, left])
-def test_a_pose_that_works_is_found_and_its_cost_is_the_way_there(
+def test_a_pose_that_works_is_found_and_its_cost_is_the_driving_length(
     geometry: PlacementGeometry, method: Method, which: Works
 ) -> None:
     found = find(geometry, which, which, method=method)
@@ -104,7 +104,7 @@ def test_a_pose_that_works_is_found_and_its_cost_is_the_way_there(
     assert list(np.concatenate(found.outcomes)).count(FEASIBLE) == 1
 
 
-def test_the_grid_gives_the_cheapest_of_its_poses(geometry: PlacementGeometry) -> None:
+def test_the_grid_search_returns_its_cheapest_pose(geometry: PlacementGeometry) -> None:
     found = find(geometry, left, left, method="exhaustive", whole_grid=True)
     poses = np.concatenate(found.poses)
     passed = poses[[one in (FOUND.outcome, FEASIBLE) for one in np.concatenate(found.outcomes)]]
@@ -113,72 +113,72 @@ def test_the_grid_gives_the_cheapest_of_its_poses(geometry: PlacementGeometry) -
 
 
 @pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"improve": 4}])
-def test_where_the_arm_can_be_brought_home_afterward_comes_first(
+def test_poses_from_which_the_arm_can_return_home_come_first(
     geometry: PlacementGeometry, changes: dict[str, int]
 ) -> None:
-    """Left of the door poses are farther from the start than right of it."""
+    """Poses left of the door are farther from the start than poses right of it."""
     free = find(geometry, always, always, **changes)
     assert free.base is not None
     assert not left(free.base[None])[0]
-    home = find(geometry, always, always, goes_home=left, **changes)
+    home = find(geometry, always, always, home_is_free=left, **changes)
     assert home.base is not None
     assert left(home.base[None])[0]
     assert home.cost > free.cost
 
 
 @pytest.mark.parametrize("changes", [{}, {"rounds": 0}])
-def test_no_answer_is_lost_where_the_arm_cannot_be_brought_home(
+def test_no_solution_is_lost_if_the_arm_cannot_return_home(
     geometry: PlacementGeometry, changes: dict[str, int]
 ) -> None:
     plain = find(geometry, left, left, **changes)
-    nowhere = find(geometry, left, left, goes_home=never, **changes)
+    no_home = find(geometry, left, left, home_is_free=never, **changes)
     assert plain.base is not None
-    assert nowhere.base is not None
-    assert left(nowhere.base[None])[0]
+    assert no_home.base is not None
+    assert left(no_home.base[None])[0]
 
     def right(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         return ~left(poses)
 
-    elsewhere = find(geometry, left, left, goes_home=right, **changes)
-    assert elsewhere.base is not None
-    assert left(elsewhere.base[None])[0]
+    other_home = find(geometry, left, left, home_is_free=right, **changes)
+    assert other_home.base is not None
+    assert left(other_home.base[None])[0]
 
 
 @pytest.mark.parametrize("knows", [False, True])
 @pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"improve": 4}])
-def test_where_the_robot_can_drive_on_afterward_comes_first(
+def test_poses_from_which_the_robot_can_drive_on_come_first(
     geometry: PlacementGeometry, changes: dict[str, int], knows: bool
 ) -> None:
-    """Left of the door poses are farther from the start than right of it."""
-    leads = Leads(left, knows)
-    on = find(geometry, always, always, leads_on=leads, **changes)
+    """Poses left of the door are farther from the start than poses right of it."""
+    departure = FakeDeparture(left, knows)
+    on = find(geometry, always, always, departure=departure, **changes)
     assert on.base is not None
     assert left(on.base[None])[0]
-    assert on.spare is not None
-    assert not left(on.spare[0][None])[0]
-    assert on.spare[2] < on.cost
-    on.settle()
+    assert on.fallback is not None
+    assert not left(on.fallback[0][None])[0]
+    assert on.fallback[2] < on.cost
+    on.accept_fallback()
     assert left(on.base[None])[0]
-    assert not on.shut_in
-    assert len(leads.looked) == 2 or not knows
+    assert not on.blocked_in
+    assert len(departure.checked) == 2 or not knows
 
 
 @pytest.mark.parametrize("changes", [{}, {"rounds": 0}])
-def test_no_answer_is_lost_where_the_robot_cannot_drive_on(
+def test_a_pose_that_blocks_the_robot_in_is_the_fallback(
     geometry: PlacementGeometry, changes: dict[str, int]
 ) -> None:
-    leads = Leads(never, knows=True)
-    found = find(geometry, always, left, leads_on=leads, **changes)
+    departure = FakeDeparture(never, knows=True)
+    found = find(geometry, always, left, departure=departure, **changes)
     assert found.is_no
-    assert len(leads.looked) == 1
-    found.settle()
+    assert len(departure.checked) == 1
+    found.accept_fallback()
     assert found.base is not None
     assert left(found.base[None])[0]
-    assert found.shut_in
+    assert found.blocked_in
     assert found.cost == pytest.approx(np.linalg.norm(found.base[:2] - START[:2]))
 
 
-def test_the_base_may_end_beside_the_pose_that_is_chosen(geometry: PlacementGeometry) -> None:
+def test_the_chosen_pose_tolerates_position_errors(geometry: PlacementGeometry) -> None:
     def stripes(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         # Works in stripes of 8 cm, every 12 cm.
         return poses[:, 0] % 0.12 < 0.08
@@ -195,18 +195,18 @@ def test_the_base_may_end_beside_the_pose_that_is_chosen(geometry: PlacementGeom
     assert all(inside(found) for found in all_of_it)
 
 
-def test_room_beside_the_base_costs_little_more_than_the_room(geometry: PlacementGeometry) -> None:
+def test_robustness_costs_little_more_driving_than_the_margin(geometry: PlacementGeometry) -> None:
     grid = find(geometry, left, always, method="exhaustive", grid_cell=0.05, grid_turn=15.0)
     for seed in range(8):
         found = find(geometry, left, always, seed=seed, sweep_room=0.0, margin=0.02)
-        assert found.margin == 1.0
+        assert found.robustness == 1.0
         assert found.cost < grid.cost + 0.1
 
 
-def test_poses_with_as_little_room_are_stepped_to_where_there_is_no_more(
+def test_the_search_steps_to_equally_robust_poses_where_none_is_fully_robust(
     geometry: PlacementGeometry,
 ) -> None:
-    everything = 3.0  # wider than the room: no pose has all of its margin
+    everything = 3.0  # wider than the scene: no pose is fully robust
     costs = [
         find(geometry, always, always, sweep_room=everything, improve=n, count=64).cost
         for n in (0, 16)
@@ -214,18 +214,18 @@ def test_poses_with_as_little_room_are_stepped_to_where_there_is_no_more(
     assert costs[1] < costs[0] - 0.05
 
 
-def test_where_no_pose_has_a_margin_the_answer_is_still_found(
+def test_a_pose_is_found_where_none_is_robust(
     geometry: PlacementGeometry,
 ) -> None:
-    def hair(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    def narrow_stripes(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         return poses[:, 0] % 0.03 < 0.01
 
-    found = find(geometry, hair, always, looks=2, count=64)
+    found = find(geometry, narrow_stripes, always, looks=2, count=64)
     assert found.base is not None
     assert found.base[0] % 0.03 < 0.01
 
 
-def test_looking_at_more_candidates_never_makes_the_answer_dearer(
+def test_checking_more_candidates_never_costs_more(
     geometry: PlacementGeometry,
 ) -> None:
     costs = [find(geometry, always, always, together=n, improve=0).cost for n in (1, 2, 8, 32)]
@@ -237,33 +237,33 @@ def test_looking_at_more_candidates_never_makes_the_answer_dearer(
     assert steps[-1] < steps[0] - 0.05
 
 
-def test_a_base_keeps_room_from_what_sweeps_past_it_where_it_can(
+def test_the_base_keeps_clear_of_the_moving_part_where_possible(
     geometry: PlacementGeometry,
 ) -> None:
-    room = 0.5
+    clearance = 0.5
 
-    def close(kept: float) -> int:
+    def close_passes(sweep_room: float) -> int:
         answers = [
-            find(geometry, always, always, seed=seed, count=64, sweep_room=kept).base
+            find(geometry, always, always, seed=seed, count=64, sweep_room=sweep_room).base
             for seed in range(8)
         ]
         return sum(
-            not clear_of_sweep(geometry, base[None], room)[0]
+            not clears_sweep(geometry, base[None], clearance)[0]
             for base in answers
             if base is not None
         )
 
-    assert close(room) == 0 < close(0.0)
+    assert close_passes(clearance) == 0 < close_passes(0.0)
 
 
-def test_where_a_path_cannot_be_completed_the_next_is_tried(geometry: PlacementGeometry) -> None:
+def test_if_a_path_cannot_be_completed_the_next_is_tried(geometry: PlacementGeometry) -> None:
     found = find(geometry, always, left)
     assert found.base is not None
     assert found.base[0] < -0.3
     assert NO_APPROACH in np.concatenate(found.outcomes)
 
 
-def test_nothing_is_found_where_nothing_works_and_every_pose_has_a_reason(
+def test_where_nothing_works_every_pose_has_a_reason(
     geometry: PlacementGeometry,
 ) -> None:
     for path, whole, reason in ((never, never, MISSED.outcome), (always, never, NO_APPROACH)):

@@ -1,4 +1,4 @@
-"""Laws of where the base is allowed to stand."""
+"""Test the restrictions of base poses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SQUARE = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
 NORTH = ((0.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0))
 
 
-def kept(
+def satisfied(
     region: BaseRegion, geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> dict[PoseStatus, list[bool]]:
     travel = np.hypot(poses[:, 0], poses[:, 1])
@@ -28,37 +28,37 @@ def test_without_a_region_the_base_may_stand_anywhere(geometry: PlacementGeometr
     assert rules(ANYWHERE, geometry) == []
 
 
-def test_the_whole_footprint_is_in_one_of_the_areas_to_keep_in(geometry: PlacementGeometry) -> None:
+def test_the_whole_footprint_lies_in_one_keep_in_area(geometry: PlacementGeometry) -> None:
     middle, edge, other = [0.5, 0.5, 0.3], [0.95, 0.5, 0.0], [0.5, 1.5, 1.0]
     poses = np.array([middle, edge, other])
-    one = kept(BaseRegion(keep_in=(SQUARE,)), geometry, poses)
+    one = satisfied(BaseRegion(keep_in=(SQUARE,)), geometry, poses)
     assert one == {PoseStatus.NOT_KEPT_IN: [True, False, False]}
-    two = kept(BaseRegion(keep_in=(SQUARE, NORTH)), geometry, poses)
+    two = satisfied(BaseRegion(keep_in=(SQUARE, NORTH)), geometry, poses)
     assert two == {PoseStatus.NOT_KEPT_IN: [True, False, True]}
 
 
-def test_no_part_of_the_footprint_is_in_an_area_to_keep_out_of(
+def test_no_part_of_the_footprint_touches_a_keep_out_area(
     geometry: PlacementGeometry,
 ) -> None:
     poses = np.array([[0.5, 0.5, 0.3], [1.05, 0.5, 0.0], [3.0, 0.5, 0.0]])
-    out = kept(BaseRegion(keep_out=(SQUARE,)), geometry, poses)
+    out = satisfied(BaseRegion(keep_out=(SQUARE,)), geometry, poses)
     assert out == {PoseStatus.NOT_KEPT_OUT: [False, False, True]}
 
 
-def test_the_base_faces_where_the_hand_takes_hold(geometry: PlacementGeometry) -> None:
+def test_the_base_faces_the_grasp(geometry: PlacementGeometry) -> None:
     x, y = geometry.Ts_world_tool[0, 1, :2, 3]
     poses = np.array([[x, y - 1.0, np.pi / 2], [x, y - 1.0, 0.0], [x - 1.0, y, -2 * np.pi + 0.1]])
-    facing = kept(BaseRegion(facing=np.radians(30.0)), geometry, poses)
+    facing = satisfied(BaseRegion(facing=np.radians(30.0)), geometry, poses)
     assert facing == {PoseStatus.NOT_FACING: [True, False, True]}
 
 
-def test_the_drive_is_no_longer_than_allowed(geometry: PlacementGeometry) -> None:
+def test_the_drive_is_not_longer_than_allowed(geometry: PlacementGeometry) -> None:
     poses = np.array([[1.0, 0.0, 0.0], [0.0, 3.0, 0.0]])
-    near = kept(BaseRegion(most_driving=2.0), geometry, poses)
+    near = satisfied(BaseRegion(most_driving=2.0), geometry, poses)
     assert near == {PoseStatus.TOO_LONG_A_DRIVE: [True, False]}
 
 
-def test_outlines_overlap_where_one_holds_the_other_or_edges_cross() -> None:
+def test_outlines_overlap_if_one_contains_the_other_or_edges_cross() -> None:
     small = place_points(np.array([[0.5, 0.5, 0.2]]), 0.1 * np.array(SQUARE))
     large = place_points(np.array([[-2.0, -2.0, 0.0]]), 9.0 * np.array(SQUARE))
     across = np.array([[[-1.0, 0.4], [2.0, 0.4], [2.0, 0.6], [-1.0, 0.6]]])

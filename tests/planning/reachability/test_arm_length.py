@@ -1,4 +1,4 @@
-"""What stands in for a map that an arm cannot have."""
+"""The fallback for an arm without a reachability map."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from momapos.planning.reachability.arm_length import arm_length
 from momapos.planning.reachability.map_store import load_reach
 
 
-def test_no_pose_that_the_arm_takes_is_called_out_of_reach() -> None:
+def test_no_pose_that_the_arm_reaches_scores_zero() -> None:
     robot, rng = load_robot("fetch"), np.random.default_rng(0)
     scorer, chain = arm_length(robot, "a reason"), robot.chain
     lower, upper = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
@@ -29,7 +29,7 @@ def test_no_pose_that_the_arm_takes_is_called_out_of_reach() -> None:
     assert (scores <= 1).all()
 
 
-def test_the_weakest_waypoint_counts() -> None:
+def test_the_worst_waypoint_counts() -> None:
     scorer = arm_length(load_robot("husky_ur5e"), "a reason")
     Ts = np.tile(np.eye(4), (1, 3, 1, 1))
     Ts[0, :, 0, 3], Ts[0, :, 2, 3] = [0.5, 0.9, 0.7], 0.8
@@ -38,7 +38,7 @@ def test_the_weakest_waypoint_counts() -> None:
     assert scorer.min_score(bases, Ts)[0, 0] == min(alone)
 
 
-def test_an_arm_without_map_is_told_in_one_line(
+def test_an_arm_without_a_map_is_reported_in_one_line(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     robot = load_robot("husky_ur5e")

@@ -1,4 +1,4 @@
-"""Laws of the pieces a reachability map is built from."""
+"""The parts that a reachability map is built from."""
 
 from __future__ import annotations
 
@@ -22,14 +22,12 @@ def _freed(robot: Robot, first: int) -> Chain:
     freed = np.arange(robot.chain.size) == first
     lower, upper = robot.chain.lower, robot.chain.upper
     return replace(
-        robot.chain,
-        lower=np.where(freed, -np.inf, lower),
-        upper=np.where(freed, np.inf, upper),
+        robot.chain, lower=np.where(freed, -np.inf, lower), upper=np.where(freed, np.inf, upper)
     )
 
 
 @pytest.mark.parametrize("name", ["fetch", "ranger_rm63"])
-def test_turned_samples_are_those_that_inverse_kinematics_would_hold(name: str) -> None:
+def test_turned_samples_equal_those_of_ik_built_at_every_value(name: str) -> None:
     robot = load_robot(name)
     frame = arm_frame(robot.chain, robot.approach_axis)
     chain = _freed(robot, frame.first)
@@ -40,7 +38,7 @@ def test_turned_samples_are_those_that_inverse_kinematics_would_hold(name: str) 
     values = count << HALVINGS
     assert len(samples) == len(arcs) == len(value) == len(step)
     assert set(value.tolist()) == set(range(values))
-    # Straight ahead first; a value is tried after both that it stands between.
+    # Straight ahead comes first, and every value comes after the two that it is between.
     assert samples[0, frame.first] == 0.0
     when = np.full(values, len(value))
     np.minimum.at(when, value, np.arange(len(value)))
@@ -53,14 +51,14 @@ def test_turned_samples_are_those_that_inverse_kinematics_would_hold(name: str) 
         same = np.flatnonzero(np.abs(ik.samples - samples[i]).max(1) < 1e-9)
         matched += len(same)
         for theirs, ours in zip(own, found, strict=True):
-            # Published axes are rounded; Newton steps bridge that.
+            # The axes of the robot files are rounded.
             np.testing.assert_allclose(ours[[i] * len(same)], theirs[same], atol=1e-4)
     assert matched >= values
 
 
 @pytest.mark.parametrize("heights", [3, 9, 17])
 def test_each_value_of_the_first_joint_is_tried_at_every_height_of_the_torso(heights: int) -> None:
-    """With a grid of more than 128 samples too, which planning would spread."""
+    """Also with more than 128 samples, which IK for planning would spread."""
     robot = load_robot("fetch")
     frame = arm_frame(robot.chain, robot.approach_axis)
     turned, (_, value, _) = locked_samples(_freed(robot, frame.first), frame, 4, heights)
@@ -68,7 +66,7 @@ def test_each_value_of_the_first_joint_is_tried_at_every_height_of_the_torso(hei
         assert len(np.unique(turned.samples[value == v, 0])) == heights
 
 
-def test_asking_for_some_bearings_gives_those_of_the_full_answer() -> None:
+def test_evaluating_some_azimuths_gives_those_bits_of_the_full_mask() -> None:
     robot, rng = load_robot("husky_ur5e"), np.random.default_rng(0)
     frame = arm_frame(robot.chain, robot.approach_axis)
     evaluate = _Evaluator(robot, frame, ReachConfig(spins=2), lambda _share: None)
@@ -79,7 +77,7 @@ def test_asking_for_some_bearings_gives_those_of_the_full_answer() -> None:
     np.testing.assert_array_equal(evaluate(lines, wanted, 0.0, 1.0), full & wanted)
 
 
-def test_nearby_bearings_are_those_of_neighbors_and_beside_them() -> None:
+def test_nearby_azimuths_are_those_of_neighbors_widened_to_both_sides() -> None:
     masks = np.zeros((3, 4, 5, 5), np.uint64)
     masks[1, 2, 3, 3] = 1
     found = nearby(masks, 2)
@@ -89,8 +87,8 @@ def test_nearby_bearings_are_those_of_neighbors_and_beside_them() -> None:
     assert np.count_nonzero(found) == 9
 
 
-def test_spheres_that_stick_out_touch_no_more_of_the_base_where_hulls_decide() -> None:
-    """As beside a shoulder, where links pass so closely by the base that spheres always touch."""
+def test_protruding_spheres_touch_no_more_of_the_base_where_hulls_are_checked() -> None:
+    """As near a shoulder, where links pass so close to the base that spheres always touch."""
     robot = load_robot("husky_ur5e")
     fine = replace(robot.spheres, base_exact=np.zeros_like(robot.spheres.base_exact))
     coarse = replace(fine, radius=fine.radius + 0.014, base_exact=fine.base_pairs)

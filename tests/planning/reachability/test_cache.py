@@ -1,4 +1,4 @@
-"""Laws of the file cache."""
+"""The file cache."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from momapos.core.cache import Cache, content_key, default_cache_dir, write_atomic
 
 
-def test_what_is_put_is_got(tmp_path: Path) -> None:
+def test_the_cache_returns_what_was_put(tmp_path: Path) -> None:
     cache = Cache(tmp_path / "deep" / "folder")
     assert cache.get("a") is None
     for data in (b"", b"one", b"two" * 1000):
@@ -19,7 +19,7 @@ def test_what_is_put_is_got(tmp_path: Path) -> None:
         assert cache.get("a") == data
 
 
-def test_no_damage_goes_unseen(tmp_path: Path) -> None:
+def test_any_damage_is_detected(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     path = cache.put("a", b"content")
     whole = path.read_bytes()
@@ -41,7 +41,7 @@ def test_keys_cannot_leave_the_folder(tmp_path: Path, key: str) -> None:
         Cache(tmp_path).put(key, b"")
 
 
-def test_content_keys_tell_contents_apart() -> None:
+def test_different_contents_have_different_keys() -> None:
     parts = [
         ("ab", "c"),
         ("a", "bc"),
@@ -60,7 +60,7 @@ def test_content_keys_tell_contents_apart() -> None:
     assert content_key(transposed) == content_key(transposed.copy())
 
 
-def test_readers_see_the_old_content_or_the_new(tmp_path: Path) -> None:
+def test_readers_see_either_the_old_or_the_new_content(tmp_path: Path) -> None:
     cache, contents = Cache(tmp_path), [bytes([i]) * 50_000 for i in range(8)]
     cache.put("a", contents[0])
 
@@ -73,14 +73,14 @@ def test_readers_see_the_old_content_or_the_new(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     with pytest.raises(OSError, match="folder"):
         write_atomic(tmp_path / "folder", b"data")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 
 
-def test_the_environment_names_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_sets_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
     assert default_cache_dir() == tmp_path
     monkeypatch.delenv("MOMAPOS_CACHE")

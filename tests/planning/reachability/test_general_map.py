@@ -1,4 +1,4 @@
-"""Maps of arms that lean, and of arms whose last joint does not turn fully."""
+"""Flooded maps, of leaning arms and of arms whose last joint does not turn fully."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ COARSE = ReachConfig(cell=0.1, directions=9, azimuths=16, states=200_000, thresh
 
 
 def leaning(name: str, angle: float, last: float) -> Robot:
-    """A robot whose arm leans to the side, and whose last joint turns this far both ways."""
+    """Return a robot whose arm leans to the side, with a last joint limited to +-`last` [rad]."""
     robot = load_robot(name)
     chain, segments = robot._parts
     R = Rotation.from_rotvec([angle, 0, 0]).as_matrix()
@@ -87,7 +87,7 @@ def test_a_turn_of_the_tool_that_the_last_joint_cannot_make_is_out_of_reach(
     Ts = robot.chain.tool_poses(q)
     deep = Ts[(reach.score(Ts) > 0.1)]
     assert len(deep) > 20
-    # Of all turns of a tool some are out of reach, but the score changes with nothing else.
+    # Some turns of a tool are out of reach. Only the turn changes the score.
     about = np.linspace(0, 2 * np.pi, 16, endpoint=False)[:, None] * reach.line_tool[0]
     turns = np.tile(np.eye(4), (16, 1, 1))
     turns[:, :3, :3] = Rotation.from_rotvec(about).as_matrix()
@@ -109,35 +109,35 @@ def test_the_turn_of_a_tool_is_the_same_for_every_base(robot: Robot, reach: Reac
     np.testing.assert_allclose(reach.min_score(bases, Ts[:, None]), expected, atol=1e-3)
 
 
-def test_an_aimed_state_is_on_its_line_and_makes_its_turns(robot: Robot) -> None:
+def test_an_aimed_state_is_on_its_line_and_reaches_its_turns(robot: Robot) -> None:
     chain, frame = robot.chain, arm_frame(robot.chain, robot.approach_axis)
     arm, grid = _aimed(robot, frame), LineGrid(-0.1, 0.05, 13, 32)
     q = np.random.default_rng(4).uniform(-1.5, 1.5, (500, 6))
     places = np.empty((500, 5))
     lines_of(q, arm, grid, places)
     rng = np.random.default_rng(5)
-    asked = places + rng.uniform(-0.4, 0.4, places.shape)
-    asked[:, 2:4] = np.clip(asked[:, 2:4], 0, 12)
+    goals = places + rng.uniform(-0.4, 0.4, places.shape)
+    goals[:, 2:4] = np.clip(goals[:, 2:4], 0, 12)
     words, states = np.empty(500, np.uint64), np.empty((500, 6), np.float32)
     known = np.zeros(500, np.uint64)
-    aim_all(asked, q.astype(np.float32), known, arm, grid, words, states)
+    aim_all(goals, q.astype(np.float32), known, arm, grid, words, states)
     got = np.flatnonzero(words)
     assert len(got) > 100
     back = np.empty((len(got), 5))
     lines_of(states[got].astype(float), arm, grid, back)
-    off = back - asked[got]
+    off = back - goals[got]
     off[:, 4] = (off[:, 4] + 16) % 32 - 16
-    # Beside the axis azimuths, and on the octahedron's border directions, are told twice.
-    clear = (asked[got, 1] > 2) & (np.abs(asked[got, 2:4] - 6).max(1) < 5.5)
+    # The azimuth is ambiguous near the axis, and the direction on the octahedron's border.
+    clear = (goals[got, 1] > 2) & (np.abs(goals[got, 2:4] - 6).max(1) < 5.5)
     assert np.abs(off[clear]).max() < 0.05
-    # The last joint at its limits spans the turns that are told, where nothing is touched.
+    # Without contact, the limits of the last joint bound the turns.
     assert (words & ~ALL == 0).all()
     assert np.bitwise_count(words).max() <= TURNS * 4.0 / (2 * np.pi) + 1
     assert chain_arrays(chain).h.shape == (6, 3)
 
 
-def test_lines_beside_are_found_where_joints_stay_at_their_limits() -> None:
-    """A step that counts on a joint at its limit falls short; one that leaves it out does not."""
+def test_neighboring_lines_are_found_where_joints_stay_at_their_limits() -> None:
+    """A Newton step that includes a joint at its limit falls short of the line."""
     robot = load_robot("tiago")
     arm, grid = _aimed(robot, arm_frame(robot.chain, robot.approach_axis)), LineGrid(-1, 0.1, 13, 8)
     rng, (lower, upper) = np.random.default_rng(8), bounded(robot.chain)
@@ -166,7 +166,7 @@ def test_lines_beside_are_found_where_joints_stay_at_their_limits() -> None:
 
 
 @pytest.mark.parametrize("name", ["husky_ur5e", "tiago", "tiago_dual"])
-def test_turns_are_free_where_the_arm_touches_nothing_with_its_last_joint_so(name: str) -> None:
+def test_a_turn_is_free_where_the_arm_touches_nothing_at_that_last_joint_value(name: str) -> None:
     robot = load_robot(name)
     chain, frame = robot.chain, arm_frame(robot.chain, robot.approach_axis)
     arm, grid = _aimed(robot, frame), LineGrid(-0.1, 0.05, 13, 32)
@@ -185,9 +185,9 @@ def test_turns_are_free_where_the_arm_touches_nothing_with_its_last_joint_so(nam
 
 
 def free_turns(robot: Robot, q: np.ndarray) -> int | None:
-    """A plain twin: for each group of turns all is checked once, at the last that can be made.
+    """Reference implementation: check each group of turns once, at its last possible turn.
 
-    None where one is so near to a limit that the polynomial for the azimuth decides.
+    Returns None if a turn is so close to a limit that rounding decides.
     """
     chain, frame = robot.chain, arm_frame(robot.chain, robot.approach_axis)
     R = chain.tool_poses(q)[:3, :3]
@@ -218,10 +218,10 @@ def free_turns(robot: Robot, q: np.ndarray) -> int | None:
     [((0, 1, 2, 3, 4, 5), True), ((0, 1, 2, 3, 5, 4), True), ((0, 1, 2, 3, 4, 4), False),
      ((0, 1, 2, 3, 5, 3), False)],
 )  # fmt: skip
-def test_a_last_joint_turns_the_tool_alone_where_no_other_moves_with_it(
+def test_a_last_joint_turns_only_the_tool_if_no_other_joint_moves_with_it(
     dof: tuple[int, ...], turns: bool
 ) -> None:
-    """Degrees of freedom are told apart from joints: the last of one is not that of the other."""
+    """The last degree of freedom need not belong to the last joint."""
     chain = load_robot("husky_ur5e").chain
     limits = np.where(np.arange(6) == dof[-1], 4.0, 1.0)
     chain = replace(chain, dof=np.array(dof), lower=-limits, upper=limits)
@@ -235,11 +235,10 @@ def test_a_last_joint_turns_the_tool_alone_where_no_other_moves_with_it(
     assert (stays, chain.ends_turning, frame.full_roll) == (turns, turns, turns)
 
 
-def test_a_map_with_turns_is_kept_and_read_again() -> None:
+def test_a_map_with_turns_is_decoded_as_encoded() -> None:
     turned = np.stack([VALUES, VALUES[::-1]])
     across = np.array([1.0, 0.0, 0.0])
-    kept = replace(MAP, values=turned.max(0), turned=turned, across_tool=across)
-    again = decode(encode(kept))
+    again = decode(encode(replace(MAP, values=turned.max(0), turned=turned, across_tool=across)))
     assert again.turned is not None
     np.testing.assert_array_equal(again.turned, turned)
     np.testing.assert_array_equal(again.values, turned.max(0))
@@ -247,10 +246,11 @@ def test_a_map_with_turns_is_kept_and_read_again() -> None:
     np.testing.assert_array_equal(again.line_tool, LINE)
 
 
-def test_a_map_whose_turns_come_first_is_read_as_well() -> None:
+def test_a_map_of_the_older_version_with_turns_first_is_decoded() -> None:
     turned = np.stack([VALUES, VALUES[::-1]])
-    kept = replace(MAP, values=turned.max(0), turned=turned, across_tool=np.array([0, 1.0, 0]))
-    data = encode(kept)
+    data = encode(
+        replace(MAP, values=turned.max(0), turned=turned, across_tool=np.array([0, 1.0, 0]))
+    )
     begin = data.index(b"{")
     header = json.loads(data[begin : begin + struct.unpack_from("<I", data, begin - 4)[0]])
     assert header["version"] == 4
@@ -264,21 +264,21 @@ def test_a_map_whose_turns_come_first_is_read_as_well() -> None:
     np.testing.assert_array_equal(again.turned, turned)
 
 
-def test_states_to_begin_with_belong_to_the_key_of_maps_that_need_them(robot: Robot) -> None:
+def test_the_number_of_start_states_is_part_of_the_key_of_flooded_maps_only(robot: Robot) -> None:
     upright = load_robot("husky_ur5e")
     for one, same in ((upright, True), (robot, False)):
         keys = {map_key(one, replace(COARSE, states=n)) for n in (1000, 2000)}
         assert (len(keys) == 1) == same
 
 
-def test_what_is_far_from_a_leaning_arm_is_out_of_reach(reach: ReachMap) -> None:
+def test_a_pose_far_from_a_leaning_arm_is_out_of_reach(reach: ReachMap) -> None:
     far = np.eye(4)
     far[:3, 3] = 0.0, 0.0, 3.0
     assert reach.score(far) == 0.0
     assert (reach.values[-1] == OUTSIDE).any()
 
 
-def test_an_arm_of_few_joints_has_no_map(robot: Robot) -> None:
+def test_an_arm_with_few_joints_has_no_map(robot: Robot) -> None:
     assert no_map(robot) == ""
     chain, segments = robot._parts
     short = replace(robot)
@@ -303,8 +303,8 @@ def test_an_arm_without_closed_form_has_a_map_that_agrees_with_inverse_kinematic
     assert found.false_positives < 0.15
 
 
-def test_an_arm_that_hulls_part_from_its_torso_has_a_map_that_is_flooded() -> None:
-    """The map that is asked line by line knows contact with the torso by spheres alone."""
+def test_the_map_of_an_arm_with_hull_checks_against_its_torso_is_flooded() -> None:
+    """A map that is built line by line checks contact with the torso by spheres only."""
     robot = load_robot("fetch")
     frame, spheres = arm_frame(robot.chain, robot.approach_axis), robot.spheres
     assert not is_flooded(robot, frame)

@@ -1,4 +1,4 @@
-"""What an arm does on a line is carried to the lines beside it, as plain twins do line by line."""
+"""Spreading states to neighboring lines, against a reference that does it line by line."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from momapos.model.kinematics.ik_model import bounded
 from momapos.model.robots.robot import load_robot
 from momapos.planning.reachability.aim import ALL, SPAN, AimedArm, LineGrid, aim_all, lines_of
 from momapos.planning.reachability.arm_axes import arm_frame
-from momapos.planning.reachability.general_map import TOLD, _aimed
+from momapos.planning.reachability.general_map import STORED, _aimed
 from momapos.planning.reachability.grid import GridShape
-from momapos.planning.reachability.spread import GROUPS, Lines, add, aim_beside, aim_between
+from momapos.planning.reachability.spread import GROUPS, LineStates, add, aim_beside, aim_between
 
 GRID = LineGrid(-0.1, 0.1, 9, 16)
 SHAPE = GridShape(20, 14, 9, 9, 16)
 TURNS_OF = [np.uint64(((1 << SPAN) - 1) << (SPAN * g)) for g in range(GROUPS)]
 
 
-def drawn(name: str, count: int) -> tuple[AimedArm, Lines]:
-    """An arm, and the lines that are nearest to some of its states."""
+def drawn(name: str, count: int) -> tuple[AimedArm, LineStates]:
+    """Return an arm, and the grid lines nearest to some of its states."""
     robot = load_robot(name)
     arm = _aimed(robot, arm_frame(robot.chain, robot.approach_axis))
     n = robot.chain.size
     size = int(np.prod(SHAPE))
     states = np.zeros((size, GROUPS, n), np.float32)
-    lines = Lines(SHAPE, np.zeros(size, np.uint64), states)
+    lines = LineStates(SHAPE, np.zeros(size, np.uint64), states)
     q = np.random.default_rng(0).uniform(*bounded(robot.chain), (count, n))
     places = np.empty((count, 5))
     lines_of(q, arm, GRID, places)
@@ -42,14 +42,14 @@ def drawn(name: str, count: int) -> tuple[AimedArm, Lines]:
 def aimed(
     at: np.ndarray, starts: np.ndarray, known: np.ndarray, arm: AimedArm
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Words and states of lines, each from a state."""
+    """Aim at lines, each from one state; return words and states."""
     words, states = np.empty(len(at), np.uint64), np.empty_like(starts)
     aim_all(at, starts, known, arm, GRID, words, states)
     return words, states
 
 
 @pytest.mark.parametrize(("axis", "step"), [(0, 1), (1, -1), (3, 1), (4, 1), (4, -1)])
-def test_lines_beside_are_tried_from_each_state_until_their_turns_are_known(
+def test_neighboring_lines_are_tried_from_each_state_until_their_turns_are_known(
     axis: int, step: int
 ) -> None:
     arm, known = drawn("tiago", 3000)
@@ -69,15 +69,15 @@ def test_lines_beside_are_tried_from_each_state_until_their_turns_are_known(
     expected = np.ravel_multi_index(tuple(at[inside].T), SHAPE)
     np.testing.assert_array_equal(lines[inside], expected)
     for i in inside[::5]:
-        told, found, last = before[lines[i]], np.uint64(0), {}
-        asked: list[np.ndarray] = []
+        reached, found, last = before[lines[i]], np.uint64(0), {}
+        tried: list[np.ndarray] = []
         for group, turns in enumerate(TURNS_OF):
             start = known.states[rows[i], group]
-            if not fresh[rows[i]] & ~told & turns or any((start == one).all() for one in asked):
+            if not fresh[rows[i]] & ~reached & turns or any((start == one).all() for one in tried):
                 continue
-            asked.append(start)
-            word, state = aimed(at[i : i + 1].astype(float), start[None], np.array([told]), arm)
-            told, found = told | word[0], found | word[0]
+            tried.append(start)
+            word, state = aimed(at[i : i + 1].astype(float), start[None], np.array([reached]), arm)
+            reached, found = reached | word[0], found | word[0]
             last |= {g: state[0] for g in range(GROUPS) if word[0] & TURNS_OF[g]}
         assert words[i] == found
         for g, state in last.items():
@@ -91,9 +91,9 @@ def test_lines_beside_are_tried_from_each_state_until_their_turns_are_known(
     assert np.count_nonzero(gained) == len(won)
 
 
-@pytest.mark.parametrize(("axis", "asked"), [(0, ALL), (2, TOLD), (4, ALL)])
-def test_half_way_between_lines_is_reached_from_the_end_that_has_more(
-    axis: int, asked: np.uint64
+@pytest.mark.parametrize(("axis", "wanted"), [(0, ALL), (2, STORED), (4, ALL)])
+def test_points_between_lines_are_reached_from_the_end_that_has_more_turns(
+    axis: int, wanted: np.uint64
 ) -> None:
     arm, known = drawn("tiago", 4000)
     high = np.array(np.unravel_index(np.flatnonzero(known.words), SHAPE))
@@ -102,7 +102,7 @@ def test_half_way_between_lines_is_reached_from_the_end_that_has_more(
     at[axis] -= 1
     low, up = (np.ravel_multi_index(tuple(k), SHAPE) for k in (at, high))
     words = np.empty(len(low), np.uint64)
-    aim_between(low, axis, asked, known, arm, GRID, words)
+    aim_between(low, axis, wanted, known, arm, GRID, words)
     middle = at.T.astype(float)
     middle[:, axis] += 0.5
     for i in range(len(low)):
@@ -110,11 +110,11 @@ def test_half_way_between_lines_is_reached_from_the_end_that_has_more(
         word = ends[0] & ends[1]
         for end, line in zip(ends, (low[i], up[i]), strict=True):
             for group, turns in enumerate(TURNS_OF):
-                if end & ~word & asked & turns:
+                if end & ~word & wanted & turns:
                     start = known.states[line, group][None]
-                    new, _ = aimed(middle[i : i + 1], start, np.array([word | ~asked]), arm)
+                    new, _ = aimed(middle[i : i + 1], start, np.array([word | ~wanted]), arm)
                     word |= new[0] & (ends[0] | ends[1])
         assert words[i] == word
-    assert 0.2 < (words & asked > 0).mean() < 1.0
-    # What both ends lack is not made up between them.
+    assert 0.2 < (words & wanted > 0).mean() < 1.0
+    # Turns that both ends lack are not found between them.
     assert (words & ~(known.words[low] | known.words[up]) == 0).all()

@@ -1,4 +1,4 @@
-"""Laws of the reachability map, on a coarse map of a library robot."""
+"""The reachability map, on a coarse map of a library robot."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.collision.arm_collision import FREE, check_states
 from momapos.model.kinematics.chain import chain_arrays
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.planning.reachability import construct
-from momapos.planning.reachability import map_store as store
+from momapos.planning.reachability import construct, map_store
 from momapos.planning.reachability.arm_length import ArmLength
 from momapos.planning.reachability.construct import build_map, default_config
 from momapos.planning.reachability.evaluation import evaluate
@@ -85,7 +84,7 @@ def test_scores_lie_between_zero_and_one_and_grow_inwards(robot: Robot, reach: R
     assert 0.2 < score.max() <= 1.0
     nudged = Ts.copy()
     nudged[:, :3, 3] += 0.01
-    # A step of 1 cm is at most a quarter of a cell along the axes, which is 1/16 of the range.
+    # A step of 1 cm is at most a quarter of a cell along each axis, or 1/16 of the score range.
     assert np.abs(reach.score(nudged) - score).max() < 0.2
 
 
@@ -101,7 +100,7 @@ def test_turning_the_tool_about_the_last_axis_changes_nothing(
     )
 
 
-def test_without_the_bearing_a_turn_of_the_base_changes_nothing(robot: Robot) -> None:
+def test_without_the_azimuth_a_turn_of_the_base_changes_nothing(robot: Robot) -> None:
     flat = build_map(robot, replace(TINY, azimuths=1))
     Ts = random_poses(robot, np.random.default_rng(5), 300)
     x, y = flat.axis_xy
@@ -110,7 +109,7 @@ def test_without_the_bearing_a_turn_of_the_base_changes_nothing(robot: Robot) ->
         np.testing.assert_allclose(flat.score(turned), flat.score(Ts), atol=1e-4)
 
 
-def test_weakest_is_the_minimum_of_the_scores(robot: Robot, reach: ReachMap) -> None:
+def test_min_score_is_the_minimum_of_the_scores(robot: Robot, reach: ReachMap) -> None:
     rng = np.random.default_rng(6)
     Ts = random_poses(robot, rng, 5)[:, None].repeat(4, 1)
     Ts[..., :3, 3] += rng.uniform(-0.05, 0.05, (5, 4, 3))
@@ -125,20 +124,20 @@ def test_base_scores_are_the_best_over_yaws(robot: Robot, reach: ReachMap) -> No
     xs, ys = np.linspace(-1, 1.3, 33), np.linspace(-0.8, 1, 21)
     yaws = 2 * np.pi / YAWS * np.arange(YAWS)
     grid = np.stack(np.broadcast_arrays(xs[:, None], ys[:, None, None], yaws), -1).reshape(-1, 3)
-    # Finer than the lattice, as coarse, and coarser; with the arm over the base's origin and not.
+    # Cells larger than the lattice, equal to it and smaller; with an arm above the base's origin.
     for cell, axis in ((0.08, reach.axis_xy), (SPACING, reach.axis_xy), (0.03, np.zeros(2))):
         moved, highest = replace(reach, cell=cell, axis_xy=axis), 0.0
         for T in random_poses(robot, np.random.default_rng(7), 6):
             found = moved.base_scores(T, xs, ys)
             best = moved.min_score(grid, T[None, None]).reshape(21, 33, YAWS).max(-1)
-            # The score changes by 1/4 per cell: half a cell across is all that can be smoothed.
+            # The score changes by 1/4 per cell, which bounds the smoothing.
             assert np.abs(found - best).max() < 0.25 * max(1.0, SPACING / cell)
             assert np.abs(found - best).mean() < 0.01
             highest = max(highest, best.max())
         assert highest > 0.05
 
 
-def test_base_scores_are_exact_where_the_axis_stands_on_the_lattice(
+def test_base_scores_are_exact_where_the_axis_is_on_the_lattice(
     robot: Robot, reach: ReachMap
 ) -> None:
     central = replace(
@@ -153,51 +152,51 @@ def test_base_scores_are_exact_where_the_axis_stands_on_the_lattice(
         np.testing.assert_allclose(central.base_scores(T, xs, ys), expected, atol=1e-3)
 
 
-def test_a_second_load_does_not_build(
+def test_a_second_load_does_not_rebuild(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shares: list[float] = []
     first = load_reach_map(robot, tmp_path, shares.append, config=TINY)
     assert 0.0 < min(shares) <= max(shares) <= 1.0
-    monkeypatch.setattr(store, "build_map", lambda *_, **__: pytest.fail("built again"))
+    monkeypatch.setattr(map_store, "build_map", lambda *_, **__: pytest.fail("built again"))
     second = load_reach_map(robot, tmp_path, config=TINY)
     np.testing.assert_array_equal(first.values, second.values)
     np.testing.assert_array_equal(first.line_tool, second.line_tool)
     assert (first.low, first.cell, first.key) == (second.low, second.cell, second.key)
 
 
-def test_a_map_that_takes_too_long_is_given_up_at_once_the_next_time(
+def test_a_map_that_took_too_long_is_not_tried_again_within_the_same_time(
     robot: Robot, reach: ReachMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = replace(robot, tool_link="wrist_3_link")
     shares: list[float] = []
-    stand_in = load_reach(other, tmp_path, shares.append, limit=0.01)
-    assert isinstance(stand_in, ArmLength)
-    assert "momapos reach build" in stand_in.note
-    assert "slower" in stand_in.note
+    fallback = load_reach(other, tmp_path, shares.append, limit=0.01)
+    assert isinstance(fallback, ArmLength)
+    assert "momapos reach build" in fallback.note
+    assert "slower" in fallback.note
     assert max(shares, default=0.0) < 1.0
     with monkeypatch.context() as patch:
-        patch.setattr(store, "build_map", lambda *_, **__: pytest.fail("built again"))
+        patch.setattr(map_store, "build_map", lambda *_, **__: pytest.fail("built again"))
         again = load_reach(other, tmp_path, limit=0.01)
         assert isinstance(again, ArmLength)
-        assert again.note == stand_in.note
-    # More time may be enough, and who asks for the map itself waits for it.
-    monkeypatch.setattr(store, "build_true_map", lambda *_, **__: reach)
+        assert again.note == fallback.note
+    # A longer limit tries again.
+    monkeypatch.setattr(map_store, "build_true_map", lambda *_, **__: reach)
     assert load_reach(other, tmp_path, limit=60.0) is reach
     assert isinstance(load_reach(other, tmp_path, limit=0.01), ReachMap)
 
 
-def test_a_map_that_was_kept_by_an_earlier_way_to_build_is_built_anew(
+def test_a_map_that_an_earlier_build_version_cached_is_rebuilt(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     load_reach_map(robot, tmp_path, config=TINY)
     (path,) = tmp_path.iterdir()
-    monkeypatch.setattr(store, "_BUILD", store._BUILD + 1)
+    monkeypatch.setattr(map_store, "_BUILD", map_store._BUILD + 1)
     load_reach_map(robot, tmp_path, config=TINY)
-    kept = sorted(file.name for file in tmp_path.iterdir())
-    assert len(kept) == 2
-    assert path.name in kept
-    # What was kept before it was counted how maps are built has no count in its name.
+    cached = sorted(file.name for file in tmp_path.iterdir())
+    assert len(cached) == 2
+    assert path.name in cached
+    # Maps from before build versions have no version in their name.
     assert path.name != f"reach-{map_key(robot, TINY)}"
 
 
@@ -207,19 +206,19 @@ def test_a_damaged_file_is_rebuilt(robot: Robot, tmp_path: Path, damage: str) ->
     (path,) = tmp_path.iterdir()
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
-    spoilt = {
+    damaged = {
         "flip": bytes(data),
         "cut": path.read_bytes()[:-20],
         "foreign": b"PK\x03\x04",
         "empty": b"",
     }
-    path.write_bytes(spoilt[damage])
+    path.write_bytes(damaged[damage])
     np.testing.assert_array_equal(load_reach_map(robot, tmp_path, config=TINY).values, first.values)
     assert decode(encode(first)).key == first.key
-    assert path.read_bytes() not in spoilt.values()
+    assert path.read_bytes() not in damaged.values()
 
 
-def test_what_a_map_is_built_from_makes_its_key(robot: Robot) -> None:
+def test_the_key_depends_on_everything_that_a_map_is_built_from(robot: Robot) -> None:
     keys = {
         map_key(robot, TINY),
         map_key(robot, COARSE),
@@ -231,20 +230,20 @@ def test_what_a_map_is_built_from_makes_its_key(robot: Robot) -> None:
     assert map_key(load_robot("husky_ur5e"), TINY) in keys
 
 
-def test_a_map_that_is_too_large_to_be_kept_gets_larger_cells(
+def test_a_map_that_is_too_large_gets_larger_cells(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    least = 1_000_000
-    for module in (construct, store):
-        monkeypatch.setattr(module, "MAX_VALUES", 2 * least)
+    limit = 2_000_000
+    for module in (construct, map_store):
+        monkeypatch.setattr(module, "MAX_VALUES", limit)
     built = build_map(robot)
-    assert least < built.values.size <= 2 * least
+    assert limit / 2 < built.values.size <= limit
     np.testing.assert_array_equal(decode(encode(built)).values, built.values)
     with pytest.raises(RobotError, match="choose larger cells"):
         build_map(robot, replace(default_config(robot), cell=built.cell / 2))
 
 
-def test_a_limited_first_joint_leaves_bearings_out() -> None:
+def test_a_limited_first_joint_excludes_azimuths() -> None:
     robot = load_robot("husky_ur5e")
     limited = _with_first_joint_between(robot, -0.5, 0.5)
     reach = build_map(limited, replace(COARSE, cell=0.12, spins=1))
@@ -256,7 +255,7 @@ def test_a_limited_first_joint_leaves_bearings_out() -> None:
 
 
 def _turned(Ts: np.ndarray, x: float, y: float, yaw: float) -> np.ndarray:
-    """Poses turned about the vertical axis through (x, y)."""
+    """Turn poses about the vertical axis through (x, y)."""
     there, turn, back = pose_planar(np.array([[x, y, 0.0], [0.0, 0.0, yaw], [-x, -y, 0.0]]))
     return there @ turn @ back @ Ts
 
@@ -265,14 +264,14 @@ def _with_first_joint_between(robot: Robot, lower: float, upper: float) -> Robot
     chain, segments = robot._parts
     low, high = chain.lower.copy(), chain.upper.copy()
     low[0], high[0] = lower, upper
-    # The shoulder's other side would reach behind: keep the elbow on one side.
+    # With the shoulder's other side the arm would reach behind.
     low[1], high[1] = -np.pi / 2, 0.0
     changed = replace(robot)
     changed.__dict__["_parts"] = (replace(chain, lower=low, upper=high), segments)
     return changed
 
 
-def test_octahedral_points_are_unit_vectors_and_turns_are_right() -> None:
+def test_octahedral_points_are_unit_vectors_and_turns_approximate_arctan2() -> None:
     rng = np.random.default_rng(8)
     for u, v in rng.uniform(-1, 1, (200, 2)):
         x, y, z = oct_decode(u, v)

@@ -1,4 +1,4 @@
-"""The maps that come with the library robots."""
+"""The maps that ship with the library robots."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from momapos.planning.reachability.map_store import load_reach_map, map_key, shi
 
 
 @pytest.mark.parametrize("name", library_names())
-def test_each_arm_of_the_library_comes_with_the_map_of_itself(name: str, tmp_path: Path) -> None:
+def test_each_arm_of_the_library_ships_with_its_own_map(name: str, tmp_path: Path) -> None:
     for robot in load_arms(name):
         if no_map(robot):
             continue
         key = map_key(robot, default_config(robot))
         found = shipped(robot, key)
-        assert found is not None, "build it again: momapos reach build NAME --out NAME.reach"
+        assert found is not None, "rebuild it: momapos reach build NAME --out NAME.reach"
         assert found.key == key
         assert load_reach_map(robot, tmp_path / "cache").key == key
-        assert not (tmp_path / "cache").exists(), "nothing had to be built"
+        assert not (tmp_path / "cache").exists(), "a map was built"
 
 
 def test_a_map_of_another_robot_is_not_used(robot: Robot) -> None:

@@ -1,4 +1,4 @@
-"""Answers for the node: scenes, robots and maps are loaded once; nothing of ROS is known here."""
+"""Answer the node's requests without ROS; scenes, robots and maps are loaded once."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Pose = tuple[float, float, float]
 
 @cache
 def map_of(robot: str) -> momapos.ReachMap:
-    """A robot's reachability map; one that is not shipped is built at the first use."""
+    """Return a robot's reachability map; one that is not shipped is built at first use."""
     return momapos.load_reach_map(robot_of(robot))
 
 
 @dataclass(frozen=True)
 class Question:
-    """What a request asks, see PlanBasePlacement."""
+    """A request, see PlanBasePlacement."""
 
     scene: str
     robot: str
@@ -39,39 +39,39 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """A plan, and what it is for."""
+    """A plan, and the question that it answers."""
 
     plan: momapos.PlacementPlan
     question: Question
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """Of a solved plan."""
+        """Return the phases of a solved plan."""
         return phases_of(self.plan, robot_of(self.question.robot))
 
     def messages(self, frame: str) -> dict[str, Any]:
-        """Of a solved plan, as momapos' export names them."""
+        """Return the messages of a solved plan, as dictionaries of momapos' export."""
         return messages(self.plan, self.phases, robot_of(self.question.robot), frame)
 
     @property
     def message(self) -> str:
-        """One line for people."""
-        where, count = self.plan.base_pose, self.plan.candidates
-        if where is not None:
+        """Return the answer in one line."""
+        base, count = self.plan.base_pose, self.plan.candidates
+        if base is not None:
             found = self.plan.tolerance
-            beside = "" if found is None else f"; found anew within {found} of it"
-            pose = f"x {where[0]:.3f} m, y {where[1]:.3f} m, yaw {where[2]:.3f} rad"
-            return f"stand at {pose}{beside}"
-        worst = sorted(count.rejections.items(), key=lambda item: -item[1])[:3]
-        reasons = ", ".join(f"{number} x {reason}" for reason, number in worst)
+            tolerance = "" if found is None else f"; tolerance {found}"
+            pose = f"x {base[0]:.3f} m, y {base[1]:.3f} m, yaw {base[2]:.3f} rad"
+            return f"base pose {pose}{tolerance}"
+        most = sorted(count.rejections.items(), key=lambda item: -item[1])[:3]
+        reasons = ", ".join(f"{number} x {reason}" for reason, number in most)
         return f"{self.plan.status}: {reasons or 'no base pose was sampled'}"
 
 
 def task_of(question: Question) -> momapos.Task:
-    """The task of a question.
+    """Return the task of a question.
 
     Raises:
-        MomaposError: The request makes no sense in this scene.
+        MomaposError: The request is invalid in this scene.
     """
     name, _, joint = question.target.partition("/")
     return momapos.make_task(
@@ -80,7 +80,7 @@ def task_of(question: Question) -> momapos.Task:
 
 
 def answer(question: Question, timeout: float, *, tolerance: bool = False) -> Answer:
-    """Where to stand, and how to move; with a tolerance, how far beside it as well.
+    """Plan the base pose and the motion, and optionally the tolerance of the base pose.
 
     Raises:
         MomaposError: Scene, robot or task cannot be used.
@@ -95,10 +95,10 @@ def answer(question: Question, timeout: float, *, tolerance: bool = False) -> An
 
 
 def answer_at(given: Answer, reached: Pose) -> Answer:
-    """The same answer with the arm's motion planned anew for where the base is.
+    """Replan the arm's motion of an answer from the base pose that was reached.
 
     Raises:
-        TaskError: There is no motion from there; the message says why.
+        TaskError: There is no motion from there; the message states the reason.
     """
     question = given.question
     scene, robot = scene_of(question.scene), robot_of(question.robot)
@@ -113,5 +113,5 @@ def answer_at(given: Answer, reached: Pose) -> Answer:
 
 
 def kinds(given: Answer) -> list[str]:
-    """What a solved plan does after the drive, phase by phase."""
+    """Return the kinds of the phases of a solved plan after the drive."""
     return [str(phase.kind) for phase in given.phases if phase.kind is not PhaseKind.DRIVE]

@@ -1,4 +1,4 @@
-"""ROS messages from the dictionaries of momapos' export, whose members are named alike."""
+"""Fill ROS messages from the dictionaries of momapos' export, which have the same field names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def fill(message: Any, members: Mapping[str, Any]) -> Any:
-    """Set members of a message, and of the messages in it; the others stay as they are."""
+    """Set fields of a message and of the messages in it; other fields stay unchanged."""
     for name, value in members.items():
         if isinstance(value, Mapping):
             fill(getattr(message, name), value)
@@ -22,7 +22,7 @@ def fill(message: Any, members: Mapping[str, Any]) -> Any:
 
 
 def _element(message: Any, name: str) -> Any:
-    """The class of the messages in a sequence, such as of sequence<geometry_msgs/PoseStamped>."""
+    """Return the message class of a sequence field, such as sequence<geometry_msgs/PoseStamped>."""
     kind = message.get_fields_and_field_types()[name]
     package, _, element = (
         kind.removeprefix("sequence<").rstrip(">").partition(",")[0].partition("/")
@@ -31,7 +31,7 @@ def _element(message: Any, name: str) -> Any:
 
 
 def planar(pose: Any) -> tuple[float, float, float]:
-    """The x [m], y [m] and yaw [rad] of a geometry_msgs/Pose."""
+    """Return x [m], y [m] and yaw [rad] of a geometry_msgs/Pose."""
     q = pose.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     return pose.position.x, pose.position.y, yaw

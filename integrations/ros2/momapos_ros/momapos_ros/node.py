@@ -1,4 +1,4 @@
-"""The node: a service that answers, and an action that carries the answer out.
+"""The node: a service that plans, and an action that executes the plan.
 
 ros2 run momapos_ros momapos_node --ros-args -p scene:=room.json -p robot:=fetch
 """
@@ -31,22 +31,22 @@ PARAMETERS = {
     "arm": "arm_controller/follow_joint_trajectory",
     "gripper": "gripper_controller/gripper_cmd",
 }  # fmt: skip
-"""Names of what is asked by default, of the world's frame and of the actions that are called; time
-to search [s], and to wait for an action's server [s]."""
+"""Default scene and robot, the world's frame, names of the called actions, and the timeouts of the
+search [s] and of waiting for an action server [s]."""
 SERVERS = {
     "nav2_msgs/action/NavigateToPose": ("navigate", NavigateToPose),
     "control_msgs/action/FollowJointTrajectory": ("arm", FollowJointTrajectory),
     "control_msgs/action/GripperCommand": ("gripper", GripperCommand),
 }
-"""The parameter that names the action, and its type, by the names of momapos' export."""
+"""Parameter with the action's name, and action type, by the type names of momapos' export."""
 
 
 class StepError(Exception):
-    """A step of the task failed; the message says which, and why."""
+    """A step of the task failed; the message states which and why."""
 
 
 class MomaposNode(Node):
-    """Answers `plan_base_placement`, and does `do_task` by Nav2 and the arm's controllers."""
+    """Serve `plan_base_placement`, and `do_task` with Nav2 and the arm's controllers."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("momapos", **options)
@@ -54,7 +54,7 @@ class MomaposNode(Node):
             self.declare_parameter(name, value)
         group = ReentrantCallbackGroup()
         self._planning, self._moving = Lock(), Lock()
-        self._running: Any = None  # the goal handle of the step that runs
+        self._running: Any = None  # goal handle of the current step
         self._actions = {
             action: ActionClient(self, kind, self._value(parameter), callback_group=group)
             for action, (parameter, kind) in SERVERS.items()
@@ -83,7 +83,7 @@ class MomaposNode(Node):
             return answer(question, timeout, tolerance=tolerance)
 
     def _plan(self, request: Any, response: Any) -> Any:
-        """Answer a request; one that makes no sense is refused, with the reason."""
+        """Answer a request; an invalid one is refused with the reason."""
         try:
             given = self._answer(request, tolerance=True)
         except MomaposError as error:
@@ -106,7 +106,7 @@ class MomaposNode(Node):
         )
 
     def _accept(self, _: Any) -> GoalResponse:
-        """Accept a goal, unless the robot is at work; `_do` releases it."""
+        """Accept a goal unless another one is being executed; `_do` releases the lock."""
         free = self._moving.acquire(blocking=False)
         return GoalResponse.ACCEPT if free else GoalResponse.REJECT
 
@@ -116,7 +116,7 @@ class MomaposNode(Node):
         return CancelResponse.ACCEPT
 
     async def _do(self, handle: Any) -> Any:
-        """Drive, plan the arm anew from the pose reached, move; the goal ends as its steps do."""
+        """Drive, replan the arm from the pose reached, and move; the goal ends as its steps do."""
         result = DoTask.Result()
         try:
             base_pose = await self._steps(handle)
@@ -135,48 +135,48 @@ class MomaposNode(Node):
         return result
 
     async def _steps(self, handle: Any) -> dict[str, Any]:
-        """Carry a task out; where the arm moved from, as a PoseStamped."""
+        """Execute a task; return the base pose from which the arm moved, as a PoseStamped."""
         frame = self._value("frame")
-        self._tell(handle, "planning")
+        self._publish(handle, "planning")
         given = self._answer(handle.request)
         if given.plan.base_pose is None:
             raise StepError(given.message)
         reached = given.plan.base_pose
         drives = [step for step in given.messages(frame)["steps"] if "path" in step]
         for step in drives:
-            self._tell(handle, "driving")
+            self._publish(handle, "driving")
             seen: deque[Any] = deque(maxlen=1)
             await self._send(handle, step, seen.append)
             reached = planar(seen[0].feedback.current_pose.pose) if seen else reached
-        self._tell(handle, "planning the arm")
+        self._publish(handle, "planning the arm")
         with self._planning:
             given = answer_at(given, reached)
         members = given.messages(frame)
         for stage, step in zip(kinds(given), members["steps"], strict=True):
-            self._tell(handle, stage)
+            self._publish(handle, stage)
             await self._send(handle, step)
         base_pose: dict[str, Any] = members["base_pose"]
         return base_pose
 
-    def _tell(self, handle: Any, stage: str) -> None:
+    def _publish(self, handle: Any, stage: str) -> None:
         if handle.is_cancel_requested:
             raise StepError("canceled")
         handle.publish_feedback(DoTask.Feedback(stage=stage))
 
     async def _send(
-        self, handle: Any, step: dict[str, Any], told: Callable[[Any], None] | None = None
+        self, handle: Any, step: dict[str, Any], feedback: Callable[[Any], None] | None = None
     ) -> None:
-        """Send one goal of the export, and wait until it has succeeded.
+        """Send one goal of the export and wait for its success.
 
         Raises:
-            StepError: Nobody serves the action, or it was refused, canceled or failed.
+            StepError: No server is available, or the goal was refused, canceled or failed.
         """
         name = step["action"]
         client = self._actions[name]
         if not client.wait_for_server(timeout_sec=self._value("server_timeout")):
             raise StepError(f"no server for {name} at {self._value(SERVERS[name][0])!r}")
         goal = fill(SERVERS[name][1].Goal(), step["goal"])
-        sent = await client.send_goal_async(goal, feedback_callback=told)
+        sent = await client.send_goal_async(goal, feedback_callback=feedback)
         if not sent.accepted:
             raise StepError(f"{name} was refused")
         self._running = sent
@@ -190,7 +190,7 @@ class MomaposNode(Node):
             raise StepError("canceled")
         closing = step["goal"].get("command", {}).get("position") == 0.0
         if closing and ended.result.stalled:
-            return  # the fingers met what they hold before they were closed
+            return  # the fingers met the object before they were fully closed
         why = getattr(ended.result, "error_string", "") or getattr(ended.result, "error_msg", "")
         if ended.status != GoalStatus.STATUS_SUCCEEDED:
             raise StepError(f"{name} failed: {why or f'status {ended.status}'}")
@@ -199,7 +199,7 @@ class MomaposNode(Node):
 
 
 def main() -> None:
-    """Run the node until it is told to stop."""
+    """Run the node until shutdown."""
     rclpy.init()
     node = MomaposNode()
     executor = MultiThreadedExecutor()

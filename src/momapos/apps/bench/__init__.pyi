@@ -1,4 +1,4 @@
-from .answer_maps import pictures as pictures
+from .answer_maps import draw_maps as draw_maps
 from .bench_records import Outcome as Outcome
 from .bench_records import Row as Row
 from .bench_records import Settings as Settings
@@ -6,13 +6,13 @@ from .bench_records import to_plain as to_plain
 from .dask_cluster import cluster as cluster
 from .folder import Contents as Contents
 from .folder import all_rows as all_rows
-from .folder import held as held
+from .folder import locked as locked
 from .folder import open_folder as open_folder
 from .folder import read_folder as read_folder
 from .folder import rows_file as rows_file
 from .guard import local_workers as local_workers
 from .guard import run_job as run_job
-from .html_report import Picture as Picture
+from .html_report import AnswerMap as AnswerMap
 from .html_report import page as page
 from .markdown_report import markdown as markdown
 from .methods import method_config as method_config
@@ -20,7 +20,7 @@ from .metrics import in_order as in_order
 from .parquet import write_parquet as write_parquet
 from .report_tables import all_tables as all_tables
 from .report_tables import compared_tables as compared_tables
-from .row_store import Store as Store
+from .row_store import RowStore as RowStore
 from .runner import jobs_of as jobs_of
 from .runner import run_jobs as run_jobs
 from .suites import SUITES as SUITES

@@ -1,4 +1,4 @@
-"""What the benchmark writes: tasks of a suite, jobs, rows; nothing heavy is imported."""
+"""Records of the benchmark: suites and their tasks, jobs, rows. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from momapos.core import FileFormatError
 
 Verb = Literal["open", "close", "pick", "place"]
 Outcome = Literal["solved", "infeasible", "gave up", "failed"]
-"""solved: a plan that the exact check accepts; infeasible: the method says that there is none;
-gave up: out of poses or of time, which proves nothing; failed: an error, a hang, a crash, or a plan
-that the exact check refuses."""
+"""solved: the exact check accepts the plan; infeasible: a complete search finds no plan; gave up:
+out of base poses or time, which proves nothing; failed: error, hang, crash, or a plan that the
+exact check rejects."""
 Pose = tuple[float, float, float]
 """x [m], y [m], yaw [rad]."""
 Record = TypeVar("Record")
@@ -22,7 +22,7 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class Container:
-    """The part that has to be opened before a thing can be taken out."""
+    """A part that must be opened before an object can be taken out."""
 
     object: str
     joint: str
@@ -33,9 +33,9 @@ class SuiteTask:
     """One task of a suite, for one robot."""
 
     name: str
-    """Unique in its suite."""
+    """Unique in the suite."""
     group: str
-    """The class under which reports count it, such as "in fridge"."""
+    """Class in reports, such as "in fridge"."""
     scene: str
     """A built-in kitchen, or a scene file relative to the results folder."""
     robot: str
@@ -44,60 +44,60 @@ class SuiteTask:
     object: str
     joint: str | None = None
     to: float | None = None
-    """Value the joint must reach [rad] or [m]; None for the default of the verb."""
+    """Joint value to reach [rad] or [m]; None for the default of the verb."""
     inside: Container | None = None
-    """What holds the object, and is opened first."""
+    """The container of the object, which is opened first."""
     carried: tuple[str, ...] = ()
-    """Things in the drawer that is opened: they move with it, and are left out until it is open."""
+    """Objects in the drawer to open: they move with it, and are absent until it is open."""
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Joints that stand elsewhere than in the scene file at first, by object [rad] or [m]."""
+    """Initial joint values by object where they differ from the scene file [rad] or [m]."""
     start: Pose | None = None
-    """Where the base is at first; None for the scene's start."""
+    """Initial base pose; None for the scene's start."""
     seed: int = 0
-    """Of the method, the noise and the physics."""
+    """Seed of the method, the noise and the physics."""
 
 
 @dataclass(frozen=True)
 class Suite:
-    """Tasks, and all that decides what they are."""
+    """Tasks, and everything that determines them."""
 
     name: str
     revision: int
-    """Counts up whenever the same seed gives other tasks."""
+    """Increases when the same seed gives other tasks."""
     seed: int
     robots: tuple[str, ...]
     methods: tuple[str, ...]
-    """Asked where nobody names others."""
+    """Default methods."""
     scenes: Mapping[str, str]
-    """Content hash of every scene and its models, by the name that tasks use."""
+    """Content hash of every scene with its models, by the name in the tasks."""
     tasks: tuple[SuiteTask, ...]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How every task of a run is asked."""
+    """Settings for every task of a run."""
 
     timeout: float = 20.0
-    """Processor time that a method may search for one answer [s]."""
+    """Processor time to search for one answer [s]."""
     limit: float = 300.0
-    """Wall time after which a task counts as hung, and its process is ended [s]."""
+    """Wall time after which a task counts as hung and its process is killed [s]."""
     execute: bool = False
-    """Whether solved plans are carried out in physics, held by contact, with noise."""
+    """Run solved plans in physics, with contact grasping and noise."""
     scan: int = 0
-    """Images of the synthetic scan from which the robot knows the room; 0: it knows the room."""
+    """Images of a synthetic scan that replaces the true scene; 0 for the true scene."""
     disturbances: int = 0
-    """Base poses 2 cm and 2 degrees, and as many 5 cm and 5 degrees off the planned one, from which
-    the arm's motion is planned anew."""
+    """Base poses 2 cm and 2 degrees off the planned one, and as many 5 cm and 5 degrees off it, at
+    which the arm motion is replanned."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A task to be answered by a method."""
+    """A task for a method."""
 
     key: str
-    """Content hash of everything that decides the row."""
+    """Content hash of everything that determines the row."""
     folder: str
-    """The results folder, in which scene files are found."""
+    """The results folder with the scene files."""
     task: SuiteTask
     method: str
     settings: Settings = field(default_factory=Settings)
@@ -105,7 +105,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Row:
-    """What came of a job; the columns of the table in the results file."""
+    """Result of a job; its fields are the columns of the results file."""
 
     key: str
     task: str
@@ -115,47 +115,47 @@ class Row:
     seed: int
     outcome: Outcome
     reason: str = ""
-    """Why it is not solved, or why physics did not do it; "" otherwise."""
+    """Why the task is unsolved or failed in physics; "" otherwise."""
     verified: bool | None = None
-    """Whether the exact check accepts the plan; None where there is none."""
+    """Whether the exact check accepts the plan; None without a plan."""
     done: bool | None = None
-    """Whether it was done in physics; None where nothing was executed."""
+    """Whether the physics run succeeded; None if not executed."""
     seconds: float | None = None
-    """Processor time of the answer, without loading and checks of the benchmark [s]."""
+    """Processor time of the answer, without loading and the benchmark's checks [s]."""
     wall: float | None = None
-    """Wall time of the whole job [s]."""
+    """Wall time of the job [s]."""
     stages: Mapping[str, float] = field(default_factory=dict)
-    """Processor time by stage of the answer [s]."""
+    """Processor time by stage [s]."""
     driving: float | None = None
     """Driving length of the plan [m]."""
     checked: int | None = None
-    """Base poses at which an arm motion was looked for: calls of the planner [-]."""
+    """Base poses with an arm motion search (planner calls) [-]."""
     sampled: int | None = None
-    """Base poses that were proposed [-]."""
+    """Proposed base poses [-]."""
     clearance: float | None = None
-    """Least distance to everything else in physics [m]; None where nothing was executed."""
+    """Minimum distance to all other objects in physics [m]; None if not executed."""
     bases: tuple[Pose, ...] = ()
-    """Where the robot stands in the room, one pose a step."""
+    """Base poses in the room, one per step."""
     at_2cm: float | None = None
-    """Share of base poses 2 cm and 2 degrees off from which the arm still does it, in [0, 1]; None
-    where it is not solved, or none was asked."""
+    """Share of base poses 2 cm and 2 degrees off at which replanning succeeds, in [0, 1]; None if
+    unsolved or not requested."""
     at_5cm: float | None = None
-    """The same 5 cm and 5 degrees off."""
+    """The same for 5 cm and 5 degrees."""
     host: str = ""
     finished: float = 0.0
     """Unix time [s]."""
 
 
 def to_plain(record: object) -> Any:
-    """A record, or several, as plain lists and dictionaries."""
+    """Convert records to plain lists and dictionaries."""
     return msgspec.to_builtins(record)
 
 
 def from_plain(data: object, kind: type[Record], where: str) -> Record:
-    """A record from plain lists and dictionaries.
+    """Convert plain lists and dictionaries to a record.
 
     Raises:
-        FileFormatError: A member is missing or of the wrong type; the message says which.
+        FileFormatError: A member is missing or has the wrong type; the message names it.
     """
     try:
         return msgspec.convert(data, kind, strict=False)

@@ -1,4 +1,4 @@
-"""Tables, and the rows that each of their numbers was counted from."""
+"""Tables whose cells refer to the rows that they count."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Cell:
-    """What a table shows, and the keys of the rows behind it."""
+    """A text, and the keys of the rows that it counts."""
 
     text: str
     keys: tuple[str, ...] = ()
@@ -15,8 +15,6 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with one line of headings."""
-
     title: str
     columns: tuple[str, ...]
     lines: tuple[tuple[Cell, ...], ...]

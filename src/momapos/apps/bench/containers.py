@@ -1,4 +1,4 @@
-"""Rooms before and after a container was opened."""
+"""Change a scene as opening a container changes the room."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from .bench_records import Container
 
 
 def without(scene: Scene, names: Collection[str]) -> Scene:
-    """The same room without some things."""
+    """Return the scene without some objects."""
     return replace(scene, objects=tuple(o for o in scene.objects if o.name not in names))
 
 
 def opened(scene: Scene, box: Container, value: float, carried: Collection[str]) -> Scene:
-    """The room after a container was opened.
+    """Return the scene with an opened container.
 
     Args:
-        scene: The room before.
+        scene: The scene before.
         box: The container.
-        value: Where its joint is then [rad] or [m].
-        carried: Things that move with it.
+        value: New value of its joint [rad] or [m].
+        carried: Objects that move with it.
     """
     holder, after = scene.object(box.object), scene.with_joint(box.object, box.joint, value)
     link = holder.model.joint(box.joint).child

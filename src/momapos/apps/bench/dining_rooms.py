@@ -1,6 +1,4 @@
-"""Generated kitchens with a place to eat, in which things stand on tables and counters, in fridge,
-drawers and dishwasher: the rooms of the suite `paper-sim`.
-"""
+"""Build the rooms of the suite `paper-sim`: generated kitchens with a dining area and objects."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.model.scene import LAYOUTS, empty_kitchen, free_start, with_joint_ends
+from momapos.model.scene import empty_kitchen, free_start, with_joint_limits
 from momapos.model.scene.library import (
     Box,
     FurniturePart,
@@ -27,7 +25,7 @@ from momapos.model.scene.library import (
 
 from .bench_records import Container
 
-THINGS: Mapping[str, Vec] = {
+OBJECT_SIZES: Mapping[str, Vec] = {
     "cup": (0.075, 0.075, 0.095), "mug": (0.07, 0.07, 0.1), "glass": (0.065, 0.065, 0.12),
     "egg_cup": (0.045, 0.045, 0.065), "apple": (0.07, 0.07, 0.07), "lemon": (0.055, 0.07, 0.055),
     "pear": (0.065, 0.065, 0.095), "egg": (0.045, 0.045, 0.058), "bottle": (0.065, 0.065, 0.22),
@@ -38,42 +36,43 @@ THINGS: Mapping[str, Vec] = {
     "sugar_box": (0.045, 0.09, 0.17), "mustard": (0.055, 0.06, 0.17), "sponge": (0.06, 0.1, 0.05),
     "candle": (0.06, 0.06, 0.12),
 }  # fmt: skip
-"""Loose things and their sizes [m]; with table, dinner table, countertop, fridge, drawer and
-dishwasher thirty objects. Each is narrow enough for a hand that opens 8.5 cm."""
+"""Movable objects and their sizes [m]; each fits a hand with an opening of 8.5 cm. Table, dinner
+table, countertop, fridge, drawer and dishwasher make the paper's thirty kinds complete."""
 PLACES = (
     "on dinner table", "on table", "on countertop", "in fridge", "in drawer", "in dishwasher",
 )  # fmt: skip
-EACH = 8
-"""Things in each kind of place of a room, where there is room for them [-]."""
-DINING = 4.0
-"""The floor is longer by so much where people eat [m]."""
-AISLE, EDGE = 0.9, 0.4
-"""Free floor between the tables and all else, and between them and the floor's edge [m]."""
-ASIDE, ABOVE = 0.03, 0.08
-"""Free space around a thing in the open, and above it, for it is lifted [m]."""
-SNUG = 0.015
-"""Likewise in a drawer, which is pulled out first [m]."""
-FRONT = 0.6
-"""Things stand in the front share of what they stand in or on, as far as it is deep [-]."""
-DRAWS = 60
+OBJECTS_PER_PLACE = 8
+"""Maximum number of objects in each kind of place of a room [-]."""
+DINING_LENGTH = 4.0
+"""Length by which the dining area extends the floor [m]."""
+AISLE, EDGE_DISTANCE = 0.9, 0.4
+"""Free floor between the tables and other furniture, and between them and the floor's edge [m]."""
+SIDE_CLEARANCE, LIFT_CLEARANCE = 0.03, 0.08
+"""Free space around an object, and above it for lifting [m]."""
+DRAWER_CLEARANCE = 0.015
+"""Free space around and above an object in a drawer, which is pulled out first [m]."""
+FRONT_SHARE = 0.6
+"""Share of the depth of a surface, from its front, that holds objects; tables hold them anywhere
+[-]."""
+MAX_DRAWS = 60
 OPEN_SIDES = (("wall_front", 1, 0), ("wall_right", 0, 1), ("wall_left", 0, 0), ("wall_back", 1, 1))
-"""Walls, and which edge of the floor they stand at: axis, and 0 for the low one."""
+"""Walls, and the edge of the floor at which they stand: axis, and 0 for its lower end."""
 
 
 @dataclass(frozen=True)
-class Spot:
-    """A surface on which things can stand."""
+class Support:
+    """A surface that can support objects."""
 
     place: str
     piece: Piece
     top: Box
-    """What they stand on, in the frame of the piece."""
+    """The supporting box, in the frame of the piece."""
     inside: Container | None = None
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A thing of a room and where it stands."""
+class RoomObject:
+    """A movable object of a room."""
 
     name: str
     place: str
@@ -81,35 +80,35 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Opening:
+class RoomPart:
     """A door of a fridge or dishwasher, or a drawer of a cabinet."""
 
     kind: str
-    """Such as "open fridge"."""
-    part: Container
+    """Task class, such as "open fridge"."""
+    container: Container
     wide: float
-    """Where its joint ends [rad] or [m]."""
+    """Upper limit of its joint [rad] or [m]."""
 
 
 @dataclass(frozen=True)
-class Room:
-    """A room, its things, and what of it a suite opens."""
+class DiningRoom:
+    """A room with its movable objects and its parts to open."""
 
     file: Path
-    things: tuple[Placed, ...]
-    openings: tuple[Opening, ...]
+    objects: tuple[RoomObject, ...]
+    parts: tuple[RoomPart, ...]
 
     def carried(self, box: Container | None) -> tuple[str, ...]:
-        """Names of the things in a drawer; none in anything else."""
-        return tuple(t.name for t in self.things if t.place == "in drawer" and t.inside == box)
+        """Return the names of the objects in a drawer; none for other containers."""
+        return tuple(o.name for o in self.objects if o.place == "in drawer" and o.inside == box)
 
 
-def make_room(layout: str, rng: np.random.Generator, out: Path) -> Room:
+def make_room(layout: str, rng: np.random.Generator, out: Path) -> DiningRoom:
     """Draw a room and write its scene file.
 
     Args:
-        layout: Of the kitchen.
-        rng: Where everything random comes from.
+        layout: Layout of the kitchen.
+        rng: Source of randomness.
         out: The scene file.
 
     Raises:
@@ -121,19 +120,14 @@ def make_room(layout: str, rng: np.random.Generator, out: Path) -> Room:
         tables = None if dining is None else _tables(kitchen, dining[1], rng)
         if dining is not None and tables is not None and _has_containers(kitchen):
             break
-    pieces = with_joint_ends([*kitchen, *tables])
-    things = _furnish(pieces, rng)
-    every = [*pieces, *(thing for thing, _ in things)]
+    pieces = with_joint_limits([*kitchen, *tables])
+    objects = _place_objects(pieces, rng)
+    every = [*pieces, *(item for item, _ in objects)]
     write_kitchen(out, out.stem, every, dining[0], free_start(dining[0], every))
-    return Room(out, tuple(placed for _, placed in things), tuple(_openings(pieces)))
+    return DiningRoom(out, tuple(placed for _, placed in objects), tuple(_openable(pieces)))
 
 
-def room_layouts(count: int) -> list[str]:
-    """Layouts of so many rooms, in turn."""
-    return [LAYOUTS[k % len(LAYOUTS)] for k in range(count)]
-
-
-# ------------------------------------------------------------------------- where people eat
+# ------------------------------------------------------------------------- dining area
 
 Corners = list[tuple[float, float]]
 
@@ -141,9 +135,11 @@ Corners = list[tuple[float, float]]
 def dining_area(
     kitchen: Sequence[Piece], floor: Corners
 ) -> tuple[Corners, tuple[np.ndarray, np.ndarray]] | None:
-    """The floor made longer at a side without a wall, and low and high corner of what is new [m].
+    """Extend the floor at a side without a wall.
 
-    None where all sides have walls.
+    Returns:
+        The new floor, and the low and high corner of the extension [m]; None if all sides have
+        walls.
     """
     names = {piece.name for piece in kitchen}
     edges = np.array([np.min(floor, axis=0), np.max(floor, axis=0)])
@@ -152,7 +148,7 @@ def dining_area(
             continue
         area = edges.copy()
         area[1 - side, axis] = edges[side, axis]
-        area[side, axis] += DINING * (2 * side - 1)
+        area[side, axis] += DINING_LENGTH * (2 * side - 1)
         edges[side, axis] = area[side, axis]
         (x0, y0), (x1, y1) = edges.tolist()
         return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)], (area[0], area[1])
@@ -162,16 +158,16 @@ def dining_area(
 def _tables(
     kitchen: Sequence[Piece], area: tuple[np.ndarray, np.ndarray], rng: np.random.Generator
 ) -> list[Piece] | None:
-    """A dinner table and a table with aisles around them; None where they do not fit."""
+    """Draw a dinner table and a table with aisles around them; None if they don't fit."""
     tables: list[Piece] = []
     for name, low, high in (
         ("dinner_table", (1.4, 0.8, 0.72), (1.8, 0.95, 0.76)),
         ("table", (0.7, 0.55, 0.55), (1.0, 0.7, 0.74)),
     ):
         length, width, height = rng.uniform(low, high).round(2)
-        for _ in range(DRAWS):
+        for _ in range(MAX_DRAWS):
             yaw = float(rng.integers(2)) * np.pi / 2
-            half = np.array([length, width] if yaw == 0.0 else [width, length]) / 2 + EDGE
+            half = np.array([length, width] if yaw == 0.0 else [width, length]) / 2 + EDGE_DISTANCE
             if (area[1] - area[0] < 2 * half).any():
                 continue
             x, y = rng.uniform(area[0] + half, area[1] - half)
@@ -189,7 +185,7 @@ def _tables(
 def _table(
     name: str, length: float, width: float, height: float, xy: tuple[float, float], yaw: float
 ) -> Piece:
-    """A top on four legs; its frame is on the floor, under the middle."""
+    """Build a top on four legs; the frame is on the floor below the middle."""
     x, y, leg, thick = length / 2, width / 2, 0.06, 0.04
     boxes = [Box("top", vec((-x, -y, height - thick)), vec((x, y, height)))]
     for i, j in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
@@ -200,41 +196,40 @@ def _table(
     return Piece(name, name.replace("_", " "), vec((*xy, 0.0)), yaw, (part,))
 
 
-# ------------------------------------------------------------------------- where things stand
+# ------------------------------------------------------------------------- movable objects
 
 
 def _has_containers(kitchen: Sequence[Piece]) -> bool:
-    """Whether the furniture has a fridge, a dishwasher and a drawer of a cabinet."""
-    kinds = {opening.kind for opening in _openings(kitchen)}
+    kinds = {part.kind for part in _openable(kitchen)}
     return kinds == {"open fridge", "open drawer", "open dishwasher"}
 
 
-def _openings(pieces: Sequence[Piece]) -> Iterator[Opening]:
+def _openable(pieces: Sequence[Piece]) -> Iterator[RoomPart]:
     for piece in pieces:
         for part in piece.parts:
             if part.motion is None or not part.handle:
                 continue
             box = Container(piece.name, joint_name(part))
             if piece.category in ("fridge", "dishwasher"):
-                yield Opening(f"open {piece.category}", box, part.motion.upper)
+                yield RoomPart(f"open {piece.category}", box, part.motion.upper)
             elif part.motion.kind == "prismatic" and piece.category == "cabinet":
-                yield Opening("open drawer", box, part.motion.upper)
+                yield RoomPart("open drawer", box, part.motion.upper)
 
 
-def spots(pieces: Sequence[Piece]) -> list[Spot]:
-    """All surfaces on which things can stand, by what the furniture is."""
+def supports(pieces: Sequence[Piece]) -> list[Support]:
+    """Return all surfaces that can support objects."""
     found = []
     for piece in pieces:
         body, doors = piece.parts[0], [part for part in piece.parts if part.motion is not None]
         if piece.category in ("dinner table", "table"):
-            found.append(Spot(f"on {piece.category}", piece, body.boxes[0]))
+            found.append(Support(f"on {piece.category}", piece, body.boxes[0]))
         elif piece.name.startswith("countertop"):
-            found.append(Spot("on countertop", piece, body.boxes[-1]))
+            found.append(Support("on countertop", piece, body.boxes[-1]))
         elif piece.category in ("fridge", "dishwasher"):
             for door in doors:
                 box = Container(piece.name, joint_name(door))
                 found += [
-                    Spot(f"in {piece.category}", piece, shelf, box)
+                    Support(f"in {piece.category}", piece, shelf, box)
                     for shelf in _shelves(body, door)
                 ]
         elif piece.category == "cabinet":
@@ -243,12 +238,12 @@ def spots(pieces: Sequence[Piece]) -> list[Spot]:
                 if part.motion.kind == "prismatic":
                     bottom = max(part.boxes, key=_area)
                     box = Container(piece.name, joint_name(part))
-                    found.append(Spot("in drawer", piece, bottom, box))
+                    found.append(Support("in drawer", piece, bottom, box))
     return found
 
 
 def _shelves(body: FurniturePart, door: FurniturePart) -> list[Box]:
-    """Flat boxes of a body that its door hides: they lie behind it, and reach far sideways."""
+    """Return the wide, flat boxes of a body behind its door."""
     low = np.min([box.low for box in door.boxes], axis=0)
     high = np.max([box.high for box in door.boxes], axis=0)
     widest = max(_area(box) for box in body.boxes)
@@ -266,40 +261,43 @@ def _area(box: Box) -> float:
     return (box.high[0] - box.low[0]) * (box.high[1] - box.low[1])
 
 
-def _furnish(pieces: Sequence[Piece], rng: np.random.Generator) -> list[tuple[Piece, Placed]]:
-    """Stand things in every kind of place, as many as `EACH` where they find room."""
-    every, number = spots(pieces), 0
-    things: list[tuple[Piece, Placed]] = []
+def _place_objects(
+    pieces: Sequence[Piece], rng: np.random.Generator
+) -> list[tuple[Piece, RoomObject]]:
+    """Draw objects for every kind of place, up to `OBJECTS_PER_PLACE`."""
+    every, kinds = supports(pieces), list(OBJECT_SIZES)
+    objects: list[tuple[Piece, RoomObject]] = []
     for place in PLACES:
-        there = [spot for spot in every if spot.place == place]
-        for _ in range(EACH if there else 0):
-            kind = str(rng.choice(list(THINGS)))
-            for _ in range(DRAWS):
-                spot = there[int(rng.integers(len(there)))]
-                name = f"{kind}_{number}"
-                thing = _stood(name, kind, spot, rng)
-                if thing is not None and _has_room(thing, spot, [*pieces, *(t for t, _ in things)]):
-                    things.append((thing, Placed(name, place, spot.inside)))
-                    number += 1
+        there = [support for support in every if support.place == place]
+        for _ in range(OBJECTS_PER_PLACE if there else 0):
+            kind = str(rng.choice(kinds))
+            for _ in range(MAX_DRAWS):
+                support = there[int(rng.integers(len(there)))]
+                name = f"{kind}_{len(objects)}"
+                item = _draw_object(name, kind, support, rng)
+                others = [*pieces, *(other for other, _ in objects)]
+                if item is not None and _has_clearance(item, support, others):
+                    objects.append((item, RoomObject(name, place, support.inside)))
                     break
-                kind = str(rng.choice(list(THINGS)))
-    return things
+                kind = str(rng.choice(kinds))
+    return objects
 
 
-def _stood(name: str, kind: str, spot: Spot, rng: np.random.Generator) -> Piece | None:
-    """A thing drawn on a surface; None where it is larger than the surface."""
-    size, low, high = np.array(THINGS[kind]), np.array(spot.top.low), np.array(spot.top.high)
-    turned = spot.inside is not None
+def _draw_object(name: str, kind: str, support: Support, rng: np.random.Generator) -> Piece | None:
+    """Draw an object on a surface; None if it is larger than the surface."""
+    size, top = np.array(OBJECT_SIZES[kind]), support.top
+    low, high = np.array(top.low), np.array(top.high)
+    turned = support.inside is not None
     yaw = float(rng.integers(4)) * np.pi / 2 if turned else float(rng.uniform(-np.pi, np.pi))
     c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
-    half = np.array([c * size[0] + s * size[1], s * size[0] + c * size[1]]) / 2 + SNUG
+    half = np.array([c * size[0] + s * size[1], s * size[0] + c * size[1]]) / 2 + DRAWER_CLEARANCE
     first, last = low[:2] + half, high[:2] - half
-    on_table = spot.place in ("on dinner table", "on table")
-    last[1] = last[1] if on_table else min(last[1], first[1] + FRONT * (high[1] - low[1]))
+    on_table = support.place in ("on dinner table", "on table")
+    last[1] = last[1] if on_table else min(last[1], first[1] + FRONT_SHARE * (high[1] - low[1]))
     if (first > last).any():
         return None
     x, y = rng.uniform(first, last)
-    piece = spot.piece
+    piece = support.piece
     c, s = np.cos(piece.yaw), np.sin(piece.yaw)
     xyz = (
         piece.xyz[0] + c * x - s * y,
@@ -309,14 +307,15 @@ def _stood(name: str, kind: str, spot: Spot, rng: np.random.Generator) -> Piece 
     return solid(name, kind.replace("_", " "), vec(size), vec(xyz), round(piece.yaw + yaw, 5))
 
 
-def _has_room(thing: Piece, spot: Spot, pieces: Sequence[Piece]) -> bool:
-    """Whether nothing is in the space that a thing needs, around it and above."""
-    in_drawer = spot.place == "in drawer"
-    aside, above = (SNUG, SNUG) if in_drawer else (ASIDE, ABOVE)
-    box = thing.parts[0].boxes[0]
+def _has_clearance(item: Piece, support: Support, pieces: Sequence[Piece]) -> bool:
+    """Check that the space around and above an object is free."""
+    side, above = SIDE_CLEARANCE, LIFT_CLEARANCE
+    if support.place == "in drawer":
+        side = above = DRAWER_CLEARANCE
+    box = item.parts[0].boxes[0]
     x, y, z = np.subtract(box.high, box.low)
-    center = np.add(thing.xyz, [0.0, 0.0, above / 2])
-    needed = solid("", "", vec((x + 2 * aside, y + 2 * aside, z + above)), vec(center), thing.yaw)
+    center = np.add(item.xyz, [0.0, 0.0, above / 2])
+    needed = solid("", "", vec((x + 2 * side, y + 2 * side, z + above)), vec(center), item.yaw)
     return not _overlaps(needed, obstacles(pieces))
 
 

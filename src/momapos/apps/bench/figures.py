@@ -1,4 +1,4 @@
-"""Figures of a report as SVG text: success with intervals, driving against time."""
+"""Draw the figures of a report as SVG: success with intervals, driving against time, stages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WIDTH = 720
 
 
 def success_figure(rows: Sequence[Row]) -> str:
-    """Share of tasks that each method does, with its interval."""
+    """Draw the success rate of each method with its interval."""
     by_method = grouped(rows, lambda row: row.method)
     left, bar = 190, WIDTH - 190 - 60
     lines = [_open(30 + 26 * len(by_method))]
@@ -40,11 +40,14 @@ def success_figure(rows: Sequence[Row]) -> str:
 
 
 def scatter_figure(rows: Sequence[Row], anchors: dict[str, str]) -> str:
-    """Driving length against time of every solved task; each point links to its row.
+    """Draw driving length against time of every solved task; each point links to its row.
 
     Args:
         rows: All rows.
-        anchors: The row's place in the page, by key.
+        anchors: The row's anchor in the page, by key.
+
+    Returns:
+        The SVG; empty without any solved task.
     """
     points = [
         (row, row.seconds, row.driving)
@@ -55,7 +58,7 @@ def scatter_figure(rows: Sequence[Row], anchors: dict[str, str]) -> str:
         return ""
     low = math.floor(math.log10(min(seconds for _, seconds, _ in points)))
     high = max(math.ceil(math.log10(max(seconds for _, seconds, _ in points))), low + 1)
-    most = max(1.0, math.ceil(max(way for _, _, way in points)))
+    longest = max(1.0, math.ceil(max(length for _, _, length in points)))
     left, right, top, bottom = 50, WIDTH - 170, 10, 330
     lines = [_open(bottom + 45)]
     for decade in range(low, high + 1):
@@ -65,16 +68,16 @@ def scatter_figure(rows: Sequence[Row], anchors: dict[str, str]) -> str:
     for k in range(5):
         y = bottom - (bottom - top) * k / 4
         lines.append(_line(left, y, right, y, "#ddd"))
-        lines.append(_text(left - 6, y + 4, f"{most * k / 4:g} m", "end"))
+        lines.append(_text(left - 6, y + 4, f"{longest * k / 4:g} m", "end"))
     lines.append(_text((left + right) / 2, bottom + 36, "processor time of an answer", "middle"))
     colors = {m: COLORS[k % len(COLORS)] for k, m in enumerate(grouped(rows, lambda r: r.method))}
-    for row, seconds, way in points:
+    for row, seconds, length in points:
         x = left + (right - left) * (math.log10(seconds) - low) / (high - low)
-        y = bottom - (bottom - top) * way / most
+        y = bottom - (bottom - top) * length / longest
         lines.append(
             f'<a href="#{anchors[row.key]}"><circle cx="{x:.1f}" cy="{y:.1f}" r="3" '
             f'fill="{colors[row.method]}" fill-opacity="0.6"><title>{escape(row.method)}, '
-            f"{escape(row.task)}: {seconds:.3f} s, {way:.2f} m</title></circle></a>"
+            f"{escape(row.task)}: {seconds:.3f} s, {length:.2f} m</title></circle></a>"
         )
     for k, (method, color) in enumerate(colors.items()):
         y = top + 12 + 18 * k
@@ -84,10 +87,10 @@ def scatter_figure(rows: Sequence[Row], anchors: dict[str, str]) -> str:
 
 
 def pie_figure(named: Mapping[str, Mapping[str, float]]) -> str:
-    """One pie beside the other, each with its stages in one order of colors.
+    """Draw pies side by side, with the same color for a stage in all of them.
 
     Args:
-        named: Shares by stage, of any sum, by what each pie shows.
+        named: Shares by stage, of any sum, by the title of each pie.
     """
     stages = list(dict.fromkeys(stage for shares in named.values() for stage in shares))
     colors = {stage: COLORS[k % len(COLORS)] for k, stage in enumerate(stages)}
@@ -95,14 +98,14 @@ def pie_figure(named: Mapping[str, Mapping[str, float]]) -> str:
     lines = [_open(max(each * -(-len(named) // across), 18 * len(stages) + 20) + 10)]
     for k, (name, shares) in enumerate(named.items()):
         x, y = each * (k % across) + each / 2, each * (k // across) + radius + 10
-        whole, begun = sum(shares.values()), 0.0
+        total, begin = sum(shares.values()), 0.0
         for stage, share_of in shares.items():
-            part = share_of / whole if whole > 0 else 0.0
+            part = share_of / total if total > 0 else 0.0
             lines.append(
-                f'<path d="{_sector(x, y, radius, begun, begun + part)}" fill="{colors[stage]}">'
+                f'<path d="{_sector(x, y, radius, begin, begin + part)}" fill="{colors[stage]}">'
                 f"<title>{escape(name)}, {escape(stage)}: {100 * part:.1f} %</title></path>"
             )
-            begun += part
+            begin += part
         lines.append(_text(x, y + radius + 16, name[:24], "middle"))
     for k, (stage, color) in enumerate(colors.items()):
         y = 20 + 18 * k
@@ -112,8 +115,8 @@ def pie_figure(named: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _sector(x: float, y: float, radius: float, begin: float, end: float) -> str:
-    """The path of a sector between two shares of the whole turn, from the top, clockwise."""
-    end = min(end, begin + 0.9999)  # an arc that ends where it begins is none
+    """Return the path of a sector between two shares of a turn, clockwise from the top."""
+    end = min(end, begin + 0.9999)  # SVG draws no arc whose ends coincide
     points = [
         (x + radius * math.sin(2 * math.pi * turn), y - radius * math.cos(2 * math.pi * turn))
         for turn in (begin, end)

@@ -1,8 +1,8 @@
-"""The results folder: the suite as it was made, its scenes, and one results file a node.
+"""Results folder: the suite, its scenes, and one results file per node.
 
-suite.json            what the tasks are, and the versions of what answers them
-scenes/               scene files and models, where the suite made any
-rows-HOST.sqlite      the rows that this node's runner wrote
+suite.json            tasks, settings and versions
+scenes/               generated scene files and models
+rows-HOST.sqlite      rows of the runner on node HOST
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _URDF, _MESH = re.compile(r'"urdf": "([^"]+)"'), re.compile(r'<mesh[^>]*filename
 
 @dataclass(frozen=True)
 class Contents:
-    """What a results folder was made for, and with."""
+    """Contents of suite.json."""
 
     suite: Suite
     settings: Settings
@@ -54,7 +54,7 @@ class Contents:
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of all that rows depend on; "code" is a hash of the package's own source."""
+    """Return the versions that rows depend on; "code" is a hash of the package source."""
     digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\n" + path.read_bytes())
@@ -64,19 +64,18 @@ def versions() -> dict[str, str]:
 def open_folder(
     folder: Path, name: str, seed: int, robots: Sequence[str], settings: Settings
 ) -> Contents:
-    """What a results folder is for; it is made where there is none.
+    """Open a results folder, or create it.
 
     Args:
         folder: The results folder.
-        name: Which suite.
-        seed: What its tasks are drawn from.
-        robots: Its robots; those of the suite where empty.
-        settings: How its tasks are asked.
+        name: Name of the suite.
+        seed: Seed of its tasks.
+        robots: Robots of the run; the suite's robots if empty.
+        settings: Settings for every task.
 
     Raises:
         UnknownNameError: There is no such suite or robot.
-        InputError: The folder holds another suite, or results of another version or of other
-            settings.
+        InputError: The folder holds results of another suite, version or settings.
     """
     refuse_unknown(name, robots)
     kind = SUITES[name]
@@ -92,36 +91,35 @@ def open_folder(
         ("robots", " ".join(suite.robots), " ".join(chosen)),
         ("revision", suite.revision, kind.revision),
         *(
-            (f"--{item.name.replace('_', '-')}", getattr(found.settings, item.name), value)
+            (item.name, getattr(found.settings, item.name), getattr(settings, item.name))
             for item in fields(Settings)
-            for value in [getattr(settings, item.name)]
         ),
     )
-    for what, there, asked in differences:
-        if there != asked:
+    for what, there, wanted in differences:
+        if there != wanted:
             raise InputError(
-                f"{folder}: holds results of another run: {what} is {there} there, not {asked}; "
-                "give another folder"
+                f"{folder}: contains results of another run with {what} {there}, not {wanted}; "
+                "use another folder"
             )
     for package, version in versions().items():
         if found.versions.get(package) != version:
             raise InputError(
-                f"{folder}: holds results of {package} {found.versions.get(package, '?')}, and "
-                f"this is {version}; give another folder ('momapos bench report' still reads it)"
+                f"{folder}: contains results of {package} {found.versions.get(package, '?')}, but "
+                f"this is {version}; use another folder ('momapos bench report' still reads it)"
             )
     _refuse_changed_scenes(folder, suite)
     return found
 
 
 def read_folder(folder: Path) -> Contents:
-    """What a results folder was made for, and with.
+    """Read the suite.json of a results folder.
 
     Raises:
-        FileFormatError: It is none, or none of this version.
+        FileFormatError: The folder is no results folder of this version.
     """
     path = folder / "suite.json"
     if not path.exists():
-        raise FileFormatError(f"{folder}: no results folder, for it holds no suite.json")
+        raise FileFormatError(f"{folder}: not a results folder (it has no suite.json)")
     try:
         data = json.loads(read_bytes_bounded(path, MAX_BYTES))
     except (ValueError, RecursionError) as error:
@@ -129,17 +127,17 @@ def read_folder(folder: Path) -> Contents:
     head = (data.get("format"), data.get("version")) if isinstance(data, dict) else (None, None)
     if head != (FORMAT, VERSION):
         raise FileFormatError(
-            f'{path}: not a suite of this version; it has "format": {head[0]!r:.60}, "version": '
-            f"{head[1]!r:.60}, not {FORMAT!r} and {VERSION}"
+            f'{path}: unsupported suite file: "format" is {head[0]!r:.60}, "version" is '
+            f"{head[1]!r:.60}; supported: {FORMAT!r}, {VERSION}"
         )
     found = from_plain(data, Contents, str(path))
     if found.digest != _digest(found.suite):
-        raise FileFormatError(f"{path}: its tasks were changed since; give another folder")
+        raise FileFormatError(f"{path}: its tasks were modified; use another folder")
     return found
 
 
 def all_rows(folder: Path) -> list[Row]:
-    """The rows of all nodes, one a job: the first that was finished."""
+    """Return the rows of all nodes; of several rows of one job, the first finished."""
     rows: dict[str, Row] = {}
     for path in sorted(folder.glob("rows-*.sqlite")):
         for row in read_rows(path):
@@ -150,17 +148,17 @@ def all_rows(folder: Path) -> list[Row]:
 
 
 def rows_file(folder: Path) -> Path:
-    """The results file of this node."""
+    """Return the results file of this node."""
     host = re.sub(r"[^A-Za-z0-9_.-]", "_", socket.gethostname()) or "node"
     return folder / f"rows-{host}.sqlite"
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Keep other runners of this node out of a results folder.
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a results folder against other runners of this node.
 
     Raises:
-        InputError: Another one works in it.
+        InputError: Another runner uses the folder, or it can't be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -171,17 +169,17 @@ def held(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise InputError(f"{folder}: another 'momapos bench run' works in it") from error
+            raise InputError(f"{folder}: in use by another 'momapos bench run'") from error
         yield
 
 
 def scene_path(folder: Path, name: str) -> Path:
-    """The file of a scene that a task names."""
+    """Return the file of a task's scene."""
     return find_scene(name if name in builtin_names() else folder / name)
 
 
 def scene_digest(path: Path) -> str:
-    """Content hash of a scene file and the models that it names."""
+    """Return a content hash of a scene file and its models."""
     text = path.read_text(encoding="utf-8")
     digest = hashlib.sha256(text.encode())
     for urdf in sorted(set(_URDF.findall(text))):
@@ -193,7 +191,7 @@ def scene_digest(path: Path) -> str:
 
 
 def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...], settings: Settings) -> None:
-    """Make a suite and write it, the whole of it or nothing."""
+    """Build a suite and write all of it, or nothing."""
     kind = SUITES[name]
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -224,4 +222,4 @@ def _refuse_changed_scenes(folder: Path, suite: Suite) -> None:
         except OSError as error:
             raise InputError(f"{folder}: {name}: cannot be read ({error.strerror})") from error
         if not same:
-            raise InputError(f"{folder}: scene {name} was changed since; give another folder")
+            raise InputError(f"{folder}: scene {name} was modified; use another folder")

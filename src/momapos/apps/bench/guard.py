@@ -1,4 +1,4 @@
-"""Jobs run in processes of their own, one a thread: one that hangs or dies takes nothing along."""
+"""Run jobs in worker processes, one per thread; one that hangs or dies harms no other job."""
 
 from __future__ import annotations
 
@@ -20,50 +20,49 @@ from momapos.core import one_line
 
 WORKER = (sys.executable, "-m", "momapos.apps.bench.worker")
 START_LIMIT = 300.0
-"""Time for a process to start [s]; a busy machine reads its packages for long."""
+"""Time for a process to start [s]; imports are slow on a busy machine."""
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
-"""Workers answer side by side, each by one thread."""
-ENDING = 10.0
-"""Time for a process to end that answers no more [s]."""
+"""Environment of a worker: one thread each, because several workers run in parallel."""
+EXIT_TIMEOUT = 10.0
+"""Time for a process to exit after it closed its output [s]."""
 _CHUNK = 1 << 16
 
 
 class JobFailed(Exception):
-    """A job raised, hung, or ended its process; the message says which."""
+    """A job raised, hung, or ended its process; the message states which."""
 
 
 class Process:
-    """A worker process and the lines that are exchanged with it."""
+    """A worker process and its line protocol."""
 
     def __init__(self, command: tuple[str, ...]) -> None:
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `kill`
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors,
             env={**os.environ, **ONE_THREAD},
-            # An interrupt from the keyboard is the runner's; no job fails by it.
-            start_new_session=True,
+            start_new_session=True,  # a keyboard interrupt reaches only the runner
         )  # fmt: skip
-        self._left = b""
-        self._said = 0
-        """Where in the errors what the present job says begins."""
+        self._unread = b""
+        self._errors_begin = 0
+        """Offset of the current job's error output."""
 
-    def ask(self, job: dict[str, Any], limit: float) -> dict[str, Any]:
-        """The answer to a job.
+    def run(self, job: dict[str, Any], limit: float) -> dict[str, Any]:
+        """Run a job and return its row.
 
         Args:
             job: A `Job` as a dictionary.
-            limit: Wall time for it [s].
+            limit: Wall time limit [s].
 
         Raises:
-            JobFailed: It raised, the time is up, or the process ended.
+            JobFailed: The job raised, the time is up, or the process ended.
         """
         assert self.process.stdin is not None
-        self._said = os.fstat(self.errors.fileno()).st_size
+        self._errors_begin = os.fstat(self.errors.fileno()).st_size
         try:
             self.process.stdin.write(json.dumps(job).encode() + b"\n")
             self.process.stdin.flush()
         except OSError as error:
-            raise JobFailed(self._death()) from error
+            raise JobFailed(self._exit_text()) from error
         answer = self._line(limit)
         if "error" in answer:
             raise JobFailed(answer["error"])
@@ -71,10 +70,10 @@ class Process:
         return row
 
     def wait_ready(self) -> None:
-        """Wait until the process takes jobs.
+        """Wait until the process accepts jobs.
 
         Raises:
-            JobFailed: It ended, or takes too long.
+            JobFailed: The process ended, or the wait exceeds `START_LIMIT`.
         """
         self._line(START_LIMIT)
 
@@ -84,35 +83,35 @@ class Process:
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout, self.errors):
             if pipe is not None:
-                with contextlib.suppress(OSError):  # what was written last found no reader
+                with contextlib.suppress(OSError):  # unflushed input has no reader any more
                     pipe.close()
 
     def _line(self, limit: float) -> dict[str, Any]:
         assert self.process.stdout is not None
         source, end = self.process.stdout.fileno(), time.monotonic() + limit
-        while b"\n" not in self._left:
+        while b"\n" not in self._unread:
             ready, _, _ = select.select([source], [], [], max(0.0, end - time.monotonic()))
             if not ready:
                 raise JobFailed(f"hung: no answer in {limit:g} s")
             chunk = os.read(source, _CHUNK)
             if not chunk:
-                raise JobFailed(self._death())
-            self._left += chunk
-        line, _, self._left = self._left.partition(b"\n")
+                raise JobFailed(self._exit_text())
+            self._unread += chunk
+        line, _, self._unread = self._unread.partition(b"\n")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
-    def _death(self) -> str:
-        """How the process ended, with the last line that it said."""
+    def _exit_text(self) -> str:
+        """Describe how the process ended, with the last line of its error output."""
         try:
-            code = self.process.wait(ENDING)
-        except subprocess.TimeoutExpired:  # it said that it ends, and does not
+            code = self.process.wait(EXIT_TIMEOUT)
+        except subprocess.TimeoutExpired:
             self.process.kill()
             code = self.process.wait()
         how = f"was killed by signal {-code}" if code < 0 else f"ended with status {code}"
-        self.errors.seek(self._said)
-        said = self.errors.read().decode(errors="replace").strip().rpartition("\n")[2]
-        return one_line(f"its process {how}" + (f": {said}" if said else ""))
+        self.errors.seek(self._errors_begin)
+        last = self.errors.read().decode(errors="replace").strip().rpartition("\n")[2]
+        return one_line(f"its process {how}" + (f": {last}" if last else ""))
 
 
 class _Processes:
@@ -122,13 +121,13 @@ class _Processes:
         self.lock = threading.Lock()
         self.by_thread: dict[tuple[int, tuple[str, ...]], Process] = {}
         self.open = True
-        """Whether new ones may start."""
+        """Whether new processes may start."""
 
     def mine(self, command: tuple[str, ...]) -> Process:
-        """The process of this thread, started where there is none.
+        """Return the process of this thread; start one if there is none.
 
         Raises:
-            JobFailed: It does not start, or none may.
+            JobFailed: The process does not start, or the run is being stopped.
         """
         key = (threading.get_ident(), command)
         with self.lock:
@@ -142,21 +141,20 @@ class _Processes:
         return found
 
     def drop_mine(self, command: tuple[str, ...]) -> None:
-        """End the process of this thread."""
         with self.lock:
             found = self.by_thread.pop((threading.get_ident(), command), None)
         if found is not None:
             found.kill()
 
     def close(self) -> None:
-        """End the processes of all threads, and let none start."""
+        """Kill the processes of all threads, and let no new one start."""
         with self.lock:
             self.open = False
             for process in self.by_thread.values():
                 process.process.kill()
 
     def reopen(self) -> None:
-        """Forget what was ended, and let new ones start."""
+        """Forget all processes, and let new ones start."""
         with self.lock:
             for process in self.by_thread.values():
                 process.kill()
@@ -168,20 +166,20 @@ _PROCESSES = _Processes()
 
 
 def run_job(job: dict[str, Any], command: tuple[str, ...] = WORKER) -> dict[str, Any]:
-    """Answer a job in the worker process of this thread; any executor can call this.
+    """Run a job in the worker process of this thread; any executor can call this.
 
     Args:
-        job: A `Job` as a dictionary; its settings say how long it may take.
-        command: What starts a worker.
+        job: A `Job` as a dictionary; its settings hold the time limit.
+        command: Command that starts a worker.
 
     Returns:
         A `Row` as a dictionary.
 
     Raises:
-        JobFailed: The job raised, hung or ended its process. The next one finds a new process.
+        JobFailed: The job raised, hung or ended its process. The next job gets a new process.
     """
     try:
-        return _PROCESSES.mine(command).ask(job, job["settings"]["limit"])
+        return _PROCESSES.mine(command).run(job, job["settings"]["limit"])
     except JobFailed:
         _PROCESSES.drop_mine(command)
         raise
@@ -189,12 +187,12 @@ def run_job(job: dict[str, Any], command: tuple[str, ...] = WORKER) -> dict[str,
 
 @contextmanager
 def local_workers(count: int) -> Iterator[Executor]:
-    """Threads of this process, each with a worker process; none is left at the end."""
+    """Yield threads with a worker process each; none of them outlives the context."""
     threads = ThreadPoolExecutor(count)
     try:
         yield threads
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
-        _PROCESSES.close()  # what a thread waits for ends, and so does the thread
+        _PROCESSES.close()  # ends the jobs that threads wait for, so that they can be joined
         threads.shutdown(wait=True)
         _PROCESSES.reopen()

@@ -1,4 +1,4 @@
-"""A report as one HTML page that needs nothing else: each number leads to its rows."""
+"""Write a report as one self-contained HTML page in which each number links to its rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from html import escape
 from .bench_records import Row
 from .cells import Cell, Table
 from .figures import pie_figure, scatter_figure, success_figure
-from .metrics import how_it_ended
+from .metrics import outcome_text
 from .printed import pies
 
 STYLE = """
@@ -24,7 +24,7 @@ img { max-width: 100% }
 """
 ROW_COLUMNS = (
     "task", "class", "robot", "method", "outcome", "reason", "time", "driving", "full checks",
-    "clearance", "stands at", "node",
+    "clearance", "base poses", "node",
 )  # fmt: skip
 
 
@@ -32,15 +32,15 @@ def page(
     heading: Sequence[str],
     tables: Sequence[Table],
     rows: Sequence[Row],
-    pictures: Sequence[Picture] = (),
+    maps: Sequence[AnswerMap] = (),
 ) -> str:
-    """The page.
+    """Return the page.
 
     Args:
-        heading: Lines that say what was run.
-        tables: What came of it.
-        rows: All rows, which stand at the end of the page.
-        pictures: Answers to some of the tasks.
+        heading: The title and its paragraphs.
+        tables: The tables of the report.
+        rows: All rows, listed at the end of the page.
+        maps: Maps of some answers.
     """
     anchors = {row.key: f"r{number}" for number, row in enumerate(rows)}
     names = {row.key: row.task for row in rows}
@@ -51,12 +51,12 @@ def page(
         if k == 0:
             parts += ["<h2>Success</h2>", success_figure(rows)]
             parts += ["<h2>Driving against time</h2>", scatter_figure(rows, anchors)]
-            parts += ["<h2>Shares of the stages</h2>", pie_figure(pies(rows))]
-    if pictures:
+            parts += ["<h2>Time by stage, shares</h2>", pie_figure(pies(rows))]
+    if maps:
         parts.append("<h2>Potential and candidates</h2>")
-    parts += [_picture(one, anchors) for one in pictures]
+    parts += [_image(one, anchors) for one in maps]
     parts += ["<h2>Rows</h2>", _row_table(rows, anchors)]
-    parts += ["<h2>What each number counts</h2>", *numbers.lists]
+    parts += ["<h2>Rows behind each number</h2>", *numbers.lists]
     body = "\n".join(parts)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>'
@@ -65,17 +65,17 @@ def page(
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture in the page."""
+class AnswerMap:
+    """A figure of one answer."""
 
     title: str
     key: str
-    """Of the row that it shows."""
+    """Key of the answer's row."""
     png: bytes
 
 
 class _Numbers:
-    """Lists the rows that each number counts, once for each set of rows."""
+    """Links numbers to lists of their rows, with one list per set of rows."""
 
     def __init__(self, anchors: Mapping[str, str], names: Mapping[str, str]) -> None:
         self.anchors, self.names = anchors, names
@@ -83,7 +83,6 @@ class _Numbers:
         self.known: dict[tuple[str, ...], str] = {}
 
     def table(self, table: Table) -> str:
-        """A table as HTML."""
         head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
         lines = [
             "<tr>" + "".join(f"<td>{self.cell(cell, table, line)}</td>" for cell in line) + "</tr>"
@@ -94,7 +93,6 @@ class _Numbers:
         return f"<h2>{escape(table.title)}</h2>\n{content}{note}"
 
     def cell(self, cell: Cell, table: Table, line: tuple[Cell, ...]) -> str:
-        """What a cell shows; a link, where rows are behind it."""
         text = escape(cell.text)
         keys = tuple(key for key in cell.keys if key in self.anchors)
         if not keys or not text:
@@ -111,12 +109,10 @@ class _Numbers:
         return f'<a href="#{self.known[keys]}">{text}</a>'
 
 
-def _picture(picture: Picture, anchors: Mapping[str, str]) -> str:
-    data = b64encode(picture.png).decode()
-    title = f'<a href="#{anchors[picture.key]}">{escape(picture.title)}</a>'
-    return (
-        f'<p>{title}<br><img src="data:image/png;base64,{data}" alt="{escape(picture.title)}"></p>'
-    )
+def _image(shown: AnswerMap, anchors: Mapping[str, str]) -> str:
+    data, title = b64encode(shown.png).decode(), escape(shown.title)
+    link = f'<a href="#{anchors[shown.key]}">{title}</a>'
+    return f'<p>{link}<br><img src="data:image/png;base64,{data}" alt="{title}"></p>'
 
 
 def _row_table(rows: Sequence[Row], anchors: Mapping[str, str]) -> str:
@@ -125,7 +121,7 @@ def _row_table(rows: Sequence[Row], anchors: Mapping[str, str]) -> str:
     for row in rows:
         bases = "; ".join(f"({x:.2f}, {y:.2f}, {yaw:.2f})" for x, y, yaw in row.bases)
         texts = (
-            row.task, row.group, row.robot, row.method, how_it_ended(row), row.reason,
+            row.task, row.group, row.robot, row.method, outcome_text(row), row.reason,
             _number(row.seconds, "s"), _number(row.driving, "m"),
             "" if row.checked is None else str(row.checked), _number(row.clearance, "m"), bases,
             row.host,

@@ -1,4 +1,4 @@
-"""One job: load, ask the method, check, carry out; the record of it is a row."""
+"""Run one job: load, plan, check, execute; the result is a row."""
 
 from __future__ import annotations
 
@@ -14,44 +14,39 @@ from momapos.core import MomaposError, require, user_cache
 from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, load_robot
 from momapos.model.scene import Scene, load_scene
-from momapos.planning import PipelineConfig
-from momapos.planning.baselines import plan_by_method
+from momapos.planning import PipelineConfig, plan_by_method
 from momapos.planning.grasps import make_task
 from momapos.planning.reachability import load_reach
 from momapos.verification import PlanVerifier
 
 from .bench_records import Job, Row, SuiteTask
 from .containers import without
-from .disturbances import still_does
+from .disturbances import works_disturbed
 from .folder import scene_path
 from .methods import method_config
 from .scanned_rooms import scanned_room
-from .steps import Asked, Who, plan_opening_first, plan_step
-from .trace import Trace
+from .steps import Step, StepPlanner, plan_opening_first, plan_step
+from .trace import JobTrace
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
     from momapos.simulation import RunRecord
 
-WARM = SuiteTask("warm", "", "kitchen_small", "segway_ur5e", "open", "fridge", "door_hinge")
-"""What a process answers once by each method before anything counts, so that its kernels are
-loaded."""
-NOT_SEEN = "the scan shows nothing there"
-WARM_TIME = 10.0
-"""Processor time for that [s]."""
+WARM_UP = SuiteTask("warm", "", "kitchen_small", "segway_ur5e", "open", "fridge", "door_hinge")
+"""Task that each process plans once per method before it measures, to load the kernels."""
+WARM_UP_TIMEOUT = 10.0
+"""Processor time for the warm-up [s]."""
+NOT_SEEN = "no such object in the scan"
 
 
 def answer_job(job: Job) -> Row:
-    """Answer a job: the row of it.
-
-    What momapos raises on purpose becomes a row that failed; everything else passes.
-    """
+    """Run a job and return its row; a `MomaposError` becomes a failed row."""
     began = time.perf_counter()
-    task, trace = job.task, Trace()
+    task, trace = job.task, JobTrace()
     try:
         _warm_up(job.method)
-        _do_steps(job, trace)
+        _run_steps(job, trace)
     except MomaposError as error:
         trace.end("failed", str(error))
     return Row(
@@ -60,81 +55,87 @@ def answer_job(job: Job) -> Row:
         done=trace.done, seconds=trace.seconds, wall=time.perf_counter() - began,
         stages=trace.stages, driving=trace.driving if trace.outcome == "solved" else None,
         checked=trace.checked, sampled=trace.sampled, clearance=trace.clearance,
-        bases=tuple(trace.bases), host=socket.gethostname(), **trace.shares_held(),
+        bases=tuple(trace.bases), host=socket.gethostname(), **trace.disturbed_shares(),
     )  # fmt: skip
 
 
-def _do_steps(job: Job, trace: Trace) -> None:
-    """Open what the thing is in, if anything, and do the task from where the base is then."""
-    task = job.task
-    who = Who(job, *_robot(task.robot), method_config(job.method, job.settings.timeout), trace)
+def _run_steps(job: Job, trace: JobTrace) -> None:
+    task, config = job.task, method_config(job.method, job.settings.timeout)
+    planner = StepPlanner(job, *_robot(task.robot), config, trace)
     scene = _scene(scene_path(Path(job.folder), task.scene)).with_joints(task.joints)
     start = None if task.start is None else np.array(task.start)
     if job.settings.scan:
-        _do_from_scan(who, scene, start)
+        _run_from_scan(planner, scene, start)
     elif task.inside is not None:
-        _carry_out(who, plan_opening_first(who, scene, start, task.inside))
+        _check_and_execute(planner, plan_opening_first(planner, scene, start, task.inside))
     else:
         scene = without(scene, task.carried) if task.carried else scene
-        asked = Asked(scene, make_task(scene, task.verb, task.object, task.joint, task.to), start)
-        _carry_out(who, plan_step(who, asked))
+        step = Step(scene, make_task(scene, task.verb, task.object, task.joint, task.to), start)
+        _check_and_execute(planner, plan_step(planner, step))
 
 
-def _do_from_scan(who: Who, truth: Scene, start: Float[np.ndarray, "3"] | None) -> None:
-    """Do the task in the room as a scan shows it; doors and drawers are opened in the true one."""
-    task, settings, trace = who.job.task, who.job.settings, who.trace
-    room = scanned_room(Path(who.job.folder), task.scene, truth, settings.scan, task.seed)
+def _run_from_scan(
+    planner: StepPlanner, truth: Scene, start: Float[np.ndarray, "3"] | None
+) -> None:
+    """Plan in the room as modeled from a scan; execute openings in the true room."""
+    job, trace = planner.job, planner.trace
+    task = job.task
+    room = scanned_room(Path(job.folder), task.scene, truth, job.settings.scan, task.seed)
     seen = room.task(task.verb, task.object, task.joint, task.to)
     if seen is None:
         trace.end("gave up", NOT_SEEN)
         return
     start = room.start(truth.start if start is None else start)
-    asked = make_task(room.scene, task.verb, seen.object, seen.joint, seen.to)
+    target = make_task(room.scene, task.verb, seen.object, seen.joint, seen.to)
     world = None if seen.joint is None else room.truth
-    _carry_out(who, plan_step(who, Asked(room.scene, asked, start)), world=world)
+    _check_and_execute(planner, plan_step(planner, Step(room.scene, target, start)), world=world)
     trace.bases = [room.in_room(pose) for pose in trace.bases]
     modeling = room.modeling(trace.modeled)
     trace.stages["modeling"] = modeling
     trace.seconds += modeling
 
 
-def _carry_out(
-    who: Who, steps: list[tuple[Asked, PlacementPlan]], *, world: Scene | None = None
+def _check_and_execute(
+    planner: StepPlanner, steps: list[tuple[Step, PlacementPlan]], *, world: Scene | None = None
 ) -> None:
-    """Check the steps that were planned; disturb and carry them out where all of them were.
+    """Check all plans; if the job is solved, also disturb and execute them.
 
     Args:
-        who: Who does them.
-        steps: What was asked, and its plan.
-        world: What is really there, in the scene's frame; as the scene says by default.
+        planner: The planner of the steps.
+        steps: The steps with their plans.
+        world: The true room, in the scene's frame; the scene by default.
     """
-    trace, settings = who.trace, who.job.settings
-    for asked, plan in steps:
-        trace.verified, wrong = _checked(asked, plan, who.robot)
+    trace, settings, robot, reach = (
+        planner.trace,
+        planner.job.settings,
+        planner.robot,
+        planner.reach,
+    )
+    for step, plan in steps:
+        trace.verified, wrong = _verify(step, plan, robot)
         if not trace.verified:
-            trace.end("failed", f"exact check refuses the plan: {wrong}".strip())
+            trace.end("failed", f"the exact check rejects the plan: {wrong}".strip())
             return
     if trace.outcome != "solved":
         return
-    seed, config = who.job.task.seed, who.config
-    for asked, plan in steps:
-        scene, robot, reach = asked.scene, who.robot, who.reach
+    seed, config = planner.job.task.seed, planner.config
+    for step, plan in steps:
         if settings.disturbances:
-            count = settings.disturbances
-            trace.disturb(
-                still_does(plan, scene, robot, reach, count=count, config=config, seed=seed)
-            )  # fmt: skip
+            trace.add_disturbed(works_disturbed(
+                plan, step.scene, robot, reach, count=settings.disturbances, config=config,
+                seed=seed,
+            ))  # fmt: skip
         if settings.execute:
-            trace.carry_out(_execute(plan, scene, robot, reach, config, seed, world))
+            trace.add_run(_execute(plan, step.scene, robot, reach, config, seed, world))
         if trace.done is False:
             return
 
 
-def _checked(asked: Asked, plan: PlacementPlan, robot: Robot) -> tuple[bool, str]:
-    """Whether the exact check accepts a plan, else what it finds wrong."""
+def _verify(step: Step, plan: PlacementPlan, robot: Robot) -> tuple[bool, str]:
+    """Return whether the exact check accepts a plan, and the failed check."""
     assert plan.base_pose is not None
     assert plan.motion is not None
-    verifier = PlanVerifier(asked.scene, robot, asked.task)
+    verifier = PlanVerifier(step.scene, robot, step.task)
     checks = (*verifier.check(plan.base_pose, plan.motion).checks, *verifier.drive_checks(plan))
     wrong = next((check for check in checks if not check.ok), None)
     return wrong is None, "" if wrong is None else f"{wrong.name} {wrong.culprit}"
@@ -144,7 +145,7 @@ def _execute(
     plan: PlacementPlan, scene: Scene, robot: Robot, reach: ReachScorer, config: PipelineConfig,
     seed: int, world: Scene | None,
 ) -> RunRecord:  # fmt: skip
-    """Drive there with noise, plan anew, and hold by contact, as `momapos run` does."""
+    """Execute a plan in physics with noise and contact grasping, as `momapos run` does."""
     with require("physics"):
         from momapos.simulation import ExecutionConfig, FurnitureConfig
         from momapos.workflows import run_plan
@@ -156,7 +157,7 @@ def _execute(
     )  # fmt: skip
 
 
-# --------------------------------------------------------------------- what a process keeps
+# --------------------------------------------------------------------- caches of a process
 
 
 @lru_cache(maxsize=16)
@@ -172,9 +173,9 @@ def _robot(name: str) -> tuple[Robot, ReachScorer]:
 
 @lru_cache(maxsize=256)
 def _warm_up(method: str) -> None:
-    """Answer an easy question by a method, so that what is loaded once counts for no job."""
-    robot, reach = _robot(WARM.robot)
-    scene = load_scene(WARM.scene, cache=user_cache())
-    task = make_task(scene, WARM.verb, WARM.object, WARM.joint)
-    config = method_config(method, WARM_TIME)
+    """Plan an easy task, so that loading kernels counts for no job."""
+    robot, reach = _robot(WARM_UP.robot)
+    scene = load_scene(WARM_UP.scene, cache=user_cache())
+    task = make_task(scene, WARM_UP.verb, WARM_UP.object, WARM_UP.joint)
+    config = method_config(method, WARM_UP_TIMEOUT)
     plan_by_method(scene, robot, task, reach, config=config, clock=time.process_time)

@@ -1,4 +1,4 @@
-"""A report as Markdown."""
+"""Write a report as Markdown."""
 
 from __future__ import annotations
 
@@ -8,12 +8,7 @@ from .cells import Table
 
 
 def markdown(heading: Sequence[str], tables: Sequence[Table]) -> str:
-    """The report of a results folder.
-
-    Args:
-        heading: Lines that say what was run.
-        tables: What came of it.
-    """
+    """Return the report of a results folder; `heading` holds the title and its paragraphs."""
     parts = [f"# {heading[0]}", *heading[1:]]
     for table in tables:
         lines = [

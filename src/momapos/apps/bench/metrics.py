@@ -1,4 +1,4 @@
-"""Numbers from rows."""
+"""Compute the figures of a report from rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Share:
-    """How many of how many, and between what the true share lies (Wilson's score interval)."""
+    """A count of a total, with the bounds of Wilson's score interval for the true share."""
 
     count: int
     of: int
@@ -26,7 +26,7 @@ class Share:
 
 
 def share(count: int, of: int) -> Share:
-    """A share with its interval; between 0 and 1 where nothing was counted."""
+    """Return a share with its interval, which is [0, 1] if `of` is zero."""
     if of == 0:
         return Share(0, 0, 0.0, 1.0)
     from scipy.stats import binomtest
@@ -36,7 +36,7 @@ def share(count: int, of: int) -> Share:
 
 
 def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:
-    """Rows by a key, in the order in which the keys come."""
+    """Group rows by a key; keys keep the order of their first row."""
     found: dict[Key, list[Row]] = defaultdict(list)
     for row in rows:
         found[key(row)].append(row)
@@ -44,7 +44,7 @@ def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Ro
 
 
 def in_order(suite: Suite, rows: Iterable[Row]) -> list[Row]:
-    """Rows as the suite has its methods and tasks, however they came."""
+    """Sort rows by the suite's order of tasks and methods."""
     tasks = {task.name: k for k, task in enumerate(suite.tasks)}
     methods = {method: k for k, method in enumerate(suite.methods)}
     return sorted(
@@ -56,43 +56,43 @@ def in_order(suite: Suite, rows: Iterable[Row]) -> list[Row]:
 
 
 def succeeded(row: Row) -> bool:
-    """Whether the task was solved, and where it was executed, done."""
+    """Check that the task is solved and, if executed, that the execution succeeded."""
     return row.outcome == "solved" and row.done is not False
 
 
 def percentile(values: Sequence[float], q: float) -> float | None:
-    """A percentile; None of nothing."""
+    """Return a percentile; None for no values."""
     return float(np.percentile(values, q)) if len(values) else None
 
 
-def least_driving(rows: Iterable[Row]) -> dict[str, float]:
-    """The shortest driving length by which any method solved each task [m]."""
-    least: dict[str, float] = {}
+def shortest_drives(rows: Iterable[Row]) -> dict[str, float]:
+    """Return the shortest driving length of any method for each solved task [m]."""
+    shortest: dict[str, float] = {}
     for row in rows:
         if row.driving is not None:
-            least[row.task] = min(row.driving, least.get(row.task, np.inf))
-    return least
+            shortest[row.task] = min(row.driving, shortest.get(row.task, np.inf))
+    return shortest
 
 
 def solved_by_any(rows: Iterable[Row]) -> set[str]:
-    """Tasks that some method solved."""
+    """Return the tasks that at least one method solves."""
     return {row.task for row in rows if row.outcome == "solved"}
 
 
 def reasons(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
-    """Rows that did not succeed, by outcome and reason, the most frequent first."""
+    """Group the rows without success by outcome and reason, the most frequent first."""
     failed = [row for row in rows if not succeeded(row)]
-    by_reason = grouped(failed, lambda row: (how_it_ended(row), row.reason or "-"))
+    by_reason = grouped(failed, lambda row: (outcome_text(row), row.reason or "-"))
     return dict(sorted(by_reason.items(), key=lambda item: -len(item[1])))
 
 
-def how_it_ended(row: Row) -> str:
-    """The outcome in words, physics included."""
-    return "not done in physics" if row.done is False else row.outcome
+def outcome_text(row: Row) -> str:
+    """Return the outcome in words, physics included."""
+    return "failed in physics" if row.done is False else row.outcome
 
 
 def stage_shares(rows: Sequence[Row]) -> Mapping[str, float]:
-    """Share of each stage in the time of all answers, in [0, 1], the largest first."""
+    """Return each stage's share of the total time, in [0, 1], the largest first."""
     total: Counter[str] = Counter()
     for row in rows:
         total.update(row.stages)
@@ -101,11 +101,11 @@ def stage_shares(rows: Sequence[Row]) -> Mapping[str, float]:
 
 
 def paired_p_value(better: int, worse: int) -> float:
-    """How likely two methods that are as good as each other differ this much (McNemar, exact).
+    """Return the p-value of the exact McNemar test.
 
     Args:
-        better: Tasks that only the first one solves.
-        worse: Tasks that only the second one solves.
+        better: Tasks that only the first method solves.
+        worse: Tasks that only the second method solves.
     """
     if better + worse == 0:
         return 1.0

@@ -1,4 +1,4 @@
-"""Rows as a Parquet file, for tools that read columns."""
+"""Write rows as a Parquet file."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from momapos.core import InputError, require, write_atomic
 from .bench_records import Row, to_plain
 from .row_store import COLUMNS, NESTED, TYPES
 
-YES_NO = ("verified", "done")
+BOOLEANS = ("verified", "done")
 
 
 def write_parquet(rows: Sequence[Row], path: Path) -> None:
-    """Write rows, the whole file or nothing; columns are those of the results file.
+    """Write rows, with the columns of the results file; write all of it or nothing.
 
     Raises:
         MissingExtraError: pyarrow is not installed.
-        InputError: The file cannot be written.
+        InputError: The file can't be written.
     """
     with require("parquet"):
         import pyarrow
         from pyarrow import parquet
     plain = [to_plain(row) for row in rows]
-    # Named types, or a column without any value would have none.
+    # Explicit types, because pyarrow can't infer the type of a column without values.
     kinds = {"INTEGER": pyarrow.int64(), "REAL": pyarrow.float64(), "TEXT": pyarrow.string()}
     types = {name: kinds[TYPES.get(name, "TEXT")] for name in COLUMNS}
-    types |= dict.fromkeys(YES_NO, pyarrow.bool_())
+    types |= dict.fromkeys(BOOLEANS, pyarrow.bool_())
     nested = [{**one, **{name: json.dumps(one[name]) for name in NESTED}} for one in plain]
     table = pyarrow.Table.from_pylist(nested, schema=pyarrow.schema(types.items()))
     buffer = io.BytesIO()

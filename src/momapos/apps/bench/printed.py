@@ -1,4 +1,4 @@
-"""What the paper prints of its four tasks, to stand beside ours."""
+"""Compare results with the figures that the paper prints for its four tasks."""
 
 from __future__ import annotations
 
@@ -28,18 +28,16 @@ PRINTED = (
     ("open microwave", "M3*", "17.4 +- 1.4", "3.5 +- 0.0", 44),
     ("open microwave", "Reuleaux", "18.0 +- 2.0", "3.6 +- 1.4", 82),
 )
-"""Task, method, time [s], driving length [m], successes [%]: the main table of Shao et al."""
-
-
+"""Task, method, time [s], driving length [m], success rate [%]: the main table of Shao et al."""
 STAGES = {"modeling": 58.0, "importance": 0.8, "placing": 40.9}
-"""Shares of the stages in the time from the scan to the motion [%]: the paper's table, potential
-and feasibility together."""
+"""Published shares of the time from scan to motion [%]; placing is the paper's potential and
+feasibility together."""
 MODELING, IMPORTANCE = "modeling", "importance"
 MARK = "as printed"
 
 
 def printed_table(rows: Sequence[Row]) -> Table:
-    """The paper's four tasks: what was measured here, and beneath it what the paper prints."""
+    """Build the table of the paper's four tasks: our results, then the printed ones."""
     lines = []
     for task in dict.fromkeys(task for task, *_ in PRINTED):
         mine = [row for row in rows if row.group == task]
@@ -47,27 +45,27 @@ def printed_table(rows: Sequence[Row]) -> Table:
             good = [row for row in some if succeeded(row)]
             percent = f"{100 * len(good) / len(some):.0f} % of {len(some)}"
             seconds = [row.seconds for row in good if row.seconds is not None]
-            ways = [row.driving for row in good if row.driving is not None]
+            driving = [row.driving for row in good if row.driving is not None]
             keys = tuple(row.key for row in good)
-            spread = Cell(_spread(seconds, "s"), keys), Cell(_spread(ways, "m"), keys)
+            spread = Cell(_spread(seconds, "s"), keys), Cell(_spread(driving, "m"), keys)
             lines.append((Cell(task), Cell(method), *spread, Cell(percent, keys)))
         lines += [
-            (Cell(task), Cell(f"{method}, {MARK}"), Cell(f"{seconds} s"), Cell(f"{way} m"),
+            (Cell(task), Cell(f"{method}, {MARK}"), Cell(f"{seconds} s"), Cell(f"{length} m"),
              Cell(f"{percent} %"))
-            for what, method, seconds, way, percent in PRINTED
-            if what == task
+            for name, method, seconds, length, percent in PRINTED
+            if name == task
         ]  # fmt: skip
     note = (
-        "As printed: Shao et al., on the real robot. Their time holds perception and modeling; "
-        "here it does where rooms are known by a scan. Theirs are other starts: compare driving "
-        "among those as printed, and among ours. Mean and standard deviation of what succeeded."
+        "As printed: Shao et al., on the real robot. Their time includes perception and modeling; "
+        "ours does with --scan. Their start poses differ: compare driving only within one "
+        "source. Mean and standard deviation of the successes."
     )
     columns = ("task", "method", "time", "driving", "success")
-    return Table("The paper's table, ours beside it", columns, tuple(lines), note)
+    return Table("The paper's table and ours", columns, tuple(lines), note)
 
 
 def printed_stages(rows: Sequence[Row]) -> Table:
-    """The stages from the scan to the motion, and what the paper prints of them."""
+    """Build the table of the stages from scan to motion, with the paper's shares."""
     lines = []
     for method, mine in grouped(rows, lambda row: row.method).items():
         from_scan = [row for row in mine if MODELING in row.stages]
@@ -77,14 +75,14 @@ def printed_stages(rows: Sequence[Row]) -> Table:
             lines.append((Cell(method), *cells))
     lines.append((Cell(f"MoMa-Pos, {MARK}"), *(Cell(f"{x:.1f} %") for x in STAGES.values())))
     note = (
-        "Shares of the processor time from the images of the scan to the motion; the arm's own "
-        "motion is not counted. Placing: potential and feasibility of samples."
+        "Shares of the processor time from the images of the scan to the planned motion. "
+        "Placing: potential and feasibility of the samples."
     )
-    return Table("From the scan to the motion", ("method", *STAGES), tuple(lines), note)
+    return Table("From scan to motion", ("method", *STAGES), tuple(lines), note)
 
 
 def pies(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
-    """Shares of the stages by method; from a scan, those of the paper beside them."""
+    """Return the shares of the stages by method; with a scan, the paper's too."""
     by_method = grouped(rows, lambda row: row.method)
     from_scan = {
         method: scan_shares([row for row in mine if MODELING in row.stages])
@@ -97,12 +95,12 @@ def pies(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
 
 
 def scan_shares(rows: Sequence[Row]) -> dict[str, float]:
-    """Share of each of the paper's stages in the time of some rows [%]; nothing of nothing."""
-    whole = sum(sum(row.stages.values()) for row in rows)
-    if not whole:
+    """Return the share of each of the paper's stages in the total time [%]; empty for no time."""
+    total = sum(sum(row.stages.values()) for row in rows)
+    if not total:
         return {}
     first = {
-        stage: 100 * sum(row.stages.get(stage, 0.0) for row in rows) / whole
+        stage: 100 * sum(row.stages.get(stage, 0.0) for row in rows) / total
         for stage in (MODELING, IMPORTANCE)
     }
     return {**first, "placing": 100 - sum(first.values())}

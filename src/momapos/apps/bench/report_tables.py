@@ -1,37 +1,35 @@
-"""Tables of a report; each number knows the rows that it was counted from."""
+"""Build the tables of a report; each cell keeps the keys of the rows that it counts."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from .bench_records import Row, Suite
 from .cells import Cell, Table
 from .metrics import (
-    Share,
     grouped,
-    least_driving,
     paired_p_value,
     percentile,
     reasons,
     share,
+    shortest_drives,
     solved_by_any,
     stage_shares,
     succeeded,
 )
 from .printed import MODELING, printed_stages, printed_table
 
-MOST_REASONS = 25
-LOOSE = ("pick", "place")
-"""What is done with loose things; all else moves a part."""
+MAX_REASONS = 25
+"""Lines in the table of failures [-]."""
 GRID = "exhaustive"
-"""The method that looks at every base pose."""
+"""The method that checks every base pose of a grid."""
 
 
 def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
-    """The tables of one results folder."""
+    """Build the tables of one results folder."""
     tables = [summary_table(rows), class_table(rows, "class", "group"), time_table(rows)]
     tables.append(effort_table(suite, rows))
     if len({row.robot for row in rows}) > 1:
@@ -44,145 +42,104 @@ def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
     return tables
 
 
+Column = tuple[str, Callable[[Sequence[Row]], Cell]]
+"""Heading, and the cell for the rows of one method."""
+
+
 def summary_table(rows: Sequence[Row]) -> Table:
-    """One line a method."""
+    """Build the table with one line per method."""
     by_method = grouped(rows, lambda row: row.method)
-    parts = [_success(by_method), _times(by_method), _driving(by_method, least_driving(rows))]
-    parts.append(_search(by_method, solved_by_any(rows)))
-    if any(row.at_2cm is not None for row in rows):
-        parts.insert(1, _base_errors(by_method))
+    columns: list[Column] = [
+        ("tasks", lambda mine: Cell(str(len(mine)), _keys(mine))),
+        ("solved", lambda mine: _count(_solved(mine), mine)),
+        ("95 % interval", lambda mine: Cell(_interval(_solved(mine), mine), _keys(_solved(mine)))),
+    ]
+    if any(row.done is not None for row in rows):
+        columns.append(
+            ("success in physics", lambda mine: _count([row for row in mine if row.done], mine))
+        )
     if GRID in by_method:
-        parts.insert(1, _of_the_grid(by_method))
+        columns.append(("of grid-solvable", partial(_of_grid_solvable, by_method[GRID])))
+    if any(row.at_2cm is not None for row in rows):
+        columns.append(("base off by 2 cm, 2 deg", partial(_mean_share, "at_2cm")))
+        columns.append(("by 5 cm, 5 deg", partial(_mean_share, "at_5cm")))
+    columns += [
+        ("time, median", partial(_percentile_of, "seconds", "s", 50)),
+        ("95th percentile", partial(_percentile_of, "seconds", "s", 95)),
+        ("driving, median", lambda mine: _percentile_of("driving", "m", 50, _solved(mine))),
+        ("above shortest known", partial(_above_shortest, shortest_drives(rows))),
+        ("full checks, mean", _mean_checks),
+        ("false infeasible", partial(_false_infeasible, solved_by_any(rows))),
+    ]
     if any(row.clearance is not None for row in rows):
-        parts.append(_clearance(by_method))
-    columns = tuple(name for part in parts for name in part.columns)
+        columns.append(("clearance, median", partial(_percentile_of, "clearance", "m", 50)))
     lines = tuple(
-        (Cell(method, _keys(mine)), *(cell for part in parts for cell in part.cells[method]))
+        (Cell(method, _keys(mine)), *(cell(mine) for _, cell in columns))
         for method, mine in by_method.items()
     )
-    return Table("Methods", ("method", *columns), lines, NOTE)
+    return Table("Methods", ("method", *(name for name, _ in columns)), lines, NOTE)
 
 
 NOTE = (
-    "Time is processor time of an answer. Over the least known: driving beyond the shortest that "
-    "any method of this run found for the task, at the median, and of all meters together. Wrong "
-    "no: infeasible, and another method solves it. Of what the grid solves: of the tasks that "
-    "exhaustive solves. Base off by 2 cm and 2 degrees, or 5 of both: success, counting a task by "
-    "the share of such base poses from which the arm, planned anew, still does it."
+    "Time: processor time of an answer. Above shortest known: driving beyond the shortest drive "
+    "that any method of this run found for the task (median, and total in percent). False "
+    "infeasible: infeasible, but another method solves the task. Of grid-solvable: of the tasks "
+    "that exhaustive solves. Base off by 2 cm, 2 deg or by 5 cm, 5 deg: success rate with the base "
+    "so far off; a task counts by the share of such poses at which replanning the arm succeeds."
 )
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Some columns of the table of methods."""
-
-    columns: tuple[str, ...]
-    cells: Mapping[str, tuple[Cell, ...]]
-    """By method."""
-
-
-def _success(by_method: Mapping[str, Sequence[Row]]) -> _Part:
-    physics = any(row.done is not None for mine in by_method.values() for row in mine)
-    columns = ("tasks", "solved", "95 % interval", *(("done in physics",) if physics else ()))
-    cells = {}
-    for method, mine in by_method.items():
-        solved = [row for row in mine if row.outcome == "solved"]
-        done, part = [row for row in mine if row.done], share(len(solved), len(mine))
-        line = [
-            Cell(str(len(mine)), _keys(mine)), Cell(_of(part), _keys(solved)),
-            Cell(_interval(part), _keys(solved)),
-        ]  # fmt: skip
-        if physics:
-            line.append(Cell(_of(share(len(done), len(mine))), _keys(done)))
-        cells[method] = tuple(line)
-    return _Part(columns, cells)
+def _of_grid_solvable(grid: Sequence[Row], mine: Sequence[Row]) -> Cell:
+    """Count the successes, physics included, in the tasks that the grid solves."""
+    solvable = {row.task for row in _solved(grid)}
+    counted = [row for row in mine if row.task in solvable]
+    good = [row for row in counted if succeeded(row)]
+    percent = f", {100 * len(good) / len(counted):.1f} %" if counted else ""
+    return Cell(f"{len(good)} of {len(counted)}{percent}", _keys(good))
 
 
-def _of_the_grid(by_method: Mapping[str, Sequence[Row]]) -> _Part:
-    """How much of what an exhaustive search solves a method does, physics included."""
-    possible = {row.task for row in by_method[GRID] if row.outcome == "solved"}
-    cells = {}
-    for method, mine in by_method.items():
-        asked = [row for row in mine if row.task in possible]
-        good = [row for row in asked if succeeded(row)]
-        part = share(len(good), len(asked))
-        percent = f", {100 * part.count / part.of:.1f} %" if asked else ""
-        cells[method] = (Cell(f"{_of(part)}{percent}", _keys(good)),)
-    return _Part(("of what the grid solves",), cells)
-
-
-def _base_errors(by_method: Mapping[str, Sequence[Row]]) -> _Part:
-    cells = {
-        method: (
-            _mean_success(mine, [row.at_2cm for row in mine]),
-            _mean_success(mine, [row.at_5cm for row in mine]),
-        )
-        for method, mine in by_method.items()
-    }
-    return _Part(("base off by 2 cm, 2 deg", "by 5 cm, 5 deg"), cells)
-
-
-def _mean_success(rows: Sequence[Row], shares: Sequence[float | None]) -> Cell:
-    """Success where a row counts by a share; what is not solved counts nothing."""
-    asked = [k for k, row in enumerate(rows) if shares[k] is not None or row.outcome != "solved"]
-    if not asked:
+def _mean_share(field: str, mine: Sequence[Row]) -> Cell:
+    """Average the shares in a field; an unsolved row counts as zero."""
+    shares = [(row, getattr(row, field)) for row in mine]
+    counted = [one for one in shares if one[1] is not None or one[0].outcome != "solved"]
+    if not counted:
         return Cell("-")
-    whole = sum(shares[k] or 0.0 for k in asked)
-    good = [rows[k] for k in asked if shares[k]]
-    return Cell(f"{100 * whole / len(asked):.0f} %", _keys(good))
+    total = sum(value or 0.0 for _, value in counted)
+    return Cell(
+        f"{100 * total / len(counted):.0f} %", _keys([row for row, value in counted if value])
+    )
 
 
-def _times(by_method: Mapping[str, Sequence[Row]]) -> _Part:
-    cells = {}
-    for method, mine in by_method.items():
-        seconds = {row.key: row.seconds for row in mine if row.seconds is not None}
-        keys, values = tuple(seconds), list(seconds.values())
-        cells[method] = tuple(Cell(_number(percentile(values, q), "s"), keys) for q in (50, 95))
-    return _Part(("time, median", "95th percentile"), cells)
+def _percentile_of(field: str, unit: str, q: float, mine: Sequence[Row]) -> Cell:
+    known = {row.key: value for row in mine if (value := getattr(row, field)) is not None}
+    return Cell(_number(percentile(list(known.values()), q), unit), tuple(known))
 
 
-def _driving(by_method: Mapping[str, Sequence[Row]], least: Mapping[str, float]) -> _Part:
-    cells = {}
-    for method, mine in by_method.items():
-        ways = {
-            row.key: (row.driving, least[row.task])
-            for row in mine
-            if row.outcome == "solved" and row.driving is not None
-        }
-        driving = [way for way, _ in ways.values()]
-        over = [way - short for way, short in ways.values()]
-        whole = sum(short for _, short in ways.values())
-        beyond = _number(percentile(over, 50), "m", sign=True)
-        percent = f", {100 * sum(over) / whole:+.0f} %" if whole > 0 else ""
-        cells[method] = (
-            Cell(_number(percentile(driving, 50), "m"), tuple(ways)),
-            Cell(f"{beyond}{percent}", tuple(ways)),
-        )
-    return _Part(("driving, median", "over the least known"), cells)
+def _above_shortest(shortest: Mapping[str, float], mine: Sequence[Row]) -> Cell:
+    drives = [
+        (row.key, row.driving, shortest[row.task])
+        for row in _solved(mine)
+        if row.driving is not None
+    ]
+    above = [length - least for _, length, least in drives]
+    total = sum(least for _, _, least in drives)
+    percent = f", {100 * sum(above) / total:+.0f} %" if total > 0 else ""
+    median = _number(percentile(above, 50), "m", sign=True)
+    return Cell(f"{median}{percent}", tuple(key for key, _, _ in drives))
 
 
-def _search(by_method: Mapping[str, Sequence[Row]], solvable: Collection[str]) -> _Part:
-    cells = {}
-    for method, mine in by_method.items():
-        checked = [row.checked for row in mine if row.checked is not None]
-        wrong = [r for r in mine if r.outcome == "infeasible" and r.task in solvable]
-        cells[method] = (
-            Cell(f"{np.mean(checked):.1f}" if checked else "-", _keys(mine)),
-            Cell(str(len(wrong)), _keys(wrong)),
-        )
-    return _Part(("full checks, mean", "wrong no"), cells)
+def _mean_checks(mine: Sequence[Row]) -> Cell:
+    checked = [row.checked for row in mine if row.checked is not None]
+    return Cell(f"{np.mean(checked):.1f}" if checked else "-", _keys(mine))
 
 
-def _clearance(by_method: Mapping[str, Sequence[Row]]) -> _Part:
-    cells = {}
-    for method, mine in by_method.items():
-        known = {row.key: row.clearance for row in mine if row.clearance is not None}
-        cells[method] = (Cell(_number(percentile(list(known.values()), 50), "m"), tuple(known)),)
-    return _Part(("clearance, median",), cells)
+def _false_infeasible(solvable: Collection[str], mine: Sequence[Row]) -> Cell:
+    false = [row for row in mine if row.outcome == "infeasible" and row.task in solvable]
+    return Cell(str(len(false)), _keys(false))
 
 
 def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
-    """Successes of every method by a field of the row."""
+    """Count the successes of every method by a field of the row."""
     classes = list(dict.fromkeys(str(getattr(row, field)) for row in rows))
     lines = []
     for method, members in grouped(rows, lambda row: row.method).items():
@@ -190,14 +147,14 @@ def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
         for name in classes:
             mine = [row for row in members if getattr(row, field) == name]
             good = [row for row in mine if succeeded(row)]
-            part = share(len(good), len(mine))
-            line.append(Cell(f"{_of(part)} ({_interval(part)})" if mine else "-", _keys(good)))
+            text = f"{len(good)} of {len(mine)} ({_interval(good, mine)})" if mine else "-"
+            line.append(Cell(text, _keys(good)))
         lines.append(tuple(line))
     return Table(f"Success by {title}", ("method", *classes), tuple(lines))
 
 
 def time_table(rows: Sequence[Row]) -> Table:
-    """Median time that every method takes for the tasks of a class that it solves."""
+    """Build the table of each method's median time for the solved tasks of each class."""
     classes = list(dict.fromkeys(row.group for row in rows))
     lines = []
     for method, members in grouped(rows, lambda row: row.method).items():
@@ -205,21 +162,21 @@ def time_table(rows: Sequence[Row]) -> Table:
         for name in classes:
             mine = [row for row in members if row.group == name and row.outcome == "solved"]
             seconds = [row.seconds for row in mine if row.seconds is not None]
-            half = percentile(seconds, 50)
-            line.append(Cell("-" if half is None else f"{1000 * half:.0f} ms", _keys(mine)))
+            median = percentile(seconds, 50)
+            line.append(Cell("-" if median is None else f"{1000 * median:.0f} ms", _keys(mine)))
         lines.append(tuple(line))
-    return Table("Time by class, of what is solved", ("method", *classes), tuple(lines))
+    return Table("Time by class, solved tasks", ("method", *classes), tuple(lines))
 
 
 def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:
-    """Time of each method for tasks that all methods do, and for one that is done."""
-    moved = {t.name for t in suite.tasks if t.verb not in LOOSE or t.inside is not None}
+    """Build the table of each method's time for the tasks that all solve, and per solved task."""
+    moved = {t.name for t in suite.tasks if t.verb in ("open", "close") or t.inside is not None}
     kinds = {"all tasks": rows, "doors and drawers": [r for r in rows if r.task in moved]}
     methods = grouped(rows, lambda row: row.method)
     cells = {method: [Cell(method, _keys(mine))] for method, mine in methods.items()}
     columns = ["method"]
     for kind, some in kinds.items():
-        columns += [f"{kind}: done", "median where all do it", "for one that is done"]
+        columns += [f"{kind}: solved", "median, solved by all", "per solved task"]
         compared = [row for row in some if row.method != GRID]
         failed = {row.task for row in compared if not succeeded(row)}
         shared = {row.task for row in compared} - failed
@@ -227,37 +184,38 @@ def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:
             mine = [row for row in some if row.method == method]
             good = [row for row in mine if succeeded(row)]
             same = [row for row in good if row.task in shared and row.seconds is not None]
-            half = percentile([row.seconds or 0.0 for row in same], 50)
+            median = percentile([row.seconds or 0.0 for row in same], 50)
             spent = sum(row.seconds or 0.0 for row in mine)
             line += [
-                Cell(_of(share(len(good), len(mine))), _keys(good)),
-                Cell(_number(half, "s"), _keys(same)),
+                _count(good, mine),
+                Cell(_number(median, "s"), _keys(same)),
                 Cell(_number(spent / len(good) if good else None, "s"), _keys(mine)),
             ]
     note = (
-        "Processor time. Where all do it: tasks that every method but exhaustive succeeds in. For "
-        "one that is done: the time of all answers, failures too, over the tasks that succeed."
+        "Processor time. Solved by all: by every method except exhaustive. Per solved task: total "
+        "time of all answers, failures included, divided by the number of solved tasks. A plan "
+        "that fails in physics is not solved."
     )
     lines = tuple(tuple(line) for line in cells.values())
-    return Table("Time for what is done", tuple(columns), lines, note)
+    return Table("Time per solved task", tuple(columns), lines, note)
 
 
 def reason_table(rows: Sequence[Row]) -> Table:
-    """Why tasks were not solved, the most frequent reason first."""
+    """Count the failures of each method by reason, the most frequent first."""
     methods = list(dict.fromkeys(row.method for row in rows))
     found = list(reasons(rows).items())
     lines = []
-    for (outcome, reason), members in found[:MOST_REASONS]:
+    for (outcome, reason), members in found[:MAX_REASONS]:
         counted = [[row for row in members if row.method == method] for method in methods]
         cells = [Cell(str(len(mine)) if mine else "", _keys(mine)) for mine in counted]
         lines.append((Cell(outcome), Cell(reason, _keys(members)), *cells))
-    left = sum(len(members) for _, members in found[MOST_REASONS:])
-    note = f"{left} more failed for {len(found) - MOST_REASONS} other reasons." if left else ""
+    left = sum(len(members) for _, members in found[MAX_REASONS:])
+    note = f"{left} more failed for {len(found) - MAX_REASONS} other reasons." if left else ""
     return Table("Failures by reason", ("outcome", "reason", *methods), tuple(lines), note)
 
 
 def stage_table(rows: Sequence[Row]) -> Table:
-    """Each stage of each method: its share in the time of all answers, median, 95th percentile."""
+    """Build the table of each stage's share of the time, its median and its 95th percentile."""
     by_method = grouped(rows, lambda row: row.method)
     shares = {method: stage_shares(mine) for method, mine in by_method.items()}
     stages = list(dict.fromkeys(stage for parts in shares.values() for stage in parts))
@@ -266,20 +224,20 @@ def stage_table(rows: Sequence[Row]) -> Table:
         if stage not in shares[method]:
             return Cell("-")
         seconds = [row.stages.get(stage, 0.0) for row in by_method[method] if row.stages]
-        half, most = (1000 * (percentile(seconds, q) or 0.0) for q in (50, 95))
-        text = f"{100 * shares[method][stage]:.1f} %; {half:.0f}, {most:.0f} ms"
+        median, high = (1000 * (percentile(seconds, q) or 0.0) for q in (50, 95))
+        text = f"{100 * shares[method][stage]:.1f} %; {median:.0f}, {high:.0f} ms"
         return Cell(text, _keys(by_method[method]))
 
     lines = tuple(
         (Cell(method, _keys(by_method[method])), *(cell(method, stage) for stage in stages))
         for method in shares
     )
-    note = "Share of the time of all answers; then the median and the 95th percentile of answers."
+    note = "Share of the total time; then the median and the 95th percentile over the answers."
     return Table("Time by stage", ("method", *stages), lines, note)
 
 
 def compared_tables(first: Sequence[Row], second: Sequence[Row]) -> list[Table]:
-    """Two results of the same tasks, method by method; keys are those of the first."""
+    """Compare two results of the same tasks by method; cells refer to the first."""
     before = {(row.task, row.method): row for row in second}
     pairs = [
         (row, before[row.task, row.method]) for row in first if (row.task, row.method) in before
@@ -296,7 +254,7 @@ def compared_tables(first: Sequence[Row], second: Sequence[Row]) -> list[Table]:
             for a, b in mine
             if a.seconds is not None and b.seconds is not None and b.seconds > 0
         ]
-        ways = [
+        drives = [
             a.driving - b.driving
             for a, b in both
             if a.driving is not None and b.driving is not None
@@ -304,15 +262,15 @@ def compared_tables(first: Sequence[Row], second: Sequence[Row]) -> list[Table]:
         keys = _keys([a for a, _ in mine])
         lines.append((
             Cell(method, keys), Cell(str(len(mine)), keys),
-            Cell(_of(share(sum(succeeded(a) for a, _ in mine), len(mine))), keys),
-            Cell(_of(share(sum(succeeded(b) for _, b in mine), len(mine))), keys),
+            Cell(f"{sum(succeeded(a) for a, _ in mine)} of {len(mine)}", keys),
+            Cell(f"{sum(succeeded(b) for _, b in mine)} of {len(mine)}", keys),
             Cell(f"+{len(gained)}", _keys(gained)), Cell(f"-{len(lost)}", _keys(lost)),
             Cell(f"{paired_p_value(len(gained), len(lost)):.2g}"),
             Cell(_number(percentile(times, 50), "times"), keys),
-            Cell(_number(percentile(ways, 50), "m", sign=True), _keys([a for a, _ in both])),
+            Cell(_number(percentile(drives, 50), "m", sign=True), _keys([a for a, _ in both])),
         ))  # fmt: skip
     columns = (
-        "method", "tasks of both", "success, this", "the other", "gained", "lost", "p (McNemar)",
+        "method", "common tasks", "success, this", "the other", "gained", "lost", "p (McNemar)",
         "time, median ratio", "driving, median change",
     )  # fmt: skip
     changed = tuple(
@@ -321,8 +279,8 @@ def compared_tables(first: Sequence[Row], second: Sequence[Row]) -> list[Table]:
         if succeeded(a) != succeeded(b)
     )
     return [
-        Table("Compared with the other results", columns, tuple(lines)),
-        Table("Tasks that changed", ("task", "method", "this", "the other"), changed),
+        Table("Comparison with the other results", columns, tuple(lines)),
+        Table("Tasks with a different outcome", ("task", "method", "this", "the other"), changed),
     ]
 
 
@@ -334,11 +292,16 @@ def _keys(rows: Sequence[Row]) -> tuple[str, ...]:
     return tuple(row.key for row in rows)
 
 
-def _of(part: Share) -> str:
-    return f"{part.count} of {part.of}"
+def _solved(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row.outcome == "solved"]
 
 
-def _interval(part: Share) -> str:
+def _count(good: Sequence[Row], rows: Sequence[Row]) -> Cell:
+    return Cell(f"{len(good)} of {len(rows)}", _keys(good))
+
+
+def _interval(good: Sequence[Row], rows: Sequence[Row]) -> str:
+    part = share(len(good), len(rows))
     return f"{100 * part.low:.0f} to {100 * part.high:.0f} %"
 
 

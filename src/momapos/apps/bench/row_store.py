@@ -1,4 +1,4 @@
-"""Rows in SQLite: what was reported is on the disk, and no job has two rows."""
+"""Store rows in SQLite: each job has one row, which is on disk before it is reported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from momapos.core import FileFormatError, InputError
 from .bench_records import Row, from_plain, to_plain
 
 FORMAT_VERSION = 1
-"""Stands in the file as `user_version`."""
+"""Value of SQLite's `user_version` in the file."""
 TYPES = {
     "seed": "INTEGER", "verified": "INTEGER", "done": "INTEGER", "checked": "INTEGER",
     "sampled": "INTEGER", "seconds": "REAL", "wall": "REAL", "driving": "REAL",
@@ -26,25 +26,25 @@ NESTED = ("stages", "bases")
 COLUMNS = tuple(item.name for item in fields(Row))
 ADDED = ("at_2cm", "at_5cm")
 """Columns that older files of this format lack."""
-WAIT = 30.0
-"""How long a writer waits for another one [s]."""
+LOCK_TIMEOUT = 30.0
+"""Time to wait for another writer [s]."""
 
 
-class Store:
+class RowStore:
     """The rows of one node, open for writing.
 
-    A row is on the disk when `add` returns: the journal is written ahead and flushed with every
-    row, so that a process that is killed loses none.
+    A row is on disk when `add` returns: every row flushes the write-ahead log, so that a killed
+    process loses none.
 
     Raises:
         FileFormatError: The file is no results file of this version.
-        InputError: It cannot be written.
+        InputError: The file can't be written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with self._told():
-            self.connection = sqlite3.connect(path, timeout=WAIT, isolation_level=None)
+        with self._write_errors():
+            self.connection = sqlite3.connect(path, timeout=LOCK_TIMEOUT, isolation_level=None)
             _refuse_foreign(self.connection, path)
             self.connection.execute("PRAGMA journal_mode = WAL")
             self.connection.execute("PRAGMA synchronous = FULL")
@@ -52,44 +52,45 @@ class Store:
             self.connection.execute(f"PRAGMA user_version = {FORMAT_VERSION}")
 
     def add(self, row: Row) -> bool:
-        """Keep a row.
+        """Store a row, unless its job has one.
 
         Returns:
-            Whether it is new; a job that has a row keeps it.
+            Whether the row is new.
 
         Raises:
-            InputError: The disk is full, or cannot be written to; earlier rows are kept.
+            InputError: The disk is full or can't be written; earlier rows remain.
         """
         marks = ", ".join("?" * len(COLUMNS))
-        with self._told():
+        with self._write_errors():
             done = self.connection.execute(
                 f"INSERT OR IGNORE INTO rows ({_names()}) VALUES ({marks})", _values(row)
             )
         return done.rowcount == 1
 
     def close(self) -> None:
-        """Close the file."""
         self.connection.close()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _write_errors(self) -> Iterator[None]:
         try:
             yield
         except sqlite3.Error as error:
             raise InputError(
-                f"{self.path}: cannot be written ({error}); the rows of finished jobs are kept, "
-                "and the same command goes on from there"
+                f"{self.path}: cannot be written ({error}); finished rows are saved, and the same "
+                "command resumes the run"
             ) from error
 
 
 def read_rows(path: Path) -> list[Row]:
-    """All rows of a results file, in the order in which they were written.
+    """Read all rows of a results file in the order of writing.
 
     Raises:
-        FileFormatError: It is no results file of this version.
+        FileFormatError: The file is no results file of this version.
     """
     try:
-        connection = sqlite3.connect(path.resolve().as_uri() + "?mode=ro", uri=True, timeout=WAIT)
+        connection = sqlite3.connect(
+            path.resolve().as_uri() + "?mode=ro", uri=True, timeout=LOCK_TIMEOUT
+        )
         try:
             _refuse_foreign(connection, path)
             names = _columns(connection, path)
@@ -109,25 +110,18 @@ def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
     if version != FORMAT_VERSION and (version or tables):
         raise FileFormatError(
-            f"{path}: version {version} of the results format; this momapos reads version "
-            f"{FORMAT_VERSION}"
+            f"{path}: results format version {version}; this momapos reads version {FORMAT_VERSION}"
         )
 
 
 def _columns(connection: sqlite3.Connection, path: Path) -> list[str]:
-    """The columns that a file has; those that are younger than it have no value.
-
-    None in an empty file: its writer was killed before it had made the table.
-
-    Raises:
-        FileFormatError: It lacks one that every file of this version has.
-    """
+    """Return the columns of a file; none if its writer was killed before it created the table."""
     there = {column[1] for column in connection.execute("PRAGMA table_info(rows)")}
     if not there:
         return []
-    lacking = [name for name in COLUMNS if name not in there and name not in ADDED]
-    if lacking:  # SQLite takes the quoted name of a column that there is not for a text
-        raise FileFormatError(f"{path}: not a usable results file (no column {lacking[0]})")
+    missing = [name for name in COLUMNS if name not in there and name not in ADDED]
+    if missing:  # SQLite would read the quoted name of a missing column as a string
+        raise FileFormatError(f"{path}: not a usable results file (no column {missing[0]})")
     return [name for name in COLUMNS if name in there]
 
 

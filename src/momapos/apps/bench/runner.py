@@ -1,4 +1,4 @@
-"""Run the jobs that have no row yet, by any executor, and keep every row as it comes."""
+"""Run the jobs without a row on any executor, and store every row at once."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from momapos.core import InputError, content_key, one_line
 
 from .bench_records import Job, Row, Settings, Suite, from_plain, to_plain
 from .guard import JobFailed
-from .row_store import Store
+from .row_store import RowStore
 
-Do: TypeAlias = Callable[[dict[str, Any]], dict[str, Any]]
-"""Turns a job into a row, both as dictionaries; runs wherever the executor does."""
-GONE = (
-    "those who answer are gone (a scheduler that ended?); the rows of finished jobs are kept, and "
-    "the same command goes on from there"
+RunJob: TypeAlias = Callable[[dict[str, Any]], dict[str, Any]]
+"""Turns a job into a row, both as dictionaries; runs where the executor runs."""
+EXECUTOR_LOST = (
+    "the workers are gone (did the scheduler end?); finished rows are saved, and the same command "
+    "resumes the run"
 )
-AHEAD = 2
-"""Jobs that are handed out for each worker, so that none waits for the next [-]."""
+JOBS_PER_WORKER = 2
+"""Submitted jobs per worker, so that no worker waits for the next job [-]."""
 
 
 def jobs_of(
@@ -42,15 +42,15 @@ def jobs_of(
     versions: Mapping[str, str],
     limit: int | None = None,
 ) -> list[Job]:
-    """All jobs: every task by every method, the methods of a task one after the other.
+    """Return all jobs: every task with every method, grouped by task.
 
     Args:
         suite: The suite.
         methods: Methods or variants.
-        folder: Where the suite's scene files are.
-        settings: How every task is asked.
-        versions: Of what answers.
-        limit: So many tasks, drawn from the suite; a larger number holds those of a smaller one.
+        folder: Folder with the suite's scene files.
+        settings: Settings for every task.
+        versions: Versions that rows depend on.
+        limit: Number of tasks, drawn from the suite; a larger number includes the same tasks.
     """
     order = list(range(len(suite.tasks)))
     if limit is not None:
@@ -70,74 +70,65 @@ def jobs_of(
 
 def run_jobs(
     jobs: Iterable[Job],
-    store: Store,
+    store: RowStore,
     executor: Executor,
-    do: Do,
+    run_job: RunJob,
     *,
     width: int,
-    tell: Callable[[Row], None],
+    on_row: Callable[[Row], None],
     finished: Collection[str] = (),
 ) -> None:
     """Run jobs until each has a row.
 
     Args:
-        jobs: What is to be done.
-        store: Where rows go; a row is told after it is there.
-        executor: Who does it.
-        do: Does one job.
-        width: Jobs that the executor does at once.
-        tell: Hears of every new row.
-        finished: Keys of jobs that have a row.
+        jobs: The jobs.
+        store: Store for the rows.
+        executor: Executor of the jobs.
+        run_job: Runs one job.
+        width: Jobs that the executor runs in parallel.
+        on_row: Called with every new row after it is stored.
+        finished: Keys of jobs with a row, which are skipped.
 
     Raises:
-        InputError: A row cannot be kept, or the executor is gone.
+        InputError: A row can't be stored, or the executor is gone.
     """
     waiting = iter([job for job in jobs if job.key not in finished])
     running: dict[Future[dict[str, Any]], Job] = {}
     while True:
-        while len(running) < AHEAD * width and (job := next(waiting, None)) is not None:
-            running[_submitted(executor, do, job)] = job
+        while len(running) < JOBS_PER_WORKER * width and (job := next(waiting, None)) is not None:
+            running[_submit(executor, run_job, job)] = job
         if not running:
             return
         done = wait(running, return_when=FIRST_COMPLETED).done
-        for future in [one for one in running if one in done]:  # in the order of handing out
+        for future in [one for one in running if one in done]:  # in the order of submission
             row = _row_of(future, running.pop(future))
             if store.add(row):
-                tell(row)
+                on_row(row)
 
 
-def _submitted(executor: Executor, do: Do, job: Job) -> Future[dict[str, Any]]:
-    """A job that is handed out.
-
-    Raises:
-        InputError: The executor is gone.
-    """
+def _submit(executor: Executor, run_job: RunJob, job: Job) -> Future[dict[str, Any]]:
     try:
-        return executor.submit(do, to_plain(job))
-    except RuntimeError as error:  # what executors raise that were shut down or are broken
-        raise InputError(GONE) from error
+        return executor.submit(run_job, to_plain(job))
+    except RuntimeError as error:  # raised by executors that are shut down or broken
+        raise InputError(EXECUTOR_LOST) from error
 
 
 def _row_of(future: Future[dict[str, Any]], job: Job) -> Row:
-    """What came of a job, and when; what it raised is a row.
-
-    Raises:
-        InputError: The executor is gone.
-    """
+    """Return the row of a finished job; an exception becomes a failed row."""
     try:
         row = from_plain(future.result(), Row, f"worker: {job.task.name}")
     except JobFailed as error:
-        row = failed(job, str(error))
+        row = failed_row(job, str(error))
     except (CancelledError, BrokenExecutor) as error:
-        raise InputError(GONE) from error
-    except Exception as error:  # of the executor's own: a worker that died again and again, say
-        row = failed(job, one_line(f"{type(error).__name__}: {error}"))
+        raise InputError(EXECUTOR_LOST) from error
+    except Exception as error:  # raised by the executor, such as for a worker that dies repeatedly
+        row = failed_row(job, one_line(f"{type(error).__name__}: {error}"))
     host = row.host or socket.gethostname()
     return replace(row, host=host, finished=time.time())
 
 
-def failed(job: Job, reason: str) -> Row:
-    """The row of a job that came to no end."""
+def failed_row(job: Job, reason: str) -> Row:
+    """Return the row of a failed job."""
     task = job.task
     return Row(
         key=job.key, task=task.name, group=task.group, robot=task.robot, method=job.method,

@@ -1,7 +1,7 @@
-"""Rooms as a robot knows them that has scanned them: made once a room, kept in the results folder.
+"""Scan and model the rooms of a run, once per room; results stay in the results folder.
 
-scans/ROOM/scene.json   the room as it was modeled, all of it
-scans/ROOM/scan.json    where the true room stands in it, and what the making took
+scans/ROOM/scene.json   the complete model of the room
+scans/ROOM/scan.json    pose of the true room in the model, and the time of modeling
 """
 
 from __future__ import annotations
@@ -34,110 +34,112 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 CONFIG = ScanConfig(voxel=0.008)
-"""Finer than the scan's own: coarse voxels make a thing 2 cm wider than it is, and no hand is left
-that opens so far."""
+"""Finer than the default, whose voxels make objects 2 cm too wide for most hands."""
 SCENE, RECORD = "scene.json", "scan.json"
 MAX_BYTES = 1_000_000
-MARGIN = 0.02
-"""The middle of a thing is in its box in the scan, or this near to it [m]."""
+BOX_MARGIN = 0.02
+"""Maximum distance of an object's true center from its box in the scan [m]."""
 
 
 @dataclass(frozen=True)
 class ScanRecord:
-    """What is kept of how a room was scanned and modeled."""
+    """Contents of scan.json."""
 
     frames: int
-    """Images."""
+    """Number of images."""
     room: Pose
-    """Where the true room's origin stands in the scene that was made [m], [rad]."""
+    """Pose of the true room's origin in the modeled scene [m], [rad]."""
     survey: Mapping[str, float]
-    """Processor time by stage until every thing has its box, and for writing the scene [s]."""
+    """Processor time by stage for the boxes of all objects, and for writing the scene [s]."""
     models: Mapping[str, float]
-    """Processor time for looking at each thing and modeling it, by name [s]."""
+    """Processor time to model each object, by name [s]."""
 
 
 @dataclass(frozen=True)
 class ScannedRoom:
-    """A room as it was modeled from a scan, and the true one in its frame."""
+    """A room modeled from a scan, and the true room in the frame of the model."""
 
     scene: Scene
     truth: Scene
     record: ScanRecord
 
     def modeling(self, names: Collection[str] | None) -> float:
-        """Processor time from the images to a scene with models of some things, or of all [s]."""
+        """Return the processor time from the images to a scene with models of some objects [s].
+
+        Args:
+            names: The modeled objects; None for all.
+        """
         models = self.record.models
         chosen = models if names is None else [name for name in models if name in names]
         return sum(self.record.survey.values()) + sum(models[name] for name in chosen)
 
     def start(self, pose: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"] | None:
-        """A base pose of the true room, in the scene that was made."""
+        """Transform a base pose from the true room to the scene."""
         return None if pose is None else compose(np.array(self.record.room), pose[None])[0]
 
     def in_room(self, pose: Pose) -> Pose:
-        """A base pose of the scene that was made, in the true room."""
-        x, y, turn = self.record.room
-        (back,) = local_points(np.array([x, y, turn]), np.array([pose[:2]])).tolist()
-        return back[0], back[1], float(wrap_angle(pose[2] - turn))
+        """Transform a base pose from the scene to the true room."""
+        ((x, y),) = local_points(np.array(self.record.room), np.array([pose[:2]])).tolist()
+        return x, y, float(wrap_angle(pose[2] - self.record.room[2]))
 
     def task(self, verb: str, name: str, joint: str | None, to: float | None) -> Task | None:
-        """What a task in the true room means in the scene; None where nothing stands for it.
+        """Translate a task in the true room to the scene; None if the scene has no such object.
 
         Args:
-            verb, name, joint, to: As for `make_task` in the true room.
+            verb, name, joint, to: Arguments of `make_task` in the true room.
 
         Raises:
             TaskError: The true room has no such task, or the scene's model does not allow it.
         """
-        asked = make_task(self.truth, verb, name, joint, to)
-        if asked.joint is None:
-            found = self._thing_at(hand_path(self.truth, name)[0])
-            return None if found is None else make_task(self.scene, asked.verb, found)
-        handle = hand_path(self.truth, name, asked.joint, asked.to)[0]
+        true_task = make_task(self.truth, verb, name, joint, to)
+        if true_task.joint is None:
+            found = self._object_at(hand_path(self.truth, name)[0])
+            return None if found is None else make_task(self.scene, true_task.verb, found)
+        handle = hand_path(self.truth, name, true_task.joint, true_task.to)[0]
         try:
-            there = true_world(self.scene, self.truth, asked, handle).task
-        except InputError:  # nothing that opens was seen there
+            there = true_world(self.scene, self.truth, true_task, handle).task
+        except InputError:  # the scan shows nothing that opens there
             return None
-        return make_task(self.scene, asked.verb, there.object, there.joint, there.to)
+        return make_task(self.scene, true_task.verb, there.object, there.joint, there.to)
 
-    def _thing_at(self, point: Float[np.ndarray, "3"]) -> str | None:
-        """The smallest thing around a point."""
+    def _object_at(self, point: Float[np.ndarray, "3"]) -> str | None:
+        """Return the smallest object whose box contains a point."""
         around = [
             item
             for item in self.scene.objects
             for low, high in [item.bounds]
-            if (point >= low - MARGIN).all() and (point <= high + MARGIN).all()
+            if (point >= low - BOX_MARGIN).all() and (point <= high + BOX_MARGIN).all()
         ]
         smallest = min(around, key=lambda item: float(np.ptp(item.bounds, 0).prod()), default=None)
         return None if smallest is None else smallest.name
 
 
 def scanned_room(folder: Path, name: str, truth: Scene, frames: int, seed: int) -> ScannedRoom:
-    """A room by its scan; it is scanned and modeled where the folder does not hold it yet.
+    """Return a scanned room; scan and model it if the folder does not have it.
 
     Args:
         folder: The results folder.
-        name: Of the room, as tasks have it.
-        truth: The room as it is.
-        frames: Images of the scan.
-        seed: Of materials, route and noise.
+        name: Name of the room in the tasks.
+        truth: The true room.
+        frames: Number of images of the scan.
+        seed: Seed of materials, route and noise.
 
     Raises:
-        InputError: It cannot be written, or nothing is found in the scan.
-        MissingExtraError: What reads scans is not installed.
+        InputError: The folder can't be written, or the scan shows nothing.
+        MissingExtraError: Packages for scans are missing.
     """
     home = folder / "scans" / re.sub(r"[^A-Za-z0-9_.-]", "_", Path(name).stem)
     if not (home / RECORD).exists():
         _make(home, truth, frames, seed)
     record = _read(home / RECORD)
     scene = load_scene(home / SCENE, cache=user_cache())
-    if truth.floor_polygon is None:  # the outline of what was seen is no end of such a room
+    if truth.floor_polygon is None:  # the room continues beyond the scanned floor
         scene = replace(scene, floor_polygon=None)
     return ScannedRoom(scene, moved(truth, np.array(record.room)), record)
 
 
 def _make(home: Path, truth: Scene, frames: int, seed: int) -> None:
-    """Scan a room, model all of it and keep that, the whole of it or nothing."""
+    """Scan and model a room; write the complete result or nothing."""
     tools = default_tools()
     images = synthetic_scan(truth, frames=frames, seed=seed, sensor=DepthSensor())
     scan = Scan(truth.name, tuple(images.frames()))
@@ -150,7 +152,7 @@ def _make(home: Path, truth: Scene, frames: int, seed: int) -> None:
             (new / RECORD).write_text(json.dumps(to_plain(record), indent=1) + "\n")
             if home.exists() and not (home / RECORD).exists():
                 shutil.rmtree(home)
-            if not home.exists():  # else another worker was quicker: one seed, one scan
+            if not home.exists():  # else another worker was faster, with an equal result
                 os.rename(new, home)
     except OSError as error:
         if not (home / RECORD).exists():

@@ -1,4 +1,4 @@
-"""The steps of a job, planned one after the other by one method."""
+"""Plan the steps of a job with one method."""
 
 from __future__ import annotations
 
@@ -13,156 +13,157 @@ from momapos.model.records import PlacementPlan, ReachScorer, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning import (
-    OTHERS,
+    MAX_OTHER_REGIONS,
     PipelineConfig,
     PlacementQuery,
     PlacementResult,
-    base_poses_elsewhere,
-    ready_search,
-    without_way_on,
+    poses_in_other_regions,
+    prepare_search,
+    without_departure_check,
 )
-from momapos.planning.baselines import plan_by_method
+from momapos.planning.baselines import plan_with_method
 from momapos.planning.grasps import make_task, task_motion
-from momapos.planning.placement import OURS, PoseFilter
+from momapos.planning.placement import OURS, PoseMask
 
 from .bench_records import Container, Job, Outcome, Pose
 from .containers import opened, without
-from .trace import Trace
+from .trace import JobTrace
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-ELSEWHERE = "other base poses"
-"""Stage in which it is found out whether another base pose leads elsewhere."""
+OTHER_POSES = "other base poses"
+"""Stage that looks for base poses in other regions of the free floor."""
 
 
-@dataclass(frozen=True)
-class Asked:
-    """One step as it is asked."""
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of a job."""
 
     scene: Scene
     """The room as the robot knows it."""
     task: Task
     start: Float[np.ndarray, "3"] | None
-    """Where the base is; None for the scene's start."""
+    """Initial base pose; None for the scene's start."""
 
 
 @dataclass(frozen=True)
-class Who:
-    """Who answers a job."""
+class StepPlanner:
+    """A method and a robot that plan the steps of a job."""
 
     job: Job
     robot: Robot
     reach: ReachScorer
     config: PipelineConfig
-    trace: Trace
+    trace: JobTrace
 
-    def answer(self, asked: Asked, *, pose_filter: PoseFilter | None = None) -> PlacementResult:
-        """The method's answer to a step; what it took is added to the job.
+    def plan(self, step: Step, *, keep_poses: PoseMask | None = None) -> PlacementResult:
+        """Plan a step, and add its effort to the job.
 
         Raises:
-            SceneError: The base cannot stand where the step begins.
+            SceneError: The base can't stand at the start of the step.
         """
-        scene, robot, config = asked.scene, self.robot, self.config
-        if pose_filter is not None:
-            config = without_way_on(config)
-        _make_ready(scene, robot, asked.task, self.reach, asked.start, config)
-        result = plan_by_method(
-            scene, robot, asked.task, self.reach, start=asked.start, pose_filter=pose_filter,
-            config=config, seed=self.job.task.seed, clock=time.process_time,
+        scene, robot, config = step.scene, self.robot, self.config
+        if keep_poses is not None:
+            config = without_departure_check(config)
+        _fill_caches(scene, robot, step.task, self.reach, step.start, config)
+        query = PlacementQuery(
+            scene, robot, step.task, self.reach, step.start, config, keep_poses=keep_poses,
+            seed=self.job.task.seed, watch=Stopwatch(time.process_time),
         )  # fmt: skip
-        self.trace.spend(result.plan)
+        result = plan_with_method(query)
+        self.trace.add_effort(result.plan)
         return result
 
-    def elsewhere(
+    def other_poses(
         self, found: PlacementResult, after: Scene, tried: list[Pose]
-    ) -> PoseFilter | None:
-        """What rules out base poses of a step that are no other than those that were tried."""
+    ) -> PoseMask | None:
+        """Return a mask of base poses in regions without a tried pose; None if there are none."""
         watch = Stopwatch(time.process_time)
-        with watch.stage(ELSEWHERE):
+        with watch.stage(OTHER_POSES):
             poses = [np.array(pose) for pose in tried]
-            others = base_poses_elsewhere(found.prepared.geometry, after, poses)
+            others = poses_in_other_regions(found.prepared.geometry, after, poses)
         self.trace.add_time(watch.timing)
         return others
 
-    def refusal(self, plan: PlacementPlan) -> tuple[Outcome, str]:
-        """How a search without a plan ended, and for what most base poses were refused."""
+    def failure(self, plan: PlacementPlan) -> tuple[Outcome, str]:
+        """Return the outcome without a plan, and the most frequent rejection reason."""
         counts = plan.candidates.rejections
         most = max(counts, key=lambda reason: counts[reason]) if counts else "no base pose proposed"
         if plan.status == "timeout":
-            return "gave up", f"out of time; most: {most}"
+            return "gave up", f"out of time; most frequent rejection: {most}"
         return ("infeasible" if self.config.place.method in OURS else "gave up"), most
 
 
-def plan_step(who: Who, asked: Asked) -> list[tuple[Asked, PlacementPlan]]:
-    """A job of one step."""
-    plan = who.answer(asked).plan
-    who.trace.take(plan)
+def plan_step(planner: StepPlanner, step: Step) -> list[tuple[Step, PlacementPlan]]:
+    """Plan a job of one step; return the step with its plan, or nothing."""
+    plan = planner.plan(step).plan
+    planner.trace.add_step(plan)
     if plan.status != "solved":
-        who.trace.end(*who.refusal(plan))
+        planner.trace.end(*planner.failure(plan))
         return []
-    return [(asked, plan)]
+    return [(step, plan)]
 
 
 def plan_opening_first(
-    who: Who, scene: Scene, start: Float[np.ndarray, "3"] | None, box: Container
-) -> list[tuple[Asked, PlacementPlan]]:
-    """A container opened, and the task done from where the base is then.
+    planner: StepPlanner, scene: Scene, start: Float[np.ndarray, "3"] | None, box: Container
+) -> list[tuple[Step, PlacementPlan]]:
+    """Plan to open a container, then plan the task from that base pose.
 
-    Where the task cannot be done then, the container is opened from a base pose elsewhere. The job
-    ends with the refusal of the task after the opening as it was planned first.
+    If the task is infeasible then, try to open the container from other base poses. If all fail,
+    the job ends with the first opening and the failure of the task after it.
     """
-    task, trace = who.job.task, who.trace
+    task, trace = planner.job.task, planner.trace
     room = without(scene, task.carried)
-    opening = Asked(room, make_task(room, "open", box.object, box.joint, None), start)
-    first = found = who.answer(opening)
+    opening = Step(room, make_task(room, "open", box.object, box.joint, None), start)
+    first = found = planner.plan(opening)
     if first.plan.status != "solved":
-        trace.end(*who.refusal(first.plan))
+        trace.end(*planner.failure(first.plan))
         return []
     tried: list[Pose] = []
-    refusals: list[tuple[Outcome, str]] = []
+    failures: list[tuple[Outcome, str]] = []
     while found.plan.base_pose is not None and found.plan.task.to is not None:
         tried.append(found.plan.base_pose)
         after = opened(scene, box, found.plan.task.to, task.carried)
         target = make_task(after, task.verb, task.object, task.joint, task.to)
-        asked = Asked(after, target, np.array(tried[-1]))
-        plan, why = _next_plan(who, asked, box)
+        step = Step(after, target, np.array(tried[-1]))
+        plan, failure = _next_plan(planner, step, box)
         if plan is not None and plan.status == "solved":
-            trace.take(found.plan)
-            trace.take(plan)
-            return [(opening, found.plan), (asked, plan)]
-        refusals.append(why)
-        if len(tried) > OTHERS or (plan is not None and plan.status == "timeout"):
+            trace.add_step(found.plan)
+            trace.add_step(plan)
+            return [(opening, found.plan), (step, plan)]
+        failures.append(failure)
+        if len(tried) > MAX_OTHER_REGIONS or (plan is not None and plan.status == "timeout"):
             break
-        others = who.elsewhere(found, after, tried)
+        others = planner.other_poses(found, after, tried)
         if others is None:
             break
-        found = who.answer(opening, pose_filter=others)
-    trace.take(first.plan)
-    trace.end(*refusals[0])
+        found = planner.plan(opening, keep_poses=others)
+    trace.add_step(first.plan)
+    trace.end(*failures[0])
     return [(opening, first.plan)]
 
 
 def _next_plan(
-    who: Who, asked: Asked, box: Container
+    planner: StepPlanner, step: Step, box: Container
 ) -> tuple[PlacementPlan | None, tuple[Outcome, str]]:
-    """The task after an opening, and what its refusal is; no plan where it cannot begin."""
+    """Plan the task after an opening; return the plan, if any, and its failure."""
     try:
-        plan = who.answer(asked).plan
-    except SceneError as error:  # the robot cannot stand there any more
-        why = str(error).partition(": ")[2].partition(";")[0] or str(error)
-        return None, ("gave up", f"where it opened {box.object}: {why}")
-    return plan, who.refusal(plan)
+        plan = planner.plan(step).plan
+    except SceneError as error:  # the robot can't stay at the base pose of the opening
+        reason = str(error).partition(": ")[2].partition(";")[0] or str(error)
+        return None, ("gave up", f"after opening {box.object}: {reason}")
+    return plan, planner.failure(plan)
 
 
-def _make_ready(
+def _fill_caches(
     scene: Scene, robot: Robot, task: Task, reach: ReachScorer,
     start: Float[np.ndarray, "3"] | None, config: PipelineConfig,
 ) -> None:  # fmt: skip
-    """Make what a process keeps of a room and a task: bodies, handles, grasps.
+    """Compute the cached data of room and task: bodies, handles, grasps.
 
-    Else the method that is asked first pays for it, and those that are asked next do not.
+    Otherwise they would count only for the first method.
     """
     watch = Stopwatch(time.process_time)
-    query = PlacementQuery(scene, robot, task, reach, start, None, config, 0, watch)
-    ready_search(query, scene, task_motion(scene, robot, task, config.motion))
+    query = PlacementQuery(scene, robot, task, reach, start, config, watch=watch)
+    prepare_search(query, scene, task_motion(scene, robot, task, config.motion))

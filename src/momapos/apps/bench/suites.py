@@ -1,4 +1,4 @@
-"""Suites of tasks by name and seed."""
+"""Build suites of tasks from a name and a seed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
 
-    from .dining_rooms import Room
+    from .dining_rooms import DiningRoom
 
 Build: TypeAlias = Callable[[int, Sequence[str], Path], list[SuiteTask]]
-"""Makes the tasks of a seed and robots; scene files go below the folder that it is given."""
+"""Builds the tasks from a seed and robots; scene files go below the given folder."""
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
+PAPER_METHODS = ("ours", "paper", "habitat", "m3", "reuleaux")
 ABLATIONS = (
     "paper",
     *(f"paper:paper.group={T}" for T in (1, 5, 20)),
@@ -43,31 +44,30 @@ ABLATIONS = (
     "ours:place.miss=0.0",
     "exhaustive",
 )
-"""Variants of the paper's options T (1: no tours), M, k1 with k1', z, alpha and k0 (alpha 0 models
-everything), of its scorer and its arm planner, without its field and without its inverse map; and
-of ours: importance, samples, rounds (0: the grid alone), without the grid, without looking for
-cheaper poses, and ordered by driving alone."""
+"""Variants of `paper`: its options T (1: no tours), M, k1 with k1', z, alpha (0 models everything)
+and k0, its scorer and arm planner, without its field, without its inverse map. Variants of `ours`:
+importance, samples, rounds (0: grid only), without the grid, without the search for cheaper poses,
+ordered only by driving."""
 SMOKE_TASKS = 16
 SIM_TASKS, ROOMS = 500, 10
-DISHWASHER = 0.5
-"""How far dishwashers are opened [rad]; see `_tasks_of_room`."""
+DISHWASHER_ANGLE = 0.5
+"""Opening angle of dishwashers [rad]; farther, the handle is too close to the floor."""
 
 
 @dataclass(frozen=True)
 class SuiteKind:
-    """How a suite is made."""
+    """Definition of a suite."""
 
-    about: str
     build: Build
     robots: tuple[str, ...]
     methods: tuple[str, ...]
     revision: int = 1
     scannable: bool = True
-    """Whether a scan shows what its tasks are about."""
+    """Whether a scan can show the objects of its tasks."""
 
 
 def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
-    """All doors, drawers, and things that fit the hand, of the built-in kitchens."""
+    """Return tasks for all doors, drawers and graspable objects of the built-in kitchens."""
     from momapos.model.robots import load_robot
     from momapos.model.scene import builtin_names, load_scene
 
@@ -83,42 +83,38 @@ def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
 def _tasks_in(kitchen: str, scene: Scene, robot: Robot, seed: int) -> Iterator[SuiteTask]:
     from momapos.planning.grasps import make_task, openable, slides
 
-    for item, joint in openable(scene):
-        kind = "drawer" if slides(scene, make_task(scene, "open", item, joint)) else "door"
-        where = f"{robot.name} {kitchen} {item}/{joint}"
-        yield SuiteTask(where, kind, kitchen, robot.name, "open", item, joint, seed=seed)
-    for thing in scene.objects:
-        if can_be_picked(scene, robot, thing.name):
-            where = f"{robot.name} {kitchen} {thing.name}"
-            yield SuiteTask(where, "pick", kitchen, robot.name, "pick", thing.name, seed=seed)
+    for name, joint in openable(scene):
+        kind = "drawer" if slides(scene, make_task(scene, "open", name, joint)) else "door"
+        where = f"{robot.name} {kitchen} {name}/{joint}"
+        yield SuiteTask(where, kind, kitchen, robot.name, "open", name, joint, seed=seed)
+    for item in scene.objects:
+        if can_be_picked(scene, robot, item.name):
+            where = f"{robot.name} {kitchen} {item.name}"
+            yield SuiteTask(where, "pick", kitchen, robot.name, "pick", item.name, seed=seed)
 
 
 def can_be_picked(scene: Scene, robot: Robot, name: str) -> bool:
-    """Whether a thing is loose, fits the hand of a robot, and has nothing on it."""
+    """Check that an object is movable, fits the hand of a robot, and has nothing on it."""
     from momapos.core import TaskError
     from momapos.planning import PipelineConfig
-    from momapos.planning.grasps import LIFT, make_task, task_motion
+    from momapos.planning.grasps import LIFT_HEIGHT, make_task, task_motion
     from momapos.verification import PlanVerifier
 
     try:
         task = make_task(scene, "pick", name)
         config = PipelineConfig().motion
         motion = task_motion(scene, robot, task, config)
-        lifted = PlanVerifier(scene, robot, task).blocked(LIFT)
+        lifted = PlanVerifier(scene, robot, task).blocked(LIFT_HEIGHT)
     except TaskError:
         return False
     return not motion.refusal and lifted is None
 
 
 def _smoke(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
-    """Spread over all tasks, so that doors, drawers and picks of both kitchens are among them."""
-    every = kitchen_tasks(robots, seed)
-    count = min(SMOKE_TASKS, len(every))
-    return [every[k * len(every) // count] for k in range(count)]
-
-
-def _ablations(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
-    return kitchen_tasks(robots, seed)
+    """Select evenly, to include doors, drawers and picks of both kitchens."""
+    tasks = kitchen_tasks(robots, seed)
+    count = min(SMOKE_TASKS, len(tasks))
+    return [tasks[k * len(tasks) // count] for k in range(count)]
 
 
 def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
@@ -126,15 +122,17 @@ def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
 
 
 def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
-    """As many tasks of every class as there are, or as make 500, asked of every robot."""
+    """Generate rooms, and spread the tasks evenly over the classes; all robots get the same."""
     import numpy as np
 
-    from .dining_rooms import make_room, room_layouts
+    from momapos.model.scene import LAYOUTS
+
+    from .dining_rooms import make_room
 
     by_group: dict[str, list[SuiteTask]] = {}
-    for k, layout in enumerate(room_layouts(ROOMS)):
-        name = f"scenes/room_{k:02d}.json"
-        room = make_room(layout, np.random.default_rng([seed, k]), folder / name)
+    for k in range(ROOMS):
+        name, rng = f"scenes/room_{k:02d}.json", np.random.default_rng([seed, k])
+        room = make_room(LAYOUTS[k % len(LAYOUTS)], rng, folder / name)
         for task in _tasks_of_room(room, name, f"{k:02d}"):
             by_group.setdefault(task.group, []).append(task)
     chosen = spread(by_group, SIM_TASKS)
@@ -145,33 +143,33 @@ def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask
     ]
 
 
-def _tasks_of_room(room: Room, scene: str, number: str) -> Iterator[SuiteTask]:
-    """Every thing picked, and every door and drawer opened, by no robot yet.
+def _tasks_of_room(room: DiningRoom, scene: str, number: str) -> Iterator[SuiteTask]:
+    """Yield a pick of every object and an opening of every door and drawer, without a robot.
 
-    A dishwasher stands open where something is taken out of it: its door's handle ends so near the
-    floor that no hand brings it there.
+    For picks, dishwashers are already wide open: the handle then is too close to the floor for a
+    hand to open them that far.
     """
-    wide = {opening.part: opening.wide for opening in room.openings}
-    for thing in room.things:
+    wide = {part.container: part.wide for part in room.parts}
+    for item in room.objects:
         task = SuiteTask(
-            f"{number} {thing.name} {thing.place}", thing.place, scene, "", "pick", thing.name,
-            inside=thing.inside, carried=room.carried(thing.inside),
+            f"{number} {item.name} {item.place}", item.place, scene, "", "pick", item.name,
+            inside=item.inside, carried=room.carried(item.inside),
         )  # fmt: skip
-        if thing.inside is not None and thing.place == "in dishwasher":
-            box = thing.inside
+        if item.inside is not None and item.place == "in dishwasher":
+            box = item.inside
             task = replace(task, inside=None, joints={box.object: {box.joint: wide[box]}})
         yield task
-    for opening in room.openings:
-        box = opening.part
+    for part in room.parts:
+        box = part.container
         yield SuiteTask(
-            f"{number} {opening.kind} {box.object}/{box.joint}", opening.kind, scene, "", "open",
-            box.object, box.joint, DISHWASHER if opening.kind == "open dishwasher" else None,
+            f"{number} {part.kind} {box.object}/{box.joint}", part.kind, scene, "", "open",
+            box.object, box.joint, DISHWASHER_ANGLE if part.kind == "open dishwasher" else None,
             carried=room.carried(box),
         )  # fmt: skip
 
 
 def spread(by_group: Mapping[str, Sequence[SuiteTask]], count: int) -> list[SuiteTask]:
-    """So many tasks, as evenly from all groups as these allow, and evenly from each; in order."""
+    """Select `count` tasks, as evenly as possible from all groups, and evenly within each."""
     share, left = {}, count
     smallest_first = sorted(by_group, key=lambda group: len(by_group[group]))
     for k, group in enumerate(smallest_first):
@@ -190,32 +188,17 @@ def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTas
     return laboratory_tasks(seed, robots, folder)
 
 
-SUITES: dict[str, SuiteKind] = {
-    "smoke": SuiteKind("16 tasks of the built-in kitchens", _smoke, ("segway_ur5e",), COMPARED),
+SUITES = {
+    "smoke": SuiteKind(_smoke, ("segway_ur5e",), COMPARED),
     "openings": SuiteKind(
-        "all doors and drawers of the built-in kitchens",
-        _openings,
-        ("segway_ur5e", "husky_ur5e", "fetch"),
-        ("ours", "paper", *BASELINES),
+        _openings, ("segway_ur5e", "husky_ur5e", "fetch"), ("ours", "paper", *BASELINES)
     ),
     "paper-sim": SuiteKind(
-        "500 tasks with 30 objects in generated kitchens",
-        _paper_sim,
-        ("fetch", "segway_ur5e", "husky_ur5e"),
-        ("ours", "paper", "habitat", "m3", "reuleaux"),
-        scannable=False,
+        _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, scannable=False
     ),
-    "paper-real": SuiteKind(
-        "the paper's four tasks in 50 layouts of its laboratory",
-        _paper_real,
-        ("ranger_rm63",),
-        ("ours", "paper", "habitat", "m3", "reuleaux"),
-    ),
+    "paper-real": SuiteKind(_paper_real, ("ranger_rm63",), PAPER_METHODS),
     "ablations": SuiteKind(
-        "the tasks of the built-in kitchens by variants of the paper's method, and of ours",
-        _ablations,
-        ("segway_ur5e",),
-        ABLATIONS,
+        lambda seed, robots, _: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS
     ),
 }
 
@@ -223,7 +206,7 @@ SUITES: dict[str, SuiteKind] = {
 def refuse_unknown(name: str, robots: Sequence[str]) -> None:
     """Refuse a suite that there is not, and robots that are not of the library.
 
-    Robot files are refused too, for rows do not tell apart what is in them.
+    Robot files are refused too, because rows don't record their content.
 
     Raises:
         UnknownNameError: The message offers the nearest names.

@@ -1,4 +1,4 @@
-"""What a job leaves, step after step."""
+"""Collect the results of a job over its steps."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from momapos.simulation import RunRecord
 
 
-@dataclass
-class Trace:
-    """What a job leaves, step after step."""
+@dataclass(eq=False)
+class JobTrace:
+    """Results of a job, summed over its steps."""
 
     stages: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
@@ -28,55 +28,53 @@ class Trace:
     sampled: int = 0
     bases: list[Pose] = field(default_factory=list)
     modeled: tuple[str, ...] | None = None
-    """What the last step had modeled; None for everything."""
+    """Objects that the last step modeled; None for all."""
     verified: bool | None = None
     done: bool | None = None
     clearance: float | None = None
-    held: Bool[np.ndarray, "levels n"] | None = None
-    """From which disturbed base poses all steps so far still work."""
+    works: Bool[np.ndarray, "levels n"] | None = None
+    """Whether all steps so far work at each disturbed base pose."""
     outcome: Outcome = "solved"
     reason: str = ""
 
-    def spend(self, plan: PlacementPlan) -> None:
-        """Add what an answer took to those before."""
+    def add_effort(self, plan: PlacementPlan) -> None:
+        """Add the time and the base poses of an answer."""
         self.add_time(plan.timing)
         self.checked += plan.candidates.checked
         self.sampled += plan.candidates.sampled
 
     def add_time(self, timing: Mapping[str, float]) -> None:
-        """Add stages, and "total", to those before [s]."""
+        """Add times by stage and their "total" [s]."""
         for stage, seconds in timing.items():
             if stage != "total":
                 self.stages[stage] = self.stages.get(stage, 0.0) + seconds
         self.seconds += timing.get("total", 0.0)
 
-    def take(self, plan: PlacementPlan) -> None:
-        """Add a step that is done so to those before."""
+    def add_step(self, plan: PlacementPlan) -> None:
+        """Add the drive and the base pose of a step's final plan."""
         self.driving += plan.navigation_cost or 0.0
         self.modeled = None if plan.key_objects is None else plan.key_objects.names
         if plan.base_pose is not None:
             self.bases.append(plan.base_pose)
 
-    def carry_out(self, record: RunRecord) -> None:
-        """Add what physics says; a job is done where all its steps are."""
+    def add_run(self, record: RunRecord) -> None:
+        """Add the physics run of a step; a job is done if all its steps are."""
         self.done = record.success and self.done is not False
         self.reason = self.reason or record.reason
-        seen = [visit.clearance for visit in record.visits]
-        seen.append(None if record.execution is None else record.execution.clearance)
-        known = [value for value in (self.clearance, *seen) if value is not None]
-        self.clearance = min(known, default=None)
+        values = [self.clearance, *(visit.clearance for visit in record.visits)]
+        values.append(None if record.execution is None else record.execution.clearance)
+        self.clearance = min((value for value in values if value is not None), default=None)
 
-    def disturb(self, held: Bool[np.ndarray, "levels n"]) -> None:
-        """Add from which disturbed base poses a step still works."""
-        self.held = held if self.held is None else self.held & held
+    def add_disturbed(self, works: Bool[np.ndarray, "levels n"]) -> None:
+        """Add whether a step works at each disturbed base pose."""
+        self.works = works if self.works is None else self.works & works
 
-    def shares_held(self) -> dict[str, float]:
-        """Columns of the row that say how much of a solved job survives base errors."""
-        if self.held is None or self.outcome != "solved":
+    def disturbed_shares(self) -> dict[str, float]:
+        """Return the columns `at_2cm` and `at_5cm` of a solved job."""
+        if self.works is None or self.outcome != "solved":
             return {}
-        at_2cm, at_5cm = self.held.mean(axis=1).tolist()
+        at_2cm, at_5cm = self.works.mean(axis=1).tolist()
         return {"at_2cm": at_2cm, "at_5cm": at_5cm}
 
     def end(self, outcome: Outcome, reason: str) -> None:
-        """Say how the job ended."""
         self.outcome, self.reason = outcome, reason

@@ -1,6 +1,6 @@
-"""The process that answers jobs: one JSON object a line in, one a line out.
+"""Worker process: reads one JSON job per line, writes one JSON answer per line.
 
-It ends when nobody listens any more, whatever it is doing: its runner may have been killed.
+It exits when its standard input closes, even during a job, because its runner may be killed.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from .bench_records import Job, Row, from_plain, to_plain
 
 
 def serve(answer: Callable[[Job], Row]) -> None:
-    """Answer the jobs that come on the standard input, until it ends.
+    """Answer jobs from standard input until it closes.
 
-    What libraries print goes to the standard error, so that answers stand alone.
+    Output that libraries print goes to standard error, so that standard output has only answers.
     """
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(sys.stdin.buffer, lines), daemon=True).start()
-    _say(out, {"ready": True})
+    _write(out, {"ready": True})
     while True:
         job = from_plain(json.loads(lines.get()), Job, "worker")
         try:
-            _say(out, {"row": to_plain(answer(job))})
-        except Exception as error:  # whatever it is, it is the job's end and not the run's
+            _write(out, {"row": to_plain(answer(job))})
+        except Exception as error:  # an error ends the job, not the run
             text = one_line(str(error))
-            _say(out, {"error": f"{type(error).__name__}: {text}" if text else str(type(error))})
+            _write(out, {"error": f"{type(error).__name__}: {text}" if text else str(type(error))})
 
 
 def _read(source: BinaryIO, lines: queue.SimpleQueue[bytes]) -> None:
-    """Hand lines on, and end the process where there are no more."""
+    """Queue the lines, and exit the process after the last one."""
     for line in source:
         lines.put(line)
     os._exit(0)
 
 
-def _say(out: BinaryIO, what: object) -> None:
-    out.write(json.dumps(what).encode() + b"\n")
+def _write(out: BinaryIO, message: object) -> None:
+    out.write(json.dumps(message).encode() + b"\n")
     out.flush()
 
 

@@ -1,1 +1,1 @@
-"""The command line: one module a command. The library logs, this prints."""
+"""The command line: one module per command. The library logs; only this package prints."""

@@ -1,4 +1,4 @@
-"""momapos bench: run suites of tasks, and report what came of them."""
+"""momapos bench: run suites of tasks, and report the results."""
 
 from __future__ import annotations
 
@@ -10,68 +10,68 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from momapos.apps.bench import SUITES, Outcome, Settings, refuse_unknown
 from momapos.core import InputError, MomaposError, check_outputs
 
 from .console import busy, progress
-from .options import OptionalPath, OptionalText, check_seed
+from .options import Flag, OptionalFile, OptionalFolder, Text, check_seed, optional
 
-MOST = 1000
-"""Images of a scan, and base poses off the planned one [-]."""
+MAX_COUNT = 1000
+"""Maximum number of images in a scan, and of disturbed base poses [-]."""
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from momapos.apps.bench import Contents, Picture, Row
+    from momapos.apps.bench import AnswerMap, Contents, Row
 
 
 def bench_run(
-    suite: Positional[str],
+    suite: Annotated[Positional[str], arg(metavar="SUITE")],
     /,
     *,
-    out: Path,
-    methods: tuple[str, ...] = (),
-    robots: tuple[str, ...] = (),
+    out: Annotated[Path, arg(metavar="DIR")],
+    methods: Annotated[tuple[str, ...], arg(metavar="[METHOD ...]")] = (),
+    robots: Annotated[tuple[str, ...], arg(metavar="[ROBOT ...]")] = (),
     workers: int = 2,
-    scheduler: OptionalText = None,
+    scheduler: Annotated[Text, optional("ADDRESS")] = None,
     seed: int = 0,
     limit: int = 0,
     timeout: float = Settings.timeout,
     task_limit: float = Settings.limit,
-    execute: bool = False,
+    execute: Flag = False,
     scan: int = Settings.scan,
     disturbances: int = 3,
-    json: bool = False,
+    json: Flag = False,
 ) -> int:
-    """Ask every task of a suite of every method; what has an answer already is not asked again.
+    """Run all tasks of a suite with all methods; skip tasks that already have a result.
 
-    Exit status: 0 all have an answer, whatever it is; 2 something cannot be used.
+    Exit status: 0 all tasks have a result; 2 unusable input.
 
     Args:
         suite: smoke, openings, paper-sim, paper-real or ablations; see docs/benchmark.md.
-        out: The results folder; a run that was stopped goes on in it.
-        methods: Methods of `momapos place`, or variants such as paper:paper.group=1; those of the
-            suite by default.
-        robots: Robots of the library; those of the suite by default.
-        workers: Processes that answer at once on this machine.
-        scheduler: Address of a Dask scheduler whose workers answer instead, as
-            tcp://192.168.0.1:8786; they must see the results folder under the same path.
-        seed: What the suite is drawn from.
-        limit: Ask so many of the suite's tasks, drawn from all; 0 for all.
-        timeout: Processor time to search for one answer [s].
+        out: The results folder; a stopped run continues in it.
+        methods: Methods of `momapos place`, or variants such as paper:paper.group=1 (default: those
+            of the suite).
+        robots: Library robots (default: those of the suite).
+        workers: Number of parallel processes on this machine.
+        scheduler: Run on the workers of this Dask scheduler, such as tcp://192.168.0.1:8786. They
+            must see the results folder under the same path.
+        seed: Seed of the suite's tasks.
+        limit: Run this many tasks, drawn from the whole suite; 0: all.
+        timeout: Processor time to search for one plan [s].
         task_limit: Wall time after which a task counts as hung [s].
-        execute: Carry solved plans out in physics, held by contact, with noise.
-        scan: The robot knows a room by a synthetic scan of so many images (60, say), which is made
-            once a room; 0: as it is.
-        disturbances: Plan the arm's motion anew at so many base poses 2 cm and 2 degrees, and as
-            many 5 cm and 5 degrees off the planned one; 0: at none.
-        json: Print one JSON object and nothing else.
+        execute: Execute solved plans in simulation, with contact grasps and noise.
+        scan: Number of images of a synthetic scan from which the robot knows each room, such as 60;
+            0: it knows the true scene.
+        disturbances: Number of base poses that are 2 cm and 2 deg from the planned one, and as many
+            5 cm and 5 deg from it, at which the arm motion is replanned; 0: none.
+        json: Print one JSON object, and nothing else.
     """
-    # Told before anything heavy is imported.
+    # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
     refuse_unknown(suite, robots)
     _at_least("--workers", workers, 1)
@@ -80,8 +80,8 @@ def bench_run(
         if not 0 < value < math.inf:
             raise InputError(f"{name} must be a time above 0 s, not {value:g}")
     for name, count in (("--scan", scan), ("--disturbances", disturbances)):
-        if not 0 <= count <= MOST:
-            raise InputError(f"{name} must be between 0 and {MOST}, not {count}")
+        if not 0 <= count <= MAX_COUNT:
+            raise InputError(f"{name} must be between 0 and {MAX_COUNT}, not {count}")
     if scan:
         _check_scannable(suite)
     check_outputs(folders=[out])
@@ -90,56 +90,64 @@ def bench_run(
     chosen = tuple(dict.fromkeys(methods)) or SUITES[suite].methods
     for method in chosen:
         method_config(method, timeout)
-    from momapos.apps.bench import Store, all_rows, held, jobs_of, open_folder, rows_file, run_jobs
+    from momapos.apps.bench import (
+        RowStore,
+        all_rows,
+        jobs_of,
+        locked,
+        open_folder,
+        rows_file,
+        run_jobs,
+    )
 
     from .compile import ANSWER, RANK, WALKS, compile_once
 
     compile_once((*ANSWER, *RANK, *WALKS))
     settings = Settings(timeout, task_limit, execute, scan, disturbances)
-    with held(out), _executor(workers, scheduler) as (executor, width, do):
-        with busy(f"{suite}: looking at the tasks"):
+    with locked(out), _executor(workers, scheduler) as (executor, width, do):
+        with busy(f"{suite}: preparing the tasks"):
             made = open_folder(out, suite, seed, robots, settings)
         jobs = jobs_of(made.suite, chosen, out, settings, made.versions, limit or None)
         before = {row.key for row in all_rows(out)}
         left = sum(job.key not in before for job in jobs)
-        store = Store(rows_file(out))
+        store = RowStore(rows_file(out))
         try:
-            with _left(suite, left) as tell:
-                run_jobs(jobs, store, executor, do, width=width, tell=tell, finished=before)
+            with _progress_of(suite, left) as on_row:
+                run_jobs(jobs, store, executor, do, width=width, on_row=on_row, finished=before)
         finally:
             store.close()
-    asked = {job.key for job in jobs}
-    rows = [row for row in all_rows(out) if row.key in asked]
+    keys = {job.key for job in jobs}
+    rows = [row for row in all_rows(out) if row.key in keys]
     facts = {"suite": suite, "out": str(out), "jobs": len(jobs), "new": left, **_counts(rows)}
     if json:
         print(json_format.dumps(facts))
     else:
-        print(f"{suite}: {len(jobs)} answers, {left} of them new, in {out}")
+        print(f"{suite}: {len(jobs)} results, {left} of them new, in {out}")
         for method, counts in facts["outcomes"].items():
             print(f"  {method}: " + ", ".join(f"{n} {what}" for what, n in counts.items()))
-        print(f"'momapos bench report {out}' says more.")
+        print(f"Show tables with 'momapos bench report {out}'.")
     return 0
 
 
 def bench_report(
-    folder: Positional[Path],
+    folder: Annotated[Positional[Path], arg(metavar="DIR")],
     /,
     *,
-    compare: OptionalPath = None,
-    html: OptionalPath = None,
+    compare: OptionalFolder = None,
+    html: OptionalFile = None,
     maps: int = 3,
-    parquet: OptionalPath = None,
-    json: bool = False,
+    parquet: OptionalFile = None,
+    json: Flag = False,
 ) -> int:
-    """Print tables of a results folder as Markdown.
+    """Print the tables of a results folder as Markdown.
 
     Args:
         folder: The results folder.
-        compare: Another one of the same tasks, with which it is compared task by task.
-        html: Write one page here, with figures and all rows; it needs no network.
-        maps: Draw the potential and the candidates of so many tasks in that page; they are asked
-            again, by momapos as it is installed.
-        parquet: Write the rows here as a Parquet file.
+        compare: Another results folder of the same tasks, to compare task by task.
+        html: Write a self-contained HTML page with figures and all rows.
+        maps: Number of tasks whose potential and candidates the page shows; the installed momapos
+            plans them again.
+        parquet: Write the rows to this Parquet file.
         json: Print one JSON object with all rows instead of tables.
     """
     check_outputs([html, parquet])
@@ -149,7 +157,7 @@ def bench_report(
     found = read_folder(folder)
     rows = in_order(found.suite, all_rows(folder))
     if not rows:
-        raise InputError(f"{folder}: holds no rows yet; 'momapos bench run' writes them")
+        raise InputError(f"{folder}: contains no results yet; 'momapos bench run' writes them")
     from momapos.apps.bench import all_tables, compared_tables
 
     tables = all_tables(found.suite, rows)
@@ -158,16 +166,16 @@ def bench_report(
         compared = compared_tables(rows, all_rows(compare))
         if not compared[0].lines:
             raise InputError(
-                f"{compare}: has no task and method in common with {folder} (suites "
-                f"{other.suite.name} and {found.suite.name}); nothing can be compared"
+                f"{compare}: shares no task and method with {folder} (suites "
+                f"{other.suite.name} and {found.suite.name})"
             )
         tables += compared
     heading = _heading(found, rows)
     if html is not None:
         from momapos.apps.bench import page
-        from momapos.model.scene import write_whole
+        from momapos.model.scene import write_text_atomic
 
-        write_whole(html, page(heading, tables, rows, _maps(folder, found, rows, maps)))
+        write_text_atomic(html, page(heading, tables, rows, _maps(folder, found, rows, maps)))
     if parquet is not None:
         from momapos.apps.bench import write_parquet
 
@@ -183,31 +191,31 @@ def bench_report(
     return 0
 
 
-def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[Picture]:
-    """Pictures of some answers; none is made of what the folder does not hold any more."""
+def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[AnswerMap]:
+    """Draw maps of some results, if the folder still has the files."""
     if not count:
         return []
-    from momapos.apps.bench import pictures
+    from momapos.apps.bench import draw_maps
 
     try:
         with busy("drawing"):
-            return pictures(folder, found, rows, count)
+            return draw_maps(folder, found, rows, count)
     except MomaposError as error:
         print(f"note: no potential maps: {error}", file=sys.stderr)
         return []
 
 
 def _check_scannable(suite: str) -> None:
-    """Refuse suites that no scan can start, and scans where nothing reads them.
+    """Refuse --scan for suites that need objects which no scan shows.
 
     Raises:
-        InputError: The suite takes things out of what is shut.
-        MissingExtraError: What reads scans is not installed.
+        InputError: The suite takes objects out of closed furniture.
+        MissingExtraError: Packages for scans are missing.
     """
     if not SUITES[suite].scannable:
         others = ", ".join(name for name, kind in SUITES.items() if kind.scannable)
         raise InputError(
-            f"--scan: no scan shows what is in the drawers of {suite}; it starts {others}"
+            f"--scan: a scan can't show the objects in the drawers of {suite}; use {others}"
         )
     from momapos.perception import default_tools
 
@@ -223,7 +231,7 @@ def _at_least(name: str, value: int, least: int) -> None:
 def _executor(
     workers: int, scheduler: str | None
 ) -> Iterator[tuple[Executor, int, Callable[[dict[str, Any]], dict[str, Any]]]]:
-    """Who answers, how many at once, and by what."""
+    """Start the workers; yield them, their number and the job function."""
     from momapos.apps.bench import local_workers, run_job
 
     if scheduler is None:
@@ -237,18 +245,18 @@ def _executor(
 
 
 @contextmanager
-def _left(suite: str, count: int) -> Iterator[Callable[[Row], None]]:
-    """Show how many answers came, and for how long the others will take."""
+def _progress_of(suite: str, count: int) -> Iterator[Callable[[Row], None]]:
+    """Show the number of results, and the time left."""
     done, began = 0, time.monotonic()
     with progress(suite) as report:
 
-        def tell(_: Row) -> None:
+        def on_row(_: Row) -> None:
             nonlocal done
             done += 1
             seconds = (time.monotonic() - began) / done * (count - done)
             report(done / count, f"{done}/{count}, {_duration(seconds)} left")
 
-        yield tell
+        yield on_row
 
 
 def _duration(seconds: float) -> str:
@@ -258,7 +266,7 @@ def _duration(seconds: float) -> str:
 
 
 def _counts(rows: list[Row]) -> dict[str, Any]:
-    """Outcomes by method, and how many were done in physics where any were executed."""
+    """Count outcomes by method, and successes in simulation."""
     found = Counter((row.method, row.outcome) for row in rows)
     outcomes = {
         method: {what: found[method, what] for what in get_args(Outcome) if found[method, what]}
@@ -274,11 +282,11 @@ def _heading(found: Contents, rows: list[Row]) -> list[str]:
     hosts = sorted({row.host for row in rows})
     return [
         f"momapos bench: {suite.name}",
-        f"{len({row.task for row in rows})} of {len(suite.tasks)} tasks, {len(rows)} answers; "
+        f"{len({row.task for row in rows})} of {len(suite.tasks)} tasks, {len(rows)} results; "
         f"suite revision {suite.revision}, seed {suite.seed}; robots {', '.join(suite.robots)}.",
-        f"{settings.timeout:g} s of processor time for an answer, {settings.limit:g} s for a task"
-        + ("; carried out in physics" if settings.execute else "; not carried out")
-        + (f"; rooms known by a scan of {settings.scan} images." if settings.scan else "."),
-        "Made by " + ", ".join(f"{name} {version}" for name, version in found.versions.items())
+        f"{settings.timeout:g} s of processor time per plan, {settings.limit:g} s per task"
+        + ("; executed in simulation" if settings.execute else "; not executed")
+        + (f"; rooms known from a scan of {settings.scan} images." if settings.scan else "."),
+        "Created with " + ", ".join(f"{name} {version}" for name, version in found.versions.items())
         + f", on {', '.join(hosts)}.",
     ]  # fmt: skip

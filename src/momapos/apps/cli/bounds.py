@@ -1,4 +1,4 @@
-"""Bounds of work on files from strangers: it ends in one line, not when the machine gives up."""
+"""Limit the time and memory of work on untrusted files."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from types import FrameType
 from momapos.core import InputError
 
 SECONDS, MEMORY = 60.0, 2_000_000_000
-"""Processor time [s] and memory [bytes] that looking at a robot may take."""
+"""Limits for checking a robot: processor time [s] and memory [bytes]."""
 _PERIOD = 0.05
-"""How often the processor's time is looked at [s]."""
+"""Interval between checks of the processor time [s]."""
 
 
 class _TooLong(BaseException):
-    """No `Exception`: whoever catches those of a library must not catch this one."""
+    """Not an `Exception`, so that handlers in libraries don't catch it."""
 
 
 @contextmanager
 def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> Iterator[None]:
-    """Do work within bounds, where the system can set them and no other thread asks.
+    """Limit work, if the system supports it and this is the main thread.
 
     Args:
-        what: Begins the message.
+        what: Beginning of the message.
         seconds: Processor time [s].
-        memory: Data that the process may take beyond what it has [bytes].
+        memory: Further memory of the process [bytes].
 
     Raises:
-        InputError: The work takes more.
+        InputError: The work exceeds a limit.
     """
     alone = threading.current_thread() is threading.main_thread()
     if not (alone and hasattr(signal, "SIGPROF")):
@@ -48,8 +48,8 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
         if not done.is_set():
             raise _TooLong
 
-    # A thread, not a timer of the system: signals may be blocked where a program is started, and a
-    # timer asks once, which is once too few where the exception is raised in a destructor.
+    # A thread, not a system timer: signals may be blocked when the program starts, and a timer
+    # fires only once, which is too few if the exception is raised in a destructor.
     watch = threading.Thread(target=_watch, args=(time.process_time() + seconds, done), daemon=True)
     limits = resource.getrlimit(resource.RLIMIT_DATA)
     most = memory + _data_size()
@@ -62,10 +62,10 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
     except _TooLong:
         done.set()
         more = f"{seconds:g} s of processor time"
-        raise InputError(f"{what} takes more than {more}; give simpler shapes") from None
+        raise InputError(f"{what} takes more than {more}; use simpler shapes") from None
     except MemoryError:
         more = f"{memory / 1e9:g} GB of memory"
-        raise InputError(f"{what} takes more than {more}; give simpler shapes") from None
+        raise InputError(f"{what} takes more than {more}; use simpler shapes") from None
     finally:
         done.set()
         resource.setrlimit(resource.RLIMIT_DATA, limits)
@@ -74,7 +74,7 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
 
 
 def _data_size() -> int:
-    """How much data the process has [bytes]; 0 where the system does not tell."""
+    """Return the data size of the process [bytes]; 0 if unknown."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[5])
     except (OSError, ValueError, IndexError):
@@ -83,7 +83,7 @@ def _data_size() -> int:
 
 
 def _watch(until: float, done: threading.Event) -> None:
-    """Interrupt the main thread from a processor time on, until its work is done."""
+    """Interrupt the main thread after a processor time, repeatedly, until its work is done."""
     while not done.wait(_PERIOD):
         if time.process_time() > until:
             _thread.interrupt_main(signal.SIGPROF)

@@ -1,4 +1,4 @@
-"""Compiling the kernels, once after installation from a clone; a wheel brings them compiled."""
+"""Compile the kernels, once after installation from a clone; wheels contain them compiled."""
 
 from __future__ import annotations
 
@@ -35,29 +35,29 @@ ANSWER = (
     "momapos.verification.exact_shapes._place",
     "momapos.verification.sweep._deepest",
 )
-"""The entries that an answer needs."""
+"""Kernels for planning."""
 VERIFY = (
     "momapos.verification.convex.overlap",
     "momapos.verification.exact_shapes._place",
     "momapos.verification.sweep._deepest",
 )
-"""Those that checking a plan needs."""
+"""Kernels for verification."""
 RANK = (
     "momapos.planning.importance.relations._hierarchy",
     "momapos.planning.importance.relations._nearest",
 )
-"""Those that the scene graph and the scores by reach need."""
+"""Kernels for the scene graph and the reach scores."""
 WALKS = (
     "momapos.planning.importance.embedding._train",
     "momapos.planning.importance.random_walks._walk",
 )
-"""Those that scores by walks need besides."""
+"""Further kernels for the deepwalk scores."""
 
 
 def compile_once(names: tuple[str, ...] = ANSWER) -> None:
-    """Compile those entries that are not stored, so that no timeout pays for it.
+    """Compile the kernels that are not cached, so that this time doesn't count for a timeout.
 
-    Says how far it is on stderr: in place on a terminal, else in one line.
+    Prints progress on stderr: in place on a terminal, else one line.
     """
     for name in names:
         importlib.import_module(name.rpartition(".")[0])
@@ -65,8 +65,7 @@ def compile_once(names: tuple[str, ...] = ANSWER) -> None:
 
 
 def _report(done: int, count: int) -> None:
-    """One line that a terminal shows in place."""
-    line = f"momapos: compiling, once after installation: {done} of {count} kernels"
+    line = f"momapos: compiling kernels, once after installation: {done} of {count}"
     if sys.stderr.isatty():
         end = "\n" if done == count else ""
         print(f"\r{line}", end=end, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""What a person reads on the terminal."""
+"""Print progress and plans on the terminal."""
 
 from __future__ import annotations
 
@@ -18,18 +18,21 @@ if TYPE_CHECKING:
     from momapos.model.records import CostTerm, KeyObjects, PlacementPlan
     from momapos.planning import PlacementResult
 
-MOST_REASONS = 8
-_USUAL_WEIGHTS = {
+MAX_REASONS = 8
+"""Printed reasons of rejected base poses [-]."""
+_DEFAULT_WEIGHTS = {
     "driving": 1.0, "room": None, "clearance": 0.0, "manipulability": 0.0, "effort": 0.0,
 }  # fmt: skip
+_TERMS = {"room": "missing robustness"}
+"""Printed names of cost terms, where they differ from those in the plan file."""
 
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[..., None]]:
-    """Show the share of long work on stderr when that is a terminal, once it takes a second.
+    """Show the progress of work that takes over a second, on stderr if that is a terminal.
 
     Yields:
-        A function of the share in [0, 1], and of what is at work if that is worth telling.
+        A function of the share that is done, in [0, 1], and of the current step.
     """
     began = time.monotonic()
     shown = False
@@ -48,11 +51,11 @@ def progress(title: str) -> Iterator[Callable[..., None]]:
 
 @contextmanager
 def busy(title: str, limit: float | None = None) -> Iterator[None]:
-    """Show on stderr, when that is a terminal, that work goes on and for how long it has.
+    """Show the elapsed time of work, on stderr if that is a terminal.
 
     Args:
         title: What is done.
-        limit: When it ends at the latest [s].
+        limit: Time limit of the work [s].
     """
     if not sys.stderr.isatty():
         yield
@@ -60,18 +63,18 @@ def busy(title: str, limit: float | None = None) -> Iterator[None]:
     done, began = threading.Event(), time.monotonic()
     most = "" if limit is None else f" of at most {limit:.0f}"
 
-    def tell() -> None:
+    def show() -> None:
         while not done.wait(1.0):
             line = f"\r{title}: {time.monotonic() - began:.0f}{most} s"
             print(line, end="", file=sys.stderr, flush=True)
 
-    teller = threading.Thread(target=tell, daemon=True)
-    teller.start()
+    printer = threading.Thread(target=show, daemon=True)
+    printer.start()
     try:
         yield
     finally:
         done.set()
-        teller.join()
+        printer.join()
         if time.monotonic() - began > 1.0:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
@@ -79,28 +82,27 @@ def busy(title: str, limit: float | None = None) -> Iterator[None]:
 def summary(
     answer: PlacementResult, out: Path | None, *, most: bool = False, tried: str = ""
 ) -> str:
-    """The answer in a few lines: question, pose, motion, time, and why others were refused.
+    """Summarize a plan: task, base pose, motion, times, and why other base poses were rejected.
 
     Args:
-        answer: What the pipeline said.
-        out: Where the plan was written.
-        most: Whether the farthest value was asked for.
-        tried: What became of each arm, where several were tried.
+        answer: The plan, and what the search saw.
+        out: The plan file, if one was written.
+        most: Whether the task was to open as far as possible.
+        tried: The result of each arm, if several were tried.
     """
     plan = answer.plan
     lines = [_question(answer, most), ""]
     if plan.base_pose is not None and plan.motion is not None:
-        x, y, yaw = plan.base_pose
-        turn = "" if plan.task.joint is None else f", holding {_span(answer)}"
+        span = "" if plan.task.joint is None else f", from {_span(answer)}"
         lines += [
-            f"  stand at    x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} deg",
+            f"  base pose   {pose_text(plan.base_pose)}",
             f"  drive       {plan.navigation_cost:.2f} m from "
             f"({answer.start[0]:.2f}, {answer.start[1]:.2f})",
-            f"  move        {len(plan.motion.approach)} states to the grasp, then "
-            f"{len(plan.motion.q)}{turn}",
-            *_holds(answer),
-            *_taken(answer),
-            "  checked     base, arm and moving part over the whole motion, exact geometry",
+            f"  arm motion  {len(plan.motion.approach)} states to the grasp, then "
+            f"{len(plan.motion.q)}{span}",
+            *_grasps(answer),
+            *_joint_type(answer),
+            "  checked     base, arm and moving part along the whole motion, with exact geometry",
             *_tolerance(plan),
             *_cost(plan.cost),
             *_afterward(answer),
@@ -122,106 +124,115 @@ def summary(
     return "\n".join(lines)
 
 
-def _holds(answer: PlacementResult) -> list[str]:
-    """A line for each hold; those after the first say where the part is then."""
+def _grasps(answer: PlacementResult) -> list[str]:
+    """A line for each grasp; those after the first say where the part is then."""
     motion = answer.plan.motion
-    lines = [f"  hold        {words}" for words in answer.holds[:1]]
+    lines = [f"  grasp       {words}" for words in answer.holds[:1]]
     if motion is not None:
         later = zip(motion.holds[1:], answer.holds[1:], strict=True)
         lines += [
-            f"  then        from {_value(answer, motion.object_q[hold.first])}, {words}"
+            f"  regrasp     from {_value(answer, motion.object_q[hold.first])}: {words}"
             for hold, words in later
         ]
     return lines
 
 
-def _taken(answer: PlacementResult) -> list[str]:
-    """As what the part is taken, where that is not the likeliest."""
+def _joint_type(answer: PlacementResult) -> list[str]:
+    """The assumed joint type, if it is not the most probable one."""
     task = answer.plan.task
     if task.joint is None or not answer.plan.scene_hypotheses.get(task.object, {}).get(task.joint):
         return []
     kind = answer.prepared.scene.object(task.object).hypotheses[task.joint][0].kind
-    return [f"  taken       for a {kind}: as what it is likelier there is no base pose"]
+    return [f"  joint type  {kind}; the more probable type has no feasible base pose"]
 
 
 def _tolerance(plan: PlacementPlan) -> list[str]:
-    """How far beside its base pose the robot may stand, where that is known."""
+    """The tolerance of the base pose, if it was measured."""
     found = plan.tolerance
     if found is None:
         return []
     spent = plan.timing.get("tolerance")
     took = "" if spent is None else f" ({1000 * spent:.0f} ms)"
     if found.radius == 0.0:
-        return [f"  tolerance   none: the motion is not found anew from all around it{took}"]
-    room = f"{100 * found.radius:g} cm and {math.degrees(found.turn):.1f} deg"
-    poses = f"{found.samples} of {found.samples} poses"
-    return [f"  tolerance   {room} beside it: found anew from {poses}{took}"]
+        return [f"  tolerance   none: replanning fails from some base poses nearby{took}"]
+    size = f"+-{100 * found.radius:g} cm, +-{math.degrees(found.turn):.1f} deg"
+    poses = f"{found.samples}/{found.samples} sampled poses"
+    return [f"  tolerance   {size}: replanning succeeded from {poses}{took}"]
 
 
 def _cost(terms: Mapping[str, CostTerm]) -> list[str]:
-    """What the base pose costs, where other weights than the usual were asked for."""
-    if not terms or {name: term.weight for name, term in terms.items()} == _USUAL_WEIGHTS:
+    """The cost of the base pose, if the weights are not the default ones."""
+    if not terms or {name: term.weight for name, term in terms.items()} == _DEFAULT_WEIGHTS:
         return []
-    said = [
-        f"{name} {term.value:.2f} x {term.weight:g}"
+    words = [
+        f"{_TERMS.get(name, name)} {term.value:.2f} x {term.weight:g}"
         for name, term in terms.items()
         if term.weight and term.value is not None
     ]
-    first = ["room first"] if terms["room"].weight is None else []
-    return [f"  cost        {', '.join([*first, *said]) or 'nothing counts'}"]
+    first = ["robustness first"] if terms["room"].weight is None else []
+    return [f"  cost        {', '.join([*first, *words]) or 'all weights are 0'}"]
 
 
 def _afterward(answer: PlacementResult) -> list[str]:
-    """That the robot cannot go on from there when the task is done, where that is so."""
+    """Why the robot can't go on from there after the task, if so."""
     if touched := answer.touched_after:
-        return [f"  afterward   the arm cannot be brought home there: it would touch {touched}"]
-    if answer.search.shut_in:
+        return [f"  afterward   the arm can't return home from there: it would hit {touched}"]
+    if answer.search.blocked_in:
         name = answer.plan.task.object
-        return [f"  afterward   the base cannot drive on from there: {name} leaves it no way"]
+        return [f"  afterward   the base can't drive on from there: {name} blocks it in"]
     return []
 
 
 def _modeled(key: KeyObjects) -> str:
     text = f"{len(key.names)} of {len(key.scores)} objects ({key.scorer}, alpha {key.alpha:.2f})"
     again = "once" if key.rounds == 1 else f"{key.rounds} times"
-    return text + (f", checked again {again}" if key.rounds else "")
+    return text + (f", rechecked {again} with more of them" if key.rounds else "")
 
 
 def _why_not(answer: PlacementResult) -> str:
-    """Why there is no motion, and how far there is one instead."""
+    """Why there is no plan, and how far the part opens instead."""
     plan = answer.plan
     if plan.status == "timeout":
-        return "out of time; the reasons are below"
+        return "the time limit was reached; rejected base poses are listed below"
     task, smaller = plan.task, plan.feasible_to
     if plan.base_pose is not None:
         reason = next(iter(plan.candidates.rejections), "")
-        instead = "" if smaller is None else f"; to {_value(answer, smaller)} from there"
+        instead = "" if smaller is None else f"; feasible to {_value(answer, smaller)} from there"
         return f"from {_pose(plan.base_pose)}: {reason}{instead}"
     if smaller is None or plan.feasible_from is None or task.to is None:
         if _only_kept_out(plan.candidates.rejections):
             return (
-                "every base pose that the robot could take breaks a rule about where it may stand; "
+                "all feasible base poses violate a restriction (areas, facing, driving distance); "
                 "the reasons are below"
             )
-        return "there is no base pose; the reasons are below"
-    asked = f"to {_value(answer, task.to)}"
-    found = f"{asked}; to {_value(answer, smaller)} from {_pose(plan.feasible_from)}"
-    return found if plan.feasible_sure else f"{found}, and the time ended before more was ruled out"
+        return "no feasible base pose; the reasons are below"
+    found = (
+        f"not to {_value(answer, task.to)}, but to {_value(answer, smaller)} "
+        f"from {_pose(plan.feasible_from)}"
+    )
+    if plan.feasible_sure:
+        return found
+    return f"{found}; more may be possible, the time limit was reached"
 
 
 def _only_kept_out(rejections: Mapping[str, int]) -> bool:
-    """Whether areas, facing and length of the drive leave nothing to ask the arm about."""
+    """Whether restrictions leave no base pose to check the arm at."""
     words = set(rejections)
     ruled_out = {status.value for status in RULED_OUT}
     return bool(words & ruled_out) and words <= ruled_out | {s.value for s in NO_STAND}
+
+
+def pose_text(pose: tuple[float, float, float]) -> str:
+    """Write a base pose with its units."""
+    return f"x {pose[0]:.3f} m, y {pose[1]:.3f} m, yaw {math.degrees(pose[2]):.1f} deg"
 
 
 def _pose(pose: tuple[float, float, float]) -> str:
     return f"({pose[0]:.3f}, {pose[1]:.3f}, {math.degrees(pose[2]):.1f} deg)"
 
 
-def asked(answer: PlacementResult) -> str:
-    """What was asked for, as "open fridge/door_hinge to 90 deg"."""
+def task_text(answer: PlacementResult) -> str:
+    """Write the task, such as "open fridge/door_hinge to 90 deg"."""
     task = answer.plan.task
     what = task.object if task.joint is None else f"{task.object}/{task.joint}"
     return f"{task.verb} {what}" + ("" if task.to is None else f" to {_value(answer, task.to)}")
@@ -230,8 +241,8 @@ def asked(answer: PlacementResult) -> str:
 def _question(answer: PlacementResult, most: bool) -> str:
     plan, task, to = answer.plan, answer.plan.task, ""
     if most and plan.status == "solved":
-        to = ", the farthest" if task.farthest else ", the farthest found in the time"
-    return f"{plan.robot_name}: {asked(answer)}{to}: {plan.status}"
+        to = " (maximum)" if task.farthest else " (largest found within the time limit)"
+    return f"{plan.robot_name}: {task_text(answer)}{to}: {plan.status}"
 
 
 def _value(answer: PlacementResult, value: float) -> str:
@@ -246,17 +257,18 @@ def _span(answer: PlacementResult) -> str:
 def _times(timing: object) -> str:
     stages = dict(timing)  # type: ignore[call-overload]
     total = stages.pop("total", 0.0)
-    stages.pop("tolerance", None)  # stands beside what it measures
+    stages.pop("tolerance", None)  # printed with the tolerance
     parts = [f"{name} {1000 * value:.0f}" for name, value in stages.items() if value >= 0.0005]
     return f"{1000 * total:.0f} ms ({', '.join(parts)})"
 
 
 def _rejections(answer: PlacementResult) -> list[str]:
     candidates = answer.plan.candidates
-    lines = [f"  candidates  {candidates.sampled} sampled, {candidates.checked} checked in full"]
     ranked = sorted(candidates.rejections.items(), key=lambda item: -item[1])
-    lines += [f"    {count:>7}  {reason}" for reason, count in ranked[:MOST_REASONS]]
-    if len(ranked) > MOST_REASONS:
-        rest = sum(count for _, count in ranked[MOST_REASONS:])
-        lines.append(f"    {rest:>7}  for {len(ranked) - MOST_REASONS} other reasons")
+    end = "; rejected:" if ranked else ""
+    lines = [f"  candidates  {candidates.sampled} sampled, {candidates.checked} fully checked{end}"]
+    lines += [f"    {count:>7}  {reason}" for reason, count in ranked[:MAX_REASONS]]
+    if len(ranked) > MAX_REASONS:
+        rest = sum(count for _, count in ranked[MAX_REASONS:])
+        lines.append(f"    {rest:>7}  other reasons ({len(ranked) - MAX_REASONS})")
     return lines

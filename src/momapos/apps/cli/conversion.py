@@ -1,4 +1,4 @@
-"""`momapos scene convert`: from any kind of scene that is read to the one that is written."""
+"""Convert scenes between formats, for `momapos scene convert`."""
 
 from __future__ import annotations
 
@@ -14,41 +14,47 @@ from momapos.apps.export import write_scene
 from momapos.core import InputError, SceneError
 from momapos.model.robots import expand_xacro, is_xacro
 from momapos.model.scene import Scene, copied, load_scene, model_files, save_scene
-from momapos.model.scene.formats import Report, kind_of_file, read_room, write_mjcf, write_room
+from momapos.model.scene.formats import (
+    ImportReport,
+    kind_of_file,
+    read_room,
+    write_mjcf,
+    write_room,
+)
 
 FORMATS = {".json": "momapos", ".xml": "MJCF", ".scene": "MoveIt"}
-"""What scenes are written as, by the ending of the file's name."""
+"""Output formats, by file ending."""
 
 
 def convert(
     path: Path, out: Path, *, copy: bool, root: Path | None, without: Sequence[str]
-) -> tuple[Scene, Report | None]:
+) -> tuple[Scene, ImportReport | None]:
     """Convert a scene; the arguments are those of the command.
 
     Returns:
-        The scene as of the new file, with what its reader had to assume, and what became of what
-        was in a file of another program.
+        The scene in the new file, with the warnings of its reader, and a report on the import of
+        another program's file.
 
     Raises:
-        MomaposError: It cannot be converted; nothing is written then.
+        MomaposError: The scene can't be converted; then nothing is written.
     """
     if is_xacro(path):
         return _convert_xacro(path, out, root=root, without=without)
     kind, suffix = kind_of_file(path), out.suffix.lower()
     if suffix not in FORMATS:
         written = ", ".join(f"{ending} ({name})" for ending, name in FORMATS.items())
-        raise InputError(f"{out}: scenes are written as {written}")
+        raise InputError(f"{out}: unknown format; scenes are written as {written}")
     if without and kind is None:
-        raise InputError("--without is for rooms of other programs, such as MJCF")
+        raise InputError("--without needs a file of another program, such as MJCF")
     if kind is not None and suffix == ".json":
         room = read_room(kind, path, root).without(without)
-        return write_room(room, path, out), room.told()
+        return write_room(room, path, out), room.final_report()
     if kind is not None:
         with tempfile.TemporaryDirectory() as folder:
             room = read_room(kind, path, root).without(without)
             return _write_foreign(
                 write_room(room, path, Path(folder) / "room.json"), out
-            ), room.told()
+            ), room.final_report()
     scene = load_scene(path, root=root)
     if suffix != ".json":
         return _write_foreign(scene, out), None
@@ -64,8 +70,8 @@ def convert(
 
 def _convert_xacro(
     path: Path, out: Path, *, root: Path | None, without: Sequence[str]
-) -> tuple[Scene, Report | None]:
-    """Convert what a xacro file expands to; its files are copied, for that lies nowhere else."""
+) -> tuple[Scene, ImportReport | None]:
+    """Convert an expanded xacro file; copies its files, since the expansion is temporary."""
     text, _ = expand_xacro(path, {}, {})
     try:
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
@@ -86,7 +92,7 @@ def _write_foreign(scene: Scene, out: Path) -> Scene:
 
 
 def _refuse_outside(scene: Scene, out: Path) -> None:
-    """Say where the output could stand when the models are not below its folder."""
+    """Refuse an output whose folder does not contain the models; suggest a folder that does."""
     files = [file.resolve() for item in scene.objects for file in model_files(item.model)]
     folder = out.resolve().parent
     if all(file.is_relative_to(folder) for file in files):

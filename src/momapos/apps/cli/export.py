@@ -1,4 +1,4 @@
-"""momapos export: a plan, a tour or a run as other programs take it."""
+"""momapos export: write a plan, a tour or a run for other programs."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from tyro.conf import Positional
-
 from momapos.core import InputError, check_outputs
 
-from .options import OptionalPath, OptionalText
+from .options import OptionalFile, OptionalFolder, OptionalRobot, PlanArg
 from .plan_sources import numbered, open_plan, open_run, plans_of
 
 if TYPE_CHECKING:
@@ -20,41 +18,43 @@ if TYPE_CHECKING:
     from momapos.simulation import RunRecord
 
 SUFFIXES = {"csv": ".csv", "npz": ".npz", "ros2": "_ros2.json", "mcap": "", "moveit": ".scene"}
-"""How the result of each format is called after its plan."""
+"""Ending of each format's file; its name is that of the plan."""
 OF_PLANS = ("ros2", "moveit")
-"""Formats that say what is to be done; a run says what was done."""
+"""Formats for plans only."""
 FRAME = "map"
 
 
 def export(
-    source: Positional[Path],
+    source: PlanArg,
     /,
     *,
     to: Literal["csv", "npz", "ros2", "mcap", "moveit"],
-    out: OptionalPath = None,
-    scene_root: OptionalPath = None,
-    robot: OptionalText = None,
+    out: OptionalFile = None,
+    scene_root: OptionalFolder = None,
+    robot: OptionalRobot = None,
     frame: str = FRAME,
 ) -> int:
-    """Write a solved plan, or what physics made of it, as other programs take it.
+    """Write a solved plan, or the motion of a run, for other programs.
 
-    csv, npz: base, arm and object over time, as a table or as arrays. ros2: goals for Nav2, the
-    arm's controller and the gripper, as JSON. mcap: a ROS 2 bag of frames, joints, trajectory and
-    room, for Foxglove, RViz and "ros2 bag play". moveit: the room as a planning scene; beside it an
-    SRDF of the robot, and what the hand carries as an attached object.
+    csv, npz: base, arm and object over time, as a table or as arrays. ros2: goals for Nav2, the arm
+    controller and the gripper, as JSON. mcap: a ROS 2 bag of frames, joints, trajectory and scene,
+    for Foxglove, RViz and "ros2 bag play". moveit: a planning scene, an SRDF of the robot, and the
+    carried object as an attached object.
 
-    Of a tour each plan is written, in order: FILE_1, FILE_2 and so on. The record of a run has no
-    goals and no planning scene: its plan has.
+    For a tour, each plan is written: FILE_1, FILE_2 and so on. ros2 and moveit need a plan, not a
+    run.
 
-    Exit status: 0 written, 2 a file cannot be used or written.
+    Exit status: 0 written; 2 unusable input or output.
 
     Args:
-        source: The file of a plan or a tour, or the record of a run.
+        source: A plan file, a tour file, or the record of a run.
         to: The format.
-        out: The file, for mcap a folder; by default named after the plan, in the current folder.
-        scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
-        robot: A library robot or a robot file; by default the one that the plan names.
-        frame: Name of the world's frame in messages.
+        out: The file, or the folder for mcap (default: named after the plan, in the current
+            folder).
+        scene_root: Folder for files that are not next to the plan, and for models of a BestMan
+            scene.
+        robot: A library robot or a robot file (default: the robot of the plan).
+        frame: Name of the world frame in messages.
     """
     if not frame:
         raise InputError("--frame must not be empty")
@@ -65,12 +65,14 @@ def export(
     ]
     for target in targets:
         _check(target, to, [source, *paths])
-    # All is read before anything is written.
+    # Read everything before writing anything.
     opened = [_read(path, to, scene_root, robot) for path in paths]
     for content, target in zip(opened, targets, strict=True):
         own = content.robot.srdf
-        if own is not None and any(file.resolve() == own.resolve() for file in _beside(target, to)):
-            raise InputError(f"{own}: is the robot's own; give another name with --out")
+        if own is not None and any(
+            file.resolve() == own.resolve() for file in _output_files(target, to)
+        ):
+            raise InputError(f"{own}: is the robot's own file; choose another name with --out")
     for content, target in zip(opened, targets, strict=True):
         for path in _write(content, to, frame, target):
             print(path)
@@ -79,7 +81,7 @@ def export(
 
 @dataclass(frozen=True)
 class _Content:
-    """What is written."""
+    """What to export."""
 
     plan: PlacementPlan
     scene: Scene
@@ -87,37 +89,41 @@ class _Content:
     run: RunRecord | None
 
 
-def _beside(target: Path, to: str) -> list[Path]:
-    """All files that may be written for one name."""
+def _output_files(target: Path, to: str) -> list[Path]:
+    """Return all files that an export may write for one name."""
     if to != "moveit":
         return [target]
     return [target, target.with_suffix(".srdf"), target.with_name(f"{target.stem}_attached.json")]
 
 
 def _check(target: Path, to: str, sources: list[Path]) -> None:
-    """Refuse a name that cannot be written, before anything heavy is imported.
+    """Refuse an unusable output name, before anything heavy is imported.
 
     Raises:
-        InputError: It is the name of a source, exists, or cannot be written.
+        InputError: It is a source, exists, or can't be written.
     """
     for path in sources:
         if target.resolve() == path.resolve():
-            raise InputError(f"{target}: is the plan itself; give another name with --out")
+            raise InputError(f"{target}: is the input file; choose another name with --out")
     if to == "mcap":
         check_outputs(folders=[target.absolute().parent])
         if target.exists():
-            raise InputError(f"{target}: exists already; remove it, or give --out another name")
+            raise InputError(
+                f"{target}: exists already; remove it, or choose another name with --out"
+            )
     else:
-        check_outputs(_beside(target, to))
+        check_outputs(_output_files(target, to))
     if to == "moveit" and target.suffix == ".srdf":
-        raise InputError(f"{target}: is the name of the robot's file; name the scene's with --out")
+        raise InputError(
+            f"{target}: .srdf is for the robot's file; --out names the scene file (.scene)"
+        )
 
 
 def _read(path: Path, to: str, scene_root: Path | None, robot: str | None) -> _Content:
     """Read a plan, or the record of a run with its plan.
 
     Raises:
-        MomaposError: A file cannot be used, or has nothing of that format.
+        MomaposError: A file is unusable, or a run is exported to a format for plans.
     """
     from momapos.model.plan_files import format_of
     from momapos.simulation import FORMAT
@@ -127,8 +133,7 @@ def _read(path: Path, to: str, scene_root: Path | None, robot: str | None) -> _C
     record, plan, scene, machine = open_run(path, scene_root, robot, "to export")
     if to in OF_PLANS:
         raise InputError(
-            f"{path}: the record of a run has nothing for {to}; export its plan, "
-            f"{path.parent / record.plan}"
+            f"{path}: a run can't be exported to {to}; export its plan, {path.parent / record.plan}"
         )
     return _Content(plan, scene, machine, record)
 
@@ -138,7 +143,7 @@ def _write(content: _Content, to: str, frame: str, target: Path) -> list[Path]:
     plan, scene, robot = content.plan, content.scene, content.robot
     if to == "moveit":
         return _write_moveit(plan, scene, robot, target)
-    from momapos.apps.export import executed, phases_of, planned
+    from momapos.apps.export import phases_of, plan_timeline, run_timeline
 
     if to == "ros2":
         from momapos.apps.export import write_ros2
@@ -146,9 +151,9 @@ def _write(content: _Content, to: str, frame: str, target: Path) -> list[Path]:
         write_ros2(plan, phases_of(plan, robot), robot, frame, target)
         return [target]
     if content.run is not None:
-        timeline = executed(content.run, robot)
+        timeline = run_timeline(content.run, robot)
     else:
-        timeline = planned(plan, phases_of(plan, robot), scene, robot)
+        timeline = plan_timeline(plan, phases_of(plan, robot), scene, robot)
     if to == "mcap":
         from momapos.apps.export import write_recording
 
@@ -161,17 +166,17 @@ def _write(content: _Content, to: str, frame: str, target: Path) -> list[Path]:
 
 
 def _write_moveit(plan: PlacementPlan, scene: Scene, robot: Robot, target: Path) -> list[Path]:
-    """Write the room, the robot's SRDF, and what the hand carries; return the files."""
+    """Write the scene, the robot's SRDF, and the carried object; return the files."""
     import numpy as np
 
-    from momapos.apps.export import is_carried, write_attached, write_scene, write_srdf
+    from momapos.apps.export import carries_object, write_attached, write_scene, write_srdf
 
-    files = _beside(target, "moveit")
-    # Until it is let go, what is placed is in the hand and not in the room.
+    files = _output_files(target, "moveit")
+    # An object to be placed is in the hand, not in the scene.
     absent = {plan.task.object} if plan.task.verb == "place" else set()
     write_scene(scene, np.eye(4), target, absent=absent)
     write_srdf(robot, files[1])
-    if not is_carried(plan):
+    if not carries_object(plan):
         return files[:2]
     write_attached(plan, scene, robot, files[2])
     return files

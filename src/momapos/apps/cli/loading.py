@@ -1,4 +1,4 @@
-"""What commands that answer begin with: the room with its joints set, the arms with their maps."""
+"""Load what planning commands need: the scene with its joints set, the arms with their maps."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ if TYPE_CHECKING:
     from momapos.planning.reachability import ArmLength, ReachMap
 
 
-def tell(warnings: Iterable[str]) -> None:
-    """Print warnings, a line each, where they do not disturb the answer."""
+def print_warnings(warnings: Iterable[str]) -> None:
+    """Print warnings on stderr, one per line."""
     for warning in warnings:
         print(f"momapos: {warning}", file=sys.stderr)
 
 
-def load_room(name: str, joints: Sequence[str], cache: Cache) -> Scene:
-    """Load a scene, set its joints as --joint says, and tell its warnings.
+def load_scene_with_joints(name: str, joints: Sequence[str], cache: Cache) -> Scene:
+    """Load a scene, set its joints and print its warnings.
 
     Args:
-        name: A scene file or the name of a built-in kitchen.
+        name: A scene file or a built-in kitchen.
         joints: As OBJECT/JOINT=VALUE.
-        cache: Where its models are kept.
+        cache: The cache of models.
 
     Raises:
-        MomaposError: The scene cannot be used, or has no such joint.
+        MomaposError: The scene is unusable, or has no such joint.
     """
     from momapos.model.scene import load_scene, set_joints
 
     scene = set_joints(load_scene(name, cache=cache), joints)
-    tell(scene.warnings)
+    print_warnings(scene.warnings)
     return scene
 
 
 def load_arms_with_maps(
     robot: str, arm: str, cache: Cache
 ) -> tuple[tuple[Robot, ...], list[ReachMap | ArmLength]]:
-    """Load the arms of a robot that are asked for, and their maps, built where there are none.
+    """Load arms of a robot and their reachability maps; build missing maps.
 
     Args:
         robot: A library robot or a robot file.
         arm: The name of an arm, or any.
-        cache: Where models and maps are kept.
+        cache: The cache of models and maps.
 
     Raises:
-        RobotError: The robot cannot be used.
+        RobotError: The robot is unusable.
     """
     from momapos.model.robots import load_arms
     from momapos.planning.reachability import load_reach

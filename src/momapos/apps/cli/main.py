@@ -1,7 +1,7 @@
-"""Entry point: find the command, run it, turn errors into one line and an exit status.
+"""Run a command; turn errors into one line and an exit status.
 
-Exit status: 0 solved; 1 a plan that does not hold (verify, run); 2 input that cannot be used;
-3 no feasible base pose; 4 out of time.
+Exit status: 0 solved; 1 plan invalid or run failed (verify, run); 2 unusable input; 3 no feasible
+base pose; 4 out of time.
 """
 
 from __future__ import annotations
@@ -12,49 +12,49 @@ from collections.abc import Callable, Sequence
 
 COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
-        "where to stand and how to move, to open, close, pick or place something",
+        "plan a base pose and the motion to open, close, pick or place an object",
         {
             "open": "place:place_open", "close": "place:place_close",
             "pick": "place:place_pick", "place": "place:place_place",
         },
     ),
-    "view": ("a web page: ask, drag the base, watch the answer move", "view:view"),
-    "verify": ("check a plan again, from the files alone", "verify:verify"),
-    "run": ("carry a plan out in physics: is it really open then?", "run:run"),
-    "export": ("plans and runs for ROS 2, MoveIt, Foxglove, spreadsheets", "export:export"),
-    "rank": ("which objects matter for a task with one of them", "rank:rank_objects"),
+    "view": ("show a scene, a plan or a run on a web page; plan there", "view:view"),
+    "verify": ("check a plan independently, from its files", "verify:verify"),
+    "run": ("execute a plan in a physics simulation", "run:run"),
+    "export": ("write plans and runs for ROS 2, MoveIt, Foxglove, spreadsheets", "export:export"),
+    "rank": ("score which objects matter for a task", "rank:rank_objects"),
     "scene": (
-        "rooms: list, show, generate, convert, scan",
+        "list, show, generate, convert and scan scenes",
         {
             "list": "scene:scene_list", "show": "scene:scene_show", "new": "scene:scene_new",
             "convert": "scene:scene_convert", "scan": "scan_synthetic:scene_scan",
         },
     ),
     "robot": (
-        "robots: list, show, check a URDF or robot file, export",
+        "list, show, check and export robots",
         {
             "list": "robot:robot_list", "show": "robot:robot_show",
             "check": "robot:robot_check", "export": "robot:robot_export",
         },
     ),
-    "scan": ("a scene that moves, from a scan of a room", "scan:scan_room"),
+    "scan": ("build an articulated scene from a scan of a room", "scan:scan_room"),
     "models": (
-        "weights of detectors: list, get",
+        "list and download detector weights",
         {"list": "models:models_list", "get": "models:models_get"},
     ),
-    "solve": ("all of it: from a scan of a room to an opened door", "solve:solve"),
+    "solve": ("go from a scan to an executed task in one command", "solve:solve"),
     "reach": (
-        "reachability maps: build, evaluate",
+        "build and evaluate reachability maps",
         {"build": "reach:reach_build", "eval": "reach:reach_eval"},
     ),
     "bench": (
-        "methods compared: run a suite of tasks, report on it",
+        "compare methods: run a suite of tasks, report the results",
         {"run": "bench:bench_run", "report": "bench:bench_report"},
     ),
 }  # fmt: skip
-"""What each command is for, and its function, or those of its subcommands, in `momapos.apps.cli`.
+"""Summary of each command, and its function, or those of its subcommands, in `momapos.apps.cli`.
 
-Modules of commands import nothing heavy: help, completion, lists and wrong names come at once.
+Command modules import nothing heavy, so that help, completion, lists and name errors are fast.
 """
 EXAMPLES = """examples:
   momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
@@ -65,9 +65,10 @@ EXAMPLES = """examples:
   momapos rank kitchen_small fridge --plot graph.png
   momapos robot check my_robot.urdf --plot robot.png"""
 HELP = ("-h", "--help")
+HELP_ALL = "--help-all"
 COMPLETION = "--tyro-print-completion"
 SHELLS = ("bash", "zsh", "fish")
-COMPLETE = f"""completion of commands and options in bash (zsh and fish likewise):
+COMPLETE = f"""shell completion in bash (zsh and fish likewise):
   eval "$(momapos {COMPLETION} bash)\""""
 
 
@@ -84,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     try:
         return _run(args)
-    except SystemExit as leaving:  # tyro ends the process itself on --help and on wrong words
+    except SystemExit as leaving:  # tyro exits on --help and on wrong arguments
         return leaving.code if isinstance(leaving.code, int) else 0 if leaving.code is None else 2
     except BrokenPipeError:
         return 0
@@ -93,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except MemoryError:
         print(
-            "momapos: not enough memory; give a smaller input, or close other programs",
+            "momapos: not enough memory; use a smaller input, or close other programs",
             file=sys.stderr,
         )
         return 2
@@ -114,7 +115,7 @@ def _run(args: list[str]) -> int:
         return _print_completion(rest)
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS, "momapos")
-    if name == "place" and "then" in rest:
+    if name == "place" and "then" in rest and HELP_ALL not in rest:
         from .tour import run_tour
 
         return run_tour(rest)
@@ -126,15 +127,18 @@ def _run(args: list[str]) -> int:
         if rest[0] not in function:
             raise unknown_name("command", rest[0], function, prog)
         function, prog, rest = function[rest[0]], f"{prog} {rest[0]}", rest[1:]
+    command = _load(function)
+    if HELP_ALL in rest and (used := getattr(sys.modules[command.__module__], "SETTINGS", None)):
+        from .configuration import all_fields
+
+        print(all_fields(used))
+        return 0
     from .parse import parse
 
-    command = _load(function)
-    rules = getattr(sys.modules[command.__module__], "tyro_rules", None)
-    return parse(command, rest, prog, None if rules is None else rules(rest))()
+    return parse(command, rest, prog)()
 
 
 def _load(function: str) -> Callable[..., int]:
-    """The function of a command, as the table names it."""
     module, name = function.split(":")
     loaded: Callable[..., int] = getattr(
         importlib.import_module(f"momapos.apps.cli.{module}"), name
@@ -143,17 +147,18 @@ def _load(function: str) -> Callable[..., int]:
 
 
 def _print_completion(shell: list[str]) -> int:
-    """Print what makes a shell complete all commands and their options.
+    """Print a script that makes a shell complete all commands and their options.
 
-    One application of all commands can do that; answers do not go through it, since it reads the
-    options of every command first, and tells a wrong word in more than one line.
+    This needs one tyro application of all commands. Commands don't run through it, because it
+    loads the options of every command first and reports a mistake in several lines.
     """
+    from tyro.conf import FlagCreatePairsOff
     from tyro.extras import SubcommandApp
 
     from momapos.core import InputError
 
     if len(shell) != 1 or shell[0] not in SHELLS:
-        raise InputError(f"{COMPLETION} is followed by one of {', '.join(SHELLS)}")
+        raise InputError(f"{COMPLETION} needs one of {', '.join(SHELLS)}")
     app = SubcommandApp()
     for name, (_, functions) in COMMANDS.items():
         if isinstance(functions, str):
@@ -163,14 +168,21 @@ def _print_completion(shell: list[str]) -> int:
         for sub, function in functions.items():
             group.command(name=sub)(_load(function))
         app.command(group, name=name)
-    app.cli(prog="momapos", args=[COMPLETION, *shell])
+    app.cli(prog="momapos", args=[COMPLETION, *shell], config=(FlagCreatePairsOff,))
     return 0
 
 
 def _overview() -> str:
     lines = ["usage: momapos COMMAND ...", "", "commands:"]
     lines += [f"  {name:<8} {text}" for name, (text, _) in COMMANDS.items()]
-    lines += ["", "momapos COMMAND --help says more.", "", EXAMPLES, "", COMPLETE]
+    lines += [
+        "",
+        "momapos COMMAND --help shows the options of a command.",
+        "",
+        EXAMPLES,
+        "",
+        COMPLETE,
+    ]
     return "\n".join(lines)
 
 
@@ -179,7 +191,9 @@ def _group(name: str, functions: dict[str, str]) -> str:
     for sub, function in functions.items():
         first = (_load(function).__doc__ or "").partition("\n")[0]
         lines.append(f"  {sub:<8} {first}")
-    return "\n".join([*lines, "", f"momapos {name} {next(iter(functions))} --help says more."])
+    return "\n".join(
+        [*lines, "", f"momapos {name} {next(iter(functions))} --help shows the options."]
+    )
 
 
 def entry() -> None:

@@ -1,4 +1,4 @@
-"""momapos models: weights of detectors, fetched once."""
+"""momapos models: list and download detector weights."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from tyro.conf import Positional, arg
 
 from momapos.core import InputError, unknown_name
 
-from .options import OptionalText
+from .options import Text, optional
 
 
 def models_get(
     name: Annotated[Positional[str], arg(metavar="NAME")],
     /,
     *,
-    url: OptionalText = None,
-    sha256: OptionalText = None,
+    url: Annotated[Text, optional("URL")] = None,
+    sha256: Annotated[Text, optional("HASH")] = None,
 ) -> int:
-    """Download the weights of a detector, check their hash, and keep them.
+    """Download detector weights, check their hash and cache them, for `momapos scan --detector`.
 
-    They are used as `momapos scan --detector NAME`. Without a network, give the file there.
+    The message without a network says where to put the file.
 
     Args:
-        name: One of `momapos models list`, or a new name for --url and --sha256.
-        url: An https address, of weights that are not listed.
+        name: A name from `momapos models list`, or a new name for --url and --sha256.
+        url: An https address of weights that are not listed.
         sha256: Hash of those weights, 64 hexadecimal digits.
     """
     from momapos.core import default_cache_dir
     from momapos.perception.detection import MODELS, ModelFile, fetch
 
     if (url is None) != (sha256 is None):
-        raise InputError("--url and --sha256 belong together: a file is known by its hash")
+        raise InputError("--url and --sha256 need each other")
     if url is not None and sha256 is not None:
         if name in MODELS:
-            raise InputError(f"{name} is listed with an address of its own; give another name")
+            raise InputError(f"{name} is already listed; choose another name")
         model = ModelFile(name, url, sha256.lower())
     elif name in MODELS:
         model = MODELS[name]
@@ -45,14 +45,14 @@ def models_get(
 
 
 def models_list() -> int:
-    """Weights that can be fetched by name, and those that were."""
+    """List the weights that can be downloaded by name, and the cached ones."""
     from momapos.core import default_cache_dir
-    from momapos.perception.detection import MODELS, kept_at, kept_models
+    from momapos.perception.detection import MODELS, cached_models, cached_path
 
     cache = default_cache_dir()
-    kept = kept_models(cache)
+    kept = cached_models(cache)
     for name in dict.fromkeys([*MODELS, *kept]):
-        about = MODELS[name].about if name in MODELS else "fetched from a given address"
-        state = str(kept_at(name, cache)) if name in kept else f"momapos models get {name}"
+        about = MODELS[name].about if name in MODELS else "downloaded from a given address"
+        state = str(cached_path(name, cache)) if name in kept else f"momapos models get {name}"
         print(f"  {name:<16} {about}\n  {'':<16} {state}")
     return 0

@@ -1,30 +1,48 @@
-"""Options that several commands share: their types and checks.
+"""Define the types and checks of options that several commands share.
 
-tyro tells a value from None at once where the type is a `typing.Optional`; for `X | None` it
-imports typeguard, which takes longer than all else that it does.
+tyro tells a value from None quickly if the type is a `typing.Optional`; for `X | None` it imports
+typeguard, which takes longer than everything else tyro does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
-from tyro.conf import UseAppendAction, arg
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+from tyro.conf import Positional, UseAppendAction, arg
 
 from momapos.core import InputError
 
-OptionalPath = Optional[Path]  # noqa: UP045
-OptionalText = Optional[str]  # noqa: UP045
-OptionalNumber = Optional[float]  # noqa: UP045
-OptionalCount = Optional[int]  # noqa: UP045
-Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
-Thing = Annotated[str, arg(metavar="OBJECT")]
-PoseArg = Annotated[OptionalText, arg(metavar="X,Y,YAW")]
-ValueArg = Annotated[OptionalText, arg(metavar="VALUE")]
-RoomArg = Annotated[OptionalText, arg(metavar="LENGTH,ANGLE")]
-BoxArg = Annotated[OptionalText, arg(metavar="LxWxH")]
+
+def optional(metavar: str, default: object = None) -> Any:
+    """Describe an option that is None unless the user gives it.
+
+    Args:
+        metavar: The value, in the help text.
+        default: What applies without the option; shown in the help text.
+    """
+    hint = "" if default is None else f"(default: {default})"
+    return arg(metavar=metavar, help_behavior_hint=hint)
+
+
+Number = Optional[float]  # noqa: UP045
+Text = Optional[str]  # noqa: UP045
+OptionalFile = Annotated[Optional[Path], optional("FILE")]  # noqa: UP045
+OptionalFolder = Annotated[Optional[Path], optional("DIR")]  # noqa: UP045
+OptionalRobot = Annotated[Text, optional("ROBOT")]
+OptionalCount = Annotated[Optional[int], optional("N")]  # noqa: UP045
+RobotOption = Annotated[str, arg(metavar="ROBOT")]
+ArmOption = Annotated[str, arg(metavar="ARM")]
+Flag = Annotated[bool, arg(help_behavior_hint="")]
+SceneArg = Annotated[Positional[str], arg(metavar="SCENE")]
+PlanArg = Annotated[Positional[Path], arg(metavar="PLAN")]
+RobotArg = Annotated[Positional[str], arg(metavar="ROBOT")]
+Target = Annotated[Positional[str], arg(metavar="OBJECT[/JOINT]")]
+ObjectArg = Annotated[Positional[str], arg(metavar="OBJECT")]
+PoseArg = Annotated[Text, optional("X,Y,YAW")]
+ValueArg = Annotated[Text, optional("VALUE")]
+RobustArg = Annotated[Text, optional("LENGTH,ANGLE")]
+BoxArg = Annotated[Text, optional("LxWxH")]
 if TYPE_CHECKING:
     JointsArg = tuple[str, ...]
     AreasArg = tuple[str, ...]
@@ -32,71 +50,37 @@ if TYPE_CHECKING:
     PackagesArg = tuple[str, ...]
     XacroArg = tuple[str, ...]
     ObjectsArg = tuple[str, ...]
+    SettingsArg = tuple[str, ...]
 else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
-    JointsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT/JOINT=VALUE")]
-    AreasArg = Annotated[UseAppendAction[tuple], arg(metavar="AREA")]
-    LabelsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT=LABEL")]
-    PackagesArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=DIR")]
-    XacroArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=VALUE")]
-    ObjectsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT")]
+    Several = UseAppendAction[tuple]
+    JointsArg = Annotated[Several, arg(metavar="OBJECT/JOINT=VALUE")]
+    AreasArg = Annotated[Several, arg(metavar="AREA")]
+    LabelsArg = Annotated[Several, arg(metavar="OBJECT=LABEL")]
+    PackagesArg = Annotated[Several, arg(metavar="NAME=DIR")]
+    XacroArg = Annotated[Several, arg(metavar="NAME=VALUE")]
+    ObjectsArg = Annotated[Several, arg(metavar="OBJECT")]
+    SettingsArg = Annotated[Several, arg(metavar="FIELD=VALUE")]
 MAX_SEED = 2**63 - 1
 MAX_SAMPLES = 10_000
 EXIT_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
-"""Of commands that answer, by the status of the answer."""
+"""Exit status of the commands that plan, by the status of the plan."""
 
 
 def check_seed(seed: int) -> None:
-    """Refuse what is no seed.
+    """Refuse a seed that is negative or has more than 63 bits.
 
     Raises:
-        InputError: It is negative or has more than 63 bits.
+        InputError: The seed is out of range.
     """
     if not 0 <= seed <= MAX_SEED:
         raise InputError(f"--seed must be between 0 and {MAX_SEED}")
 
 
 def check_samples(samples: int) -> None:
-    """Refuse what is no number of poses for a tolerance.
+    """Refuse a number of tolerance samples that is out of range.
 
     Raises:
-        InputError: It is below one or beyond all sense.
+        InputError: It is below 1 or above the limit.
     """
     if not 1 <= samples <= MAX_SAMPLES:
         raise InputError(f"--tolerance-samples must be between 1 and {MAX_SAMPLES}, not {samples}")
-
-
-def unread(kind: type, plain: Collection[str], words: Sequence[str]) -> ConstructorRegistry | None:
-    """A rule for tyro: what belongs to a configuration is no option where none of it is given.
-
-    tyro finds the help and the types of all options before it looks at the words, and imports
-    typeguard for those that are tuples of numbers; that takes longer than all else it does.
-
-    Args:
-        kind: The configuration.
-        plain: Names of all options of the command that are not in it.
-        words: What follows the command.
-
-    Returns:
-        The rule; None where a word may be one of its options, or asks for help about them.
-    """
-    if any(w.startswith("-") and w.partition("=")[0] not in plain for w in words):
-        return None
-    registry = ConstructorRegistry()
-
-    def whole(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[object] | None:
-        if info.type is not kind:
-            return None
-        return PrimitiveConstructorSpec(
-            nargs=1,
-            metavar=kind.__name__,
-            instance_from_str=_refuse,
-            is_instance=lambda value: isinstance(value, kind),
-            str_from_instance=lambda _: [kind.__name__],
-        )
-
-    registry.primitive_rule(whole)
-    return registry
-
-
-def _refuse(words: list[str]) -> NoReturn:
-    raise ValueError(f"{words} is no configuration")

@@ -1,66 +1,63 @@
-"""From words to a call of a command; wrong words are told in one line."""
+"""Parse the arguments of a command; report a mistake in one line."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import inspect
 import io
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from momapos.core import InputError
-
-if TYPE_CHECKING:
-    from tyro.constructors import ConstructorRegistry
 
 _FRAME = re.compile(r"\x1b\[[0-9;]*m|[\u2500-\u257f]|-{8,}")
 """Colors of tyro's messages, and lines around them and between their parts."""
 
 
-def parse(
-    command: Callable[..., int],
-    args: Sequence[str],
-    prog: str,
-    registry: ConstructorRegistry | None = None,
-) -> Callable[[], int]:
-    """Read the arguments of a command, and leave it to be called.
+def parse(command: Callable[..., int], args: Sequence[str], prog: str) -> Callable[[], int]:
+    """Parse the arguments of a command, and return the call.
 
     Args:
         command: Its parameters are the options.
         args: The words after its name.
         prog: Its name, for messages.
-        registry: Further rules for types of parameters.
 
     Raises:
-        InputError: The words make no call; says what is wrong, and where help is.
-        SystemExit: Help was asked for and is printed.
+        InputError: The arguments are wrong; the message says what is wrong, and where help is.
+        SystemExit: The help text was requested and is printed.
     """
     import tyro
+
+    # tyro breaks the help text at each indented line of the docstring.
+    command.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(command.__doc__ or ""))
 
     @functools.wraps(command)
     def call(*values: Any, **options: Any) -> Callable[[], int]:
         return lambda: command(*values, **options)
 
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
-            ready: Callable[[], int] = tyro.cli(call, args=args, prog=prog, registry=registry)
+        with contextlib.redirect_stderr(printed):
+            ready: Callable[[], int] = tyro.cli(
+                call, args=args, prog=prog, config=(tyro.conf.FlagCreatePairsOff,)
+            )
     except SystemExit as leaving:
         if leaving.code in (0, None):
             raise
-        raise InputError(f"{in_one_line(said.getvalue())}; see {prog} --help") from None
+        raise InputError(f"{in_one_line(printed.getvalue())}; see {prog} --help") from None
     return ready
 
 
-def in_one_line(said: str) -> str:
-    """What a framed message says, without its title, advice and frame.
+def in_one_line(printed: str) -> str:
+    """Reduce a framed message of tyro to one line, without title, advice and frame.
 
     Args:
-        said: As tyro prints it: a title, then parts that lines divide.
+        printed: As tyro prints it: a title, then parts that lines divide.
     """
     parts = [""]
-    for line in said.splitlines()[1:]:
+    for line in printed.splitlines()[1:]:
         words = _FRAME.sub("", line).strip()
         if words:
             parts[-1] = f"{parts[-1]} {words}".strip()
@@ -74,5 +71,4 @@ def in_one_line(said: str) -> str:
 
 
 def _flags(text: str) -> list[str]:
-    """The options that a text names, each once."""
     return list(dict.fromkeys(re.findall(r"(?<!\S)--[a-z][\w-]*", text)))

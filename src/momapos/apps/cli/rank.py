@@ -1,71 +1,72 @@
-"""momapos rank: which objects matter for a task with one of them."""
+"""momapos rank: score which objects matter for a task."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from tyro.conf import OmitArgPrefixes, Positional
-
-from momapos.apps.plots import check_picture
+from momapos.apps.plots import check_figure_path
 from momapos.core import check_outputs
 from momapos.model.scene import find_scene, refuse_unknown_object
-from momapos.planning.importance import ImportanceConfig
 
+from .configuration import NO_SETTINGS, AlphaOption, ConfigArgs, ScorerOption, load_config
 from .console import busy
-from .loading import load_room
-from .options import JointsArg, OptionalPath, Target, check_seed, unread
+from .loading import load_scene_with_joints
+from .options import (
+    Flag,
+    JointsArg,
+    OptionalFile,
+    SceneArg,
+    Target,
+    check_seed,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tyro.constructors import ConstructorRegistry
-
     from momapos.model.scene import Scene
-    from momapos.planning.importance import Importance
+    from momapos.planning.importance import Importance, ImportanceConfig
 
-Shared = Annotated[ImportanceConfig, OmitArgPrefixes]
-_PLAIN = {"--joint", "--seed", "--plot", "--json"}
+SETTINGS = ("importance",)
+"""Fields and tables of a configuration that the command uses."""
 _WORDS = {
     "": "", "near": "near it", "on": "on it", "in": "in it", "inside": "inside it",
     "carries": "carries it", "contains": "contains it",
 }  # fmt: skip
 
 
-def tyro_rules(words: Sequence[str]) -> ConstructorRegistry | None:
-    """How tyro reads the words of the command below, see `unread`."""
-    return unread(ImportanceConfig, _PLAIN, words)
-
-
 def rank_objects(
-    scene: Positional[str],
-    target: Positional[Target],
+    scene: SceneArg,
+    target: Target,
     /,
     *,
     joint: JointsArg = (),
+    scorer: ScorerOption = None,
+    alpha: AlphaOption = None,
     seed: int = 0,
-    plot: OptionalPath = None,
-    json: bool = False,
-    config: Shared = ImportanceConfig(),  # noqa: B008 (frozen)
+    plot: OptionalFile = None,
+    json: Flag = False,
+    settings: ConfigArgs = NO_SETTINGS,
 ) -> int:
-    """Score every object of a room by how much it matters for a task with one of them.
+    """Score each object of a scene by how much it matters for a task with one of them.
 
     Args:
-        scene: A scene file or the name of a built-in kitchen.
-        target: The object that the task is about, and the joint where it has several.
-        joint: A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg;
-            repeatable.
-        seed: Same seed, same scores.
-        plot: Draw the scene graph over the room (PNG, SVG or PDF).
-        json: Print one JSON object and nothing else.
-        config: How to score.
+        scene: A scene file or a built-in kitchen.
+        target: The object of the task, and its joint if it has several.
+        joint: Set a joint of the scene, such as fridge/door_hinge=60deg.
+        scorer: reach: large for its distance to the path of the hand; deepwalk: as in the paper;
+            distance: near the target; size: large for its distance to the target; names: by words.
+        alpha: Objects with at least this score are in S, in [0, 1].
+        seed: The same seed gives the same scores.
+        plot: Draw the scene graph over the floor plan (PNG, SVG or PDF).
+        json: Print one JSON object, and nothing else.
+        settings: Further settings.
     """
     import json as encoder
 
-    # What is mistyped is told before anything heavy is imported.
+    # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
+    config = load_config(settings, SETTINGS, scorer=scorer, alpha=alpha).importance
     check_outputs([plot])
-    check_picture(plot)
+    check_figure_path(plot)
     name, _, moved = target.partition("/")
     refuse_unknown_object(find_scene(scene), name)
     from momapos.core import user_cache
@@ -74,7 +75,7 @@ def rank_objects(
 
     from .compile import RANK, WALKS, compile_once
 
-    loaded = load_room(scene, joint, user_cache())
+    loaded = load_scene_with_joints(scene, joint, user_cache())
     path = hand_path(loaded, name, moved or None)
     compile_once(RANK + WALKS if config.scorer == "deepwalk" else RANK)
     with busy(f"{loaded.name}: scoring {len(loaded.objects)} objects"):
@@ -92,7 +93,7 @@ def rank_objects(
 
 
 def table(scene: Scene, result: Importance) -> str:
-    """All objects in a few columns, most important first."""
+    """Tabulate all objects, most important first."""
     chosen = result.selected()
     width = max(len("object"), *map(len, result.names))
     lines = [
@@ -110,7 +111,7 @@ def table(scene: Scene, result: Importance) -> str:
 
 
 def relation_words(result: Importance, k: int) -> str:
-    """What the k-th object is to the target, in words."""
+    """Describe how the k-th object is related to the target."""
     if result.names[k] == result.target:
         return "the target"
     direct, steps = _WORDS[result.relations[k]], result.steps[k]
@@ -120,7 +121,7 @@ def relation_words(result: Importance, k: int) -> str:
 def importance_to_dict(
     scene: Scene, result: Importance, config: ImportanceConfig
 ) -> dict[str, Any]:
-    """The answer as plain values; distances in [m]."""
+    """Return the scores as plain values; distances in [m]."""
     from momapos.planning.importance import KINDS
 
     graph, chosen = result.graph, set(result.selected())

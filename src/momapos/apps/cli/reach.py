@@ -1,15 +1,21 @@
-"""momapos reach: reachability maps."""
+"""momapos reach: build and evaluate reachability maps."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional
-
-from momapos.apps.plots import check_picture
+from momapos.apps.plots import check_figure_path
 from momapos.model.robots import find_named_robot
 
-from .options import OptionalPath, OptionalText
+from .options import (
+    ArmOption,
+    Flag,
+    OptionalFile,
+    OptionalFolder,
+    RobotArg,
+    Text,
+    optional,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,27 +25,27 @@ if TYPE_CHECKING:
 
 
 def reach_build(
-    robot: Positional[str],
+    robot: RobotArg,
     /,
     *,
-    arm: str = "any",
-    cache: OptionalPath = None,
-    out: OptionalPath = None,
-    plot: OptionalPath = None,
-    json: bool = False,
+    arm: ArmOption = "any",
+    cache: OptionalFolder = None,
+    out: OptionalFile = None,
+    plot: OptionalFile = None,
+    json: Flag = False,
 ) -> int:
-    """Build a robot's reachability map, or find it ready.
+    """Build a robot's reachability map, unless it is cached.
 
     Args:
         robot: A library robot or a robot file.
-        arm: Of a robot with several arms: which, or any for all.
+        arm: The arm of a robot with several; any: all of them.
         cache: Folder of the cache.
-        out: Build it afresh into this file; NAME.reach beside NAME.toml is found by itself, and
-            NAME.ARM.reach for one arm of several.
-        plot: Draw what one arm reaches in slices (PNG, SVG or PDF).
+        out: Build the map anew and write it to this file. momapos finds NAME.reach next to
+            NAME.toml, and NAME.ARM.reach for one arm of several.
+        plot: Draw slices of the arm's reachable space (PNG, SVG or PDF).
         json: Print one JSON object.
     """
-    find_named_robot(robot)  # a mistyped name is told before anything heavy is imported
+    find_named_robot(robot)  # reports a mistyped name before anything heavy is imported
     import json as encoder
     import time
 
@@ -56,14 +62,14 @@ def reach_build(
     from .console import progress
 
     check_outputs([out, plot], [cache])
-    check_picture(plot)
+    check_figure_path(plot)
     kept = cache or default_cache_dir()
     machines, where = load_arms(robot, arm, cache=Cache(kept)), out or kept
     for machine in machines:
         _check_map(machine)
     if (out or plot) is not None and len(machines) > 1:
         names = " or ".join(machine.arm for machine in machines)
-        raise InputError(f"{out or plot} holds the map of one arm: give --arm {names}")
+        raise InputError(f"{out or plot} can hold the map of one arm only; give --arm {names}")
     began, worked = time.perf_counter(), time.process_time()
     for machine in machines:
         with progress(f"reachability map of {machine.title}") as report:
@@ -83,25 +89,25 @@ def reach_build(
     else:
         names = ", ".join(machine.title for machine in machines)
         print(
-            f"reachability map of {names}: ready after {seconds:.1f} s "
-            f"({worked:.1f} s of processor time) in {where}"
+            f"reachability map of {names}: ready in {seconds:.1f} s "
+            f"({worked:.1f} s of processor time), in {where}"
         )
     return 0
 
 
 def reach_eval(
-    robot: Positional[str], /, *, arm: OptionalText = None, count: int = 4_000, seed: int = 0,
-    cache: OptionalPath = None, json: bool = False,
+    robot: RobotArg, /, *, arm: Annotated[Text, optional("ARM")] = None, count: int = 4_000,
+    seed: int = 0, cache: OptionalFolder = None, json: Flag = False,
 ) -> int:  # fmt: skip
-    """Hold a robot's reachability map against exact inverse kinematics.
+    """Compare a robot's reachability map with exact inverse kinematics.
 
-    Most poses in the ball around the shoulder are out of reach; what a map misses and invents
-    counts among those near reach, which are told first.
+    Most poses in the ball around the shoulder are out of reach, so errors of the map matter among
+    poses near the boundary of the reachable space. Their figures come first.
 
     Args:
         robot: A library robot or a robot file.
-        arm: Of a robot with several arms: which; the first by default.
-        count: Number of random tool poses, of those near reach and of those in the ball.
+        arm: The arm of a robot with several (default: the first).
+        count: Number of random tool poses, near the boundary and in the ball each.
         seed: Seed of the poses.
         cache: Folder of the cache.
         json: Print one JSON object.
@@ -120,7 +126,7 @@ def reach_eval(
     from .options import check_seed
 
     if not 0 < count <= 10_000_000:
-        raise InputError("--count must be between 1 and 10000000")
+        raise InputError(f"--count must be between 1 and 10000000, not {count}")
     check_seed(seed)
     check_outputs(folders=[cache])
     kept = cache or default_cache_dir()
@@ -130,8 +136,8 @@ def reach_eval(
         reach = load_reach_map(machine, kept, report)
     ik = machine.finer.ik
     near, ball = (
-        asdict(evaluate(reach, machine, np.random.default_rng(seed), count, ik, near=beside))
-        for beside in (True, False)
+        asdict(evaluate(reach, machine, np.random.default_rng(seed), count, ik, near=near_boundary))
+        for near_boundary in (True, False)
     )
     shares = ("accuracy", "false_positives", "misses", "reachable")
     facts = {f"{name}_near_reach": near[name] for name in shares} | ball
@@ -152,13 +158,15 @@ def _draw(robot: Robot, reach: ReachMap, path: Path) -> None:
 
 
 def _check_map(robot: Robot) -> None:
-    """Refuse an arm that can have no map.
+    """Refuse an arm that can't have a reachability map.
 
     Raises:
-        RobotError: It can have none; the message says why.
+        RobotError: With the reason.
     """
     from momapos.core import RobotError
     from momapos.planning.reachability import no_map
 
     if why := no_map(robot):
-        raise RobotError(f"{robot.title} has no reachability map: {why}; place needs none")
+        raise RobotError(
+            f"{robot.title} has no reachability map: {why}; momapos place doesn't need one"
+        )

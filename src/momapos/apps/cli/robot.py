@@ -1,4 +1,4 @@
-"""`momapos robot`: list, show, check and export robots."""
+"""momapos robot: list, show, check and export robots."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ import shlex
 import shutil
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from momapos.apps.plots import check_picture
+from tyro.conf import Positional, arg
+
+from momapos.apps.plots import check_figure_path
 from momapos.core import RobotError, check_outputs, unknown_name
 from momapos.model.robots import LIBRARY, MAP_JOINTS, find_named_robot, library_file, library_names
 
 from .bounds import within_bounds
 from .console import progress
-from .options import BoxArg, OptionalPath, PackagesArg, XacroArg
+from .options import BoxArg, Flag, OptionalFile, PackagesArg, RobotArg, XacroArg
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,11 +27,11 @@ if TYPE_CHECKING:
 SOLVED = 0
 _ROW = "{:<14} {:>4} {:>6} {:>9} {:>12}  {:<12} {}"
 DERIVED_FROM = (".urdf", ".xml", ".xacro")
-"""Endings of files that a robot file is derived from."""
+"""Endings of files that robot files are derived from."""
 
 
-def robot_list(*, json: bool = False) -> int:
-    """List the robots that come with momapos.
+def robot_list(*, json: Flag = False) -> int:
+    """List the library robots.
 
     Args:
         json: Print one JSON object instead of a table.
@@ -42,12 +44,12 @@ def robot_list(*, json: bool = False) -> int:
     for robot in robots:
         cells = {key: "-" if value is None else value for key, value in robot.items()}
         print(_ROW.format(*(str(value) for value in cells.values())))
-    print("Use a name as --robot, or a robot file; 'momapos robot check FILE.urdf' makes one.")
+    print("Use a name or a robot file as --robot; 'momapos robot check FILE.urdf' writes one.")
     return SOLVED
 
 
 def _in_short(name: str) -> dict[str, Any]:
-    """What `robot list` tells of a library robot, from its robot file alone."""
+    """Return the row of a library robot, from its robot file alone."""
     file = library_file(name)
     data = tomllib.loads(file.read_text(encoding="utf-8"))
     arms = list(data.get("arms", {"": data}).values())
@@ -63,20 +65,20 @@ def _in_short(name: str) -> dict[str, Any]:
 
 
 def _map_of(file: Path, joints: int) -> str:
-    """Whether a library robot brings a map; an arm of fewer than six joints has none."""
+    """Return where the map of a library robot comes from."""
     if any(file.parent.glob("*.reach")):
         return "built in"
     return "at first use" if joints >= MAP_JOINTS else "none"
 
 
-def robot_show(name: str, /, *, json: bool = False) -> int:
-    """Show a robot: its joints, tool, footprint and how its arm is inverted.
+def robot_show(name: RobotArg, /, *, json: Flag = False) -> int:
+    """Show a robot: joints, tool, footprint and inverse kinematics.
 
     Args:
-        name: Name of a robot in the library, or a robot file.
+        name: A library robot or a robot file.
         json: Print one JSON object instead of text.
     """
-    find_named_robot(name)  # a mistyped name is told before anything heavy is imported
+    find_named_robot(name)  # reports a mistyped name before anything heavy is imported
     from momapos.core import user_cache
     from momapos.model.robots import load_robot
 
@@ -86,45 +88,44 @@ def robot_show(name: str, /, *, json: bool = False) -> int:
 
 
 def robot_check(
-    file: Path,
+    file: Annotated[Positional[Path], arg(metavar="FILE")],
     /,
     *,
-    out: OptionalPath = None,
+    out: OptionalFile = None,
     on_box: BoxArg = None,
     package: PackagesArg = (),
     xacro_arg: XacroArg = (),
-    plot: OptionalPath = None,
-    json: bool = False,
+    plot: OptionalFile = None,
+    json: Flag = False,
 ) -> int:
-    """Check a robot file, or derive one from a URDF or xacro file alone.
+    """Check a robot file, or derive one from a URDF or xacro file.
 
-    From a URDF, the base, the arms, their tools, a home state and the pairs of links that cannot
-    help touching are guessed; every guess is printed, and the robot file is written for you to
-    correct.
+    From a URDF, momapos guesses the base, the arms, their tools, a home configuration and the pairs
+    of links that always touch. It prints every guess and writes the robot file for you to correct.
 
     Args:
         file: A robot file (TOML), a URDF or a xacro file.
-        out: The robot file to write; where not given, the URDF's name with .toml.
-        on_box: Put an arm that has no base on a box that drives, LENGTHxWIDTHxHEIGHT [m].
-        package: Where a package lies that the file names, as NAME=DIR; repeatable.
-        xacro_arg: Value of an argument of a xacro file, as NAME=VALUE; repeatable.
-        plot: Draw the robot at home, from above and from its right, into this file (PNG, SVG, PDF).
+        out: The robot file to write (default: the URDF's name with .toml).
+        on_box: Put an arm without a base on a driving box of this size, LENGTHxWIDTHxHEIGHT [m].
+        package: Folder of a ROS package that the file names, as NAME=DIR.
+        xacro_arg: An argument of a xacro file, as NAME=VALUE.
+        plot: Draw the robot at home, from above and from its right (PNG, SVG or PDF).
         json: Print one JSON object instead of text.
     """
     check_outputs([out, plot])
-    check_picture(plot)
+    check_figure_path(plot)
     packages = {name: Path(folder) for name, folder in _pairs(package, "--package").items()}
     args, box = _pairs(xacro_arg, "--xacro-arg"), _box(on_box)
     derives = file.suffix.lower() in DERIVED_FROM
     if not derives:
         if (out, on_box, package, xacro_arg) != (None, None, (), ()):
             raise RobotError(
-                f"--out, --on-box, --package and --xacro-arg are for a URDF; {file} is a robot file"
+                f"--out, --on-box, --package and --xacro-arg need a URDF; {file} is a robot file"
             )
         find_named_robot(str(file))
     for name, folder in packages.items():
         if not folder.is_dir():
-            raise RobotError(f"--package {name}={folder}: there is no such folder")
+            raise RobotError(f"--package {name}={folder}: no such folder")
     from momapos.core import user_cache
     from momapos.model.robots import blocking, examine, load_arms
 
@@ -133,14 +134,14 @@ def robot_check(
     what = f"{file}: checking it, with its meshes,"
     with progress(f"robot check {file.name}") as report, within_bounds(what):
         if derives:
-            from momapos.model.robots import Mount, Source, write_robot
+            from momapos.model.robots import Mount, RobotSource, write_robot
 
             mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
-            source = Source(file, mount, packages)
+            source = RobotSource(file, mount, packages)
             file, derived = write_robot(source, out, args=args, cache=cache, report=report)
             guesses = derived.assumptions
         arms = load_arms(file, cache=cache)
-        report(0.95, "looking for what is wrong")
+        report(0.95, "searching for errors")
         doubts = [_of_arm(text, robot) for robot in arms for text in examine(robot)]
         shares = [_of_arm(text, robot) for robot in arms for text in blocking(robot)]
     if plot is not None:
@@ -172,21 +173,20 @@ def _print_checked(
     for robot in arms:
         print(as_text(describe(robot)))
     if guesses:
-        print(f"\nwritten to {arms[0].path}; what was assumed, please check:")
+        print(f"\nwritten to {arms[0].path}; please check these assumptions:")
         print("\n".join(f"  - {text}" for text in guesses if text not in first))
     if shares:
-        print("\npairs of links that block most states of the arm:")
+        print("\nlink pairs that collide in most arm configurations:")
         print("\n".join(f"  - {text}" for text in shares))
     if doubts:
-        print("\nthis looks wrong:")
+        print("\nlikely errors:")
         print("\n".join(f"  - {text}" for text in doubts))
     if plot is not None:
-        print(f"\ndrawn in {plot}")
+        print(f"\nplot: {plot}")
     print(f"\nnext: {_next(arms[0])}")
 
 
 def _next(robot: Robot) -> str:
-    """The one line to run next."""
     return f"momapos place open kitchen_small fridge/door_hinge --robot {shlex.quote(robot.source)}"
 
 
@@ -195,7 +195,7 @@ def _of_arm(text: str, robot: Robot) -> str:
 
 
 def _pairs(words: Sequence[str], option: str) -> dict[str, str]:
-    """What stands before and after the equals sign of each word."""
+    """Parse NAME=VALUE words."""
     pairs = {}
     for word in words:
         name, _, value = word.partition("=")
@@ -206,7 +206,7 @@ def _pairs(words: Sequence[str], option: str) -> dict[str, str]:
 
 
 def _box(text: str | None) -> tuple[float, float, float] | None:
-    """The edges of a box, written as 0.6x0.5x0.9 [m]."""
+    """Parse a box such as 0.6x0.5x0.9 [m]."""
     if text is None:
         return None
     words = text.removesuffix("m").split("x")
@@ -216,18 +216,18 @@ def _box(text: str | None) -> tuple[float, float, float] | None:
         edges = []
     if len(edges) != 3 or not all(0.05 <= edge <= 3 for edge in edges):
         raise RobotError(
-            f"--on-box {text!r:.80}: give length x width x height in m, each 0.05 to 3, as "
+            f"--on-box {text!r:.80}: give LENGTHxWIDTHxHEIGHT in m, each 0.05 to 3, such as "
             "0.6x0.5x0.9"
         )
     return (edges[0], edges[1], edges[2])
 
 
-def robot_export(name: str, dir: Path, /) -> int:
-    """Copy a robot of the library into a folder, to start a robot of your own from.
+def robot_export(name: RobotArg, dir: Annotated[Positional[Path], arg(metavar="DIR")], /) -> int:
+    """Copy a library robot to a folder, as a start for your own robot.
 
     Args:
-        name: Name of a robot in the library.
-        dir: The folder; files in it are not overwritten.
+        name: A library robot.
+        dir: The folder; existing files are not overwritten.
     """
     if name not in library_names():
         raise unknown_name("robot", name, library_names(), "the library")
@@ -251,7 +251,7 @@ def robot_export(name: str, dir: Path, /) -> int:
 
 
 def describe(robot: Robot) -> dict[str, Any]:
-    """What `robot show` tells, as plain values [m], [rad]."""
+    """Return the facts about a robot as plain values [m], [rad]."""
     import numpy as np
 
     chain, spheres = robot.chain, robot.spheres
@@ -298,27 +298,27 @@ def describe(robot: Robot) -> dict[str, Any]:
 
 
 def as_text(facts: dict[str, Any]) -> str:
-    """The facts about a robot, for people."""
+    """Format the facts about a robot."""
     length, width = facts["base_size"]
     arm = f", arm {facts['arm']}" if facts["arm"] else ""
     lines = [
         f"{facts['name']}{arm} ({facts['path']})",
         f"  base      {facts['base_link']}, {length:.2f} x {width:.2f} m, {facts['drive']} drive, "
         f"{facts['max_speed']:g} m/s, {facts['max_yaw_rate']:g} rad/s",
-        f"  tool      {facts['tool_link']}, opens {facts['opening']:.3f} m, "
-        f"holds by {facts['grips']} with {facts['grip_force']:g} N",
-        f"  reach     at most {facts['reach']:.2f} m from where the first turning joint is when "
-        "telescopes are drawn in",
-        f"  inverse   {facts['ik']}",
-        f"  collision {facts['spheres']} spheres, {facts['self_collision_pairs']} pairs checked, "
-        f"{facts['pairs_never_checked']} never",
+        f"  tool      {facts['tool_link']}, opening {facts['opening']:.3f} m, "
+        f"grips with {facts['grips']}, {facts['grip_force']:g} N",
+        f"  reach     {facts['reach']:.2f} m from the first revolute joint, with retracted "
+        "telescopes",
+        f"  IK        {facts['ik']}",
+        f"  collision {facts['spheres']} spheres, {facts['self_collision_pairs']} self-collision "
+        f"pairs, {facts['pairs_never_checked']} disabled",
         "  joints",
     ]
     for joint in facts["joints"]:
-        if joint["lower"] is None:
-            span = "without end"
-        else:
-            span = f"{joint['lower']:.2f} to {joint['upper']:.2f}"
         unit = "m" if joint["kind"] == "prismatic" else "rad"
-        lines.append(f"    {joint['name']:26} {span} {unit}, home {joint['home']:.2f}")
+        if joint["lower"] is None:
+            span = "unlimited"
+        else:
+            span = f"{joint['lower']:.2f} to {joint['upper']:.2f} {unit}"
+        lines.append(f"    {joint['name']:26} {span}, home {joint['home']:.2f} {unit}")
     return "\n".join([*lines, *(f"  assumed   {text}" for text in facts["assumed"])])

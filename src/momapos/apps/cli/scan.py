@@ -1,4 +1,4 @@
-"""momapos scan: a scene that moves, from a scan."""
+"""momapos scan: build an articulated scene from a scan of a room."""
 
 from __future__ import annotations
 
@@ -6,15 +6,22 @@ import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import Positional, arg
 
 from momapos.core import InputError
-from momapos.planning.importance import ImportanceConfig, ScorerName
 
-from .loading import tell
-from .options import LabelsArg, OptionalNumber, OptionalPath, OptionalText
+from .configuration import (
+    NO_SETTINGS,
+    AlphaOption,
+    ConfigArgs,
+    ScanSettings,
+    ScorerOption,
+    load_config,
+)
+from .loading import print_warnings
+from .options import Flag, LabelsArg, Number, OptionalFile, Text, optional
 
 if TYPE_CHECKING:
     from momapos.model.records import ArticulationPredictor, Detector, Scan, Segmenter
@@ -24,46 +31,34 @@ if TYPE_CHECKING:
 Predictor = Literal["network", "template", "urdformer"]
 
 
+SETTINGS = ("importance", "scan")
+"""Fields and tables of a configuration that the command uses."""
+
+
 @dataclass(frozen=True)
 class ScanOptions:
-    """Where knowledge comes from, beside the scan."""
+    """What is known about a scan, and what interprets it."""
 
-    instances: OptionalPath = None
-    """Instances found by another program: Mask3D's ScanNet export, OpenMask3D masks, labels a
-    point, or a JSON of boxes. All but boxes need a scan with a cloud."""
-    detections: OptionalPath = None
-    """Detectron2's coco_instances_results.json for the images of the scan."""
-    detector: OptionalText = None
-    """Who tells in the images what things are: an ONNX file in the layout of YOLOX for COCO's
-    classes, or a name of `momapos models list`. Without one, sizes tell."""
+    instances: OptionalFile = None
+    """Instances from another program: Mask3D, OpenMask3D, labels per point, or boxes (JSON)."""
+    detections: OptionalFile = None
+    """Detections in the images, as Detectron2's coco_instances_results.json."""
+    detector: Annotated[Text, optional("DETECTOR")] = None
+    """Detector that labels objects: a YOLOX ONNX file, or a name of `momapos models list`."""
     label: LabelsArg = ()
-    """What an object is, by the name it has without this; may be given several times."""
+    """Set the label of an object, by the name that it has without this option."""
     predictor: Predictor = "network"
-    """Who finds doors and drawers: our network, a template by label, or URDFormer."""
-    checkpoint: OptionalPath = None
+    """What finds doors and drawers: our network, a template for each label, or URDFormer."""
+    checkpoint: OptionalFile = None
     """URDFormer's part.pth."""
-    models: tuple[str, ...] = ()
-    """NAME=FILE.urdf of objects, by name or label, that need no prediction."""
-    views: Literal["voting", "first"] = "voting"
-    """How the front is chosen: by votes of all images, or the paper's first that passes."""
-    grid: bool = False
-    """Put parts onto URDFormer's grid of 13 steps."""
+    models: Annotated[tuple[str, ...], arg(metavar="[NAME=FILE.urdf ...]")] = ()
+    """Known models of objects, by name or label; they need no prediction."""
     max_frames: int = 150
-    """Images that are read at most, evenly spaced."""
-    depth_scale: OptionalNumber = None
-    """Units of integer depth in a meter; 5000 in TUM's folders, 1000 elsewhere by default."""
-    voxel: float = 0.015
-    """Edge of the voxels that depth is fused in [m]."""
-    depth_topic: OptionalText = None
-    """Topics of a recording, where their types and names do not tell."""
-    color_topic: OptionalText = None
-    info_topic: OptionalText = None
-    fixed_frame: OptionalText = None
-    """Frame of a recording that does not move; the root of tf by default."""
+    """Maximum number of images, evenly spaced."""
+    depth_scale: Annotated[Number, optional("UNITS")] = None
+    """Units of integer depth per meter (default: 5000 in TUM's folders, else 1000)."""
 
     def __post_init__(self) -> None:
-        if not 1e-3 <= self.voxel <= 1.0:
-            raise InputError(f"--voxel must be between 0.001 and 1 m, not {self.voxel:g}")
         if self.depth_scale is not None and not 1e-6 <= self.depth_scale <= 1e9:
             raise InputError(
                 f"--depth-scale must be between 1e-6 and 1e9, not {self.depth_scale:g}"
@@ -72,39 +67,44 @@ class ScanOptions:
             raise InputError(f"--max-frames must be between 1 and 100000, not {self.max_frames}")
 
 
+ScanArgs = Annotated[ScanOptions, arg(name="")]
+DEFAULT = ScanOptions()
+
+
 def scan_room(
     source: Annotated[Positional[Path], arg(metavar="DIR")],
     /,
     *,
-    out: Path,
-    after: Annotated[OptionalPath, arg(metavar="DIR")] = None,
-    target: Annotated[OptionalText, arg(metavar="OBJECT")] = None,
-    target_at: Annotated[OptionalText, arg(metavar="X,Y,Z")] = None,
-    target_pixel: Annotated[OptionalText, arg(metavar="FRAME,U,V")] = None,
-    alpha: float = ImportanceConfig.alpha,
-    scorer: ScorerName = "reach",
-    pictures: bool = True,
-    json: bool = False,
-    options: Annotated[ScanOptions, OmitArgPrefixes] = ScanOptions(),
+    out: Annotated[Path, arg(metavar="FILE")],
+    after: Annotated[Optional[Path], optional("DIR")] = None,  # noqa: UP045
+    target: Annotated[Text, optional("OBJECT")] = None,
+    target_at: Annotated[Text, optional("X,Y,Z")] = None,
+    target_pixel: Annotated[Text, optional("FRAME,U,V")] = None,
+    alpha: AlphaOption = None,
+    scorer: ScorerOption = None,
+    pictures: Flag = True,
+    json: Flag = False,
+    options: ScanArgs = DEFAULT,
+    settings: ConfigArgs = NO_SETTINGS,
 ) -> int:
-    """Make a scene from a scan of a room, which place can use.
+    """Build a scene from a scan of a room, for `momapos place`.
 
-    Beside the scene it writes scan_report.json, which says what was decided and why, and a
-    image of every object that was looked at.
+    scan_report.json, next to the scene, explains the decisions.
 
     Args:
-        source: Folder of posed color and depth images, a cloud, or a robot's log.
+        source: Folder of posed color and depth images, a point cloud, or a robot's recording.
         out: The scene file.
-        after: A second scan of the room, after doors or drawers were opened that are shut in the
-            first: how these move is then seen, and the scene has them as open as they are there.
-        target: Object that the task will be about: only what matters for it is modeled.
-        target_at: The same by a place in it, in the scene's frame [m].
-        target_pixel: The same by a pixel of an image: the frame's name, column, row.
-        alpha: Objects that matter less for the target than this stay boxes, in [0, 1].
-        scorer: How importance is measured, as for rank.
-        pictures: Draw why every object was modeled as it was.
-        json: Print one JSON object and nothing else.
-        options: Where knowledge comes from.
+        after: A second scan after doors or drawers were opened: shows how they move; the scene has
+            them open.
+        target: The object of the task: only objects that matter for it are modeled.
+        target_at: The same, by a point in the object in the scene's frame [m].
+        target_pixel: The same, by a pixel of an image: name of the frame, column, row.
+        alpha: Objects of lower importance for the target stay boxes, in [0, 1].
+        scorer: Importance score: reach, deepwalk, distance, size or names, see `momapos rank`.
+        pictures: Don't draw an image for each object that explains its model.
+        json: Print the report as one JSON object, and nothing else.
+        options: What is known about the scan.
+        settings: Further settings.
     """
     import json as encoder
 
@@ -114,22 +114,23 @@ def scan_room(
     from .console import progress
     from .scan_report import outputs_of, report_to_dict, write_report
 
-    config = scan_config(options)
+    configuration = load_config(settings, SETTINGS, scorer=scorer, alpha=alpha)
+    config = scan_config(options, configuration.scan)
     given, labels = given_models(options), given_labels(options)
     wanted, detector = find_target(target, target_at, target_pixel), detector_of(options)
     check_outputs(*outputs_of(out, pictures=pictures))
-    scan = read(source, options)
-    later = None if after is None else read(after, options)
+    scan = read(source, options, configuration.scan)
+    later = None if after is None else read(after, options, configuration.scan)
     tools, found = tools_for(scan, options, detector), found_in(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
             scan, out, tools, target=wanted, after=later, found=found, labels=labels, given=given,
-            config=config, importance=ImportanceConfig(scorer=scorer, alpha=alpha),
+            config=config, importance=configuration.importance,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
-    tell(text for decision in result.decisions for text in decision.warnings)
+    print_warnings(text for decision in result.decisions for text in decision.warnings)
     if later is not None and not any(decision.moved for decision in result.decisions):
-        print(f"momapos: {after}: no part stands elsewhere than in {source}", file=sys.stderr)
+        print(f"momapos: {after}: no part moved since {source}", file=sys.stderr)
     data = report_to_dict(result, scan, result.target)
     folder = write_report(result, data, out, pictures=pictures)
     print(encoder.dumps(data, allow_nan=False) if json else table(result, data, out, folder))
@@ -137,7 +138,7 @@ def scan_room(
 
 
 def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None) -> str:
-    """All objects in a few columns, and what should be scanned again."""
+    """Tabulate all objects, and what to scan again."""
     width = max(len(d.detection.name) for d in result.decisions)
     lines = []
     for decision in result.decisions:
@@ -145,20 +146,20 @@ def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None)
         size = " x ".join(f"{v:.2f}" for v in item.box.size)
         x, y, z = item.box.center
         what = decision.reason or f"{decision.source}: {_count(decision.parts)}"
-        sure = "   -" if item.seen is None else f"{item.seen:4.0%}"
+        seen = "   -" if item.seen is None else f"{item.seen:4.0%}"
         lines.append(
-            f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  seen {sure}  {what}"
+            f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  seen {seen}  {what}"
         )
     lines += [
-        f"  {d.detection.name}/{name}  was opened, as a {seen.kind}, by {_amount(seen)}"
+        f"  {d.detection.name}/{name}  opened by {_amount(motion)}, as a {motion.kind}"
         for d in result.decisions
-        for name, seen in d.moved.items()
+        for name, motion in d.moved.items()
     ]
     modeled = sum(d.model is not None for d in result.decisions)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
     lines += [
         "",
-        f"  {len(result.decisions)} objects, {modeled} of them modeled",
+        f"  {len(result.decisions)} objects, {modeled} modeled with joints",
         *(f"  scan        {note}" for note in data["notes"]),
         f"  time        {result.timing['total']:.1f} s ({stages})",
         f"  scene       {out}",
@@ -167,7 +168,7 @@ def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None)
     if folder is not None:
         lines.append(f"  images      {folder}")
     if data["scan_again"]:
-        lines += ["", "  scan again, in the scene's frame:"]
+        lines += ["", "  scan again (positions in the scene's frame):"]
     for one in data["scan_again"]:
         stand, look = (", ".join(f"{v:.1f}" for v in one[key]) for key in ("position", "look_at"))
         lines.append(
@@ -190,25 +191,25 @@ def _count(parts: tuple[Any, ...]) -> str:
 # ---------------------------------------------------------------------------------- from options
 
 
-def read(source: Path, options: ScanOptions) -> Scan:
-    """Read a scan, and tell what is odd about it."""
+def read(source: Path, options: ScanOptions, settings: ScanSettings) -> Scan:
+    """Read a scan and print its warnings."""
     from momapos.perception.recordings import BagTopics, read_scan
 
     topics = BagTopics(
-        options.depth_topic, options.color_topic, options.info_topic, options.fixed_frame
+        settings.depth_topic, settings.color_topic, settings.info_topic, settings.fixed_frame
     )
     scan = read_scan(
         source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics
     )
-    tell(scan.warnings)
+    print_warnings(scan.warnings)
     return scan
 
 
-def scan_config(options: ScanOptions) -> ScanConfig:
-    """How a scan becomes a scene.
+def scan_config(options: ScanOptions, settings: ScanSettings) -> ScanConfig:
+    """Build the configuration of the perception.
 
     Raises:
-        InputError: URDFormer is asked for without its weights.
+        InputError: URDFormer is chosen without its weights.
     """
     from momapos.perception import ScanConfig
     from momapos.perception.reconstruction import AlignmentConfig, ModelConfig
@@ -216,16 +217,16 @@ def scan_config(options: ScanOptions) -> ScanConfig:
 
     if options.predictor == "urdformer" and options.checkpoint is None:
         raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
-    alignment = AlignmentConfig(grid=12 if options.grid else None)
+    alignment = AlignmentConfig(grid=12 if settings.grid else None)
     return ScanConfig(
-        voxel=options.voxel,
-        view=ViewConfig(method=options.views),
+        voxel=settings.voxel,
+        view=ViewConfig(method=settings.views),
         model=ModelConfig(alignment=alignment),
     )
 
 
 def tools_for(scan: Scan, options: ScanOptions, detector: Detector | None) -> Tools:
-    """Who segments, looks, predicts and detects."""
+    """Choose what segments, predicts and detects."""
     from momapos.perception import default_tools
 
     tools = replace(default_tools(), detect=detector)
@@ -236,21 +237,21 @@ def tools_for(scan: Scan, options: ScanOptions, detector: Detector | None) -> To
     elif options.predictor == "urdformer":
         from momapos.perception.reconstruction import UrdformerPredictor, load_urdformer
 
-        assert options.checkpoint is not None, "scan_config has looked"
+        assert options.checkpoint is not None, "scan_config checks it"
         predict = UrdformerPredictor(load_urdformer(options.checkpoint), tools.look)
     segment = tools.segment if options.instances is None else _reader(scan, options.instances)
     return replace(tools, segment=segment, predict=predict)
 
 
 def _reader(scan: Scan, path: Path) -> Segmenter:
-    """Instances from a file instead of a segmenter."""
+    """Build a segmenter that reads instances from a file."""
     from momapos.model.records import Cloud, Instance
     from momapos.perception.recordings import read_instances
 
     def read(cloud: Cloud) -> list[Instance]:
         if scan.cloud is None and path.suffix != ".json":
             raise InputError(
-                f"{path}: masks count the points of a cloud, but {scan.name} came without one"
+                f"{path}: masks need a scan with a point cloud, and {scan.name} has none"
             )
         return read_instances(path, len(cloud.points))
 
@@ -258,10 +259,10 @@ def _reader(scan: Scan, path: Path) -> Segmenter:
 
 
 def given_models(options: ScanOptions) -> dict[str, GivenModel]:
-    """URDF files of objects, by name or label.
+    """Parse the models of objects, by name or label.
 
     Raises:
-        InputError: One is no NAME=FILE, or there is no such file.
+        InputError: One is not NAME=FILE, or there is no such file.
     """
     from momapos.perception.reconstruction import GivenModel
 
@@ -269,23 +270,23 @@ def given_models(options: ScanOptions) -> dict[str, GivenModel]:
     for text in options.models:
         name, equals, file = text.partition("=")
         if not equals or not name or not Path(file).is_file():
-            raise InputError(f"--models {text!r}: must be NAME=FILE of a URDF that exists")
+            raise InputError(f"--models {text!r}: must be NAME=FILE of an existing URDF")
         given[name] = GivenModel(Path(file))
     return given
 
 
 def found_in(scan: Scan, options: ScanOptions) -> Found | None:
-    """What a 2-D detector has found in the images."""
+    """Read the detections of another program, if any."""
     from momapos.perception.detection import read_coco
 
     return None if options.detections is None else read_coco(options.detections, scan.frames)
 
 
 def given_labels(options: ScanOptions) -> dict[str, str]:
-    """What the user says that objects are, by name.
+    """Parse the labels of objects, by name.
 
     Raises:
-        InputError: One is no OBJECT=LABEL, or an object is named twice.
+        InputError: One is not OBJECT=LABEL, or an object is named twice.
     """
     from momapos.perception.detection import parse_labels
 
@@ -293,16 +294,15 @@ def given_labels(options: ScanOptions) -> dict[str, str]:
 
 
 def detector_of(options: ScanOptions) -> Detector | None:
-    """Who looks at the images.
+    """Load the detector, if any.
 
     Raises:
-        InputError: There is no such file or model, it is of another layout, or the images were
-            looked at by another program already.
+        InputError: There is no such file or model, it has another layout, or --detections is given.
     """
     if options.detector is None:
         return None
     if options.detections is not None:
-        raise InputError("--detector and --detections exclude each other: one tells what is seen")
+        raise InputError("--detector and --detections exclude each other; give one")
     from momapos.core import default_cache_dir
     from momapos.perception.detection import YoloxDetector, find_model
 
@@ -310,10 +310,10 @@ def detector_of(options: ScanOptions) -> Detector | None:
 
 
 def find_target(target: str | None, at: str | None, pixel: str | None) -> Target | None:
-    """The object that the task is about: named, or pointed at.
+    """Parse the object of the task: a name, a point or a pixel.
 
     Raises:
-        InputError: It is given twice, or its place is written otherwise.
+        InputError: Several are given, or the point or pixel is malformed.
     """
     from momapos.perception.segmentation import PixelOf, PointAt
 
@@ -330,7 +330,6 @@ def find_target(target: str | None, at: str | None, pixel: str | None) -> Target
 
 
 def _finite(words: list[str], count: int, option: str, text: str, wanted: str) -> list[float]:
-    """Numbers of an option."""
     try:
         values = [float(word) for word in words]
     except ValueError:

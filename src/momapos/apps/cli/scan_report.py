@@ -1,4 +1,4 @@
-"""What was decided on the way from a scan to a scene, for people who ask why."""
+"""Write the report on a scan: what was modeled, how and why."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from momapos.model.records import Scan
-from momapos.model.scene import load_scene, write_whole
+from momapos.model.scene import load_scene, write_text_atomic
 from momapos.perception import Decision, Modeled, scan_again
 
 FORMAT, VERSION = "momapos-scan-report", 1
@@ -18,7 +18,7 @@ NAME = "scan_report.json"
 
 
 def report_to_dict(result: Modeled, scan: Scan, target: str | None) -> dict[str, Any]:
-    """The report as plain values; lengths in [m], angles in [deg]."""
+    """Return the report as plain values; lengths in [m], angles in [deg]."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -71,7 +71,7 @@ def _decision(decision: Decision, result: Modeled) -> dict[str, Any]:
 
 
 def outputs_of(out: Path, *, pictures: bool) -> tuple[list[Path], list[Path]]:
-    """Files and folders that a scan is written to, beside its scene file."""
+    """Return the output files and folders of a scan, including the scene file."""
     folders = [out.parent / f"{out.stem}_urdf"] + ([_pictures_folder(out)] if pictures else [])
     return [out, out.parent / NAME], folders
 
@@ -83,12 +83,12 @@ def _pictures_folder(out: Path) -> Path:
 def write_report(
     result: Modeled, data: dict[str, Any], out: Path, *, pictures: bool
 ) -> Path | None:
-    """Write `scan_report.json` beside the scene, and an image of every object looked at.
+    """Write `scan_report.json` next to the scene, and an image of each examined object.
 
     Returns:
-        The folder of the images; None where none are wanted.
+        The folder of the images; None without images.
     """
-    write_whole(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
+    write_text_atomic(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if not pictures:
         return None
     from momapos.apps.plots import draw_modeled

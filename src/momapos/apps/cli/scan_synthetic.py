@@ -1,50 +1,52 @@
-"""`momapos scene scan`: render a scan of a scene."""
+"""momapos scene scan: render a synthetic scan of a scene."""
 
 from __future__ import annotations
 
 import json as json_format
 import sys
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
 
 from momapos.core import InputError, check_outputs
 from momapos.model.scene import find_scene
 
 from .console import progress
-from .options import JointsArg, check_seed
+from .options import Flag, JointsArg, SceneArg, check_seed
 
 SOLVED = 0
 
 
 def scene_scan(
-    scene: str,
+    scene: SceneArg,
     /,
     *,
-    out: Path,
+    out: Annotated[Path, arg(metavar="DIR")],
     joint: JointsArg = (),
     frames: int = 60,
     seed: int = 0,
-    noise: bool = True,
-    tilt: bool = False,
-    json: bool = False,
+    noise: Flag = True,
+    tilt: Flag = False,
+    json: Flag = False,
 ) -> int:
-    """Render a scan of a scene: posed color and depth images, and the truth beside them.
+    """Render a synthetic scan of a scene: posed color and depth images, and the ground truth.
 
     Args:
-        scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
-        out: A new folder for the frames (layout of 7-Scenes) and truth.json.
-        joint: A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg;
-            repeatable.
+        scene: A scene file or a built-in kitchen.
+        out: A new folder for the frames (7-Scenes layout) and truth.json.
+        joint: Set a joint of the scene, such as fridge/door_hinge=60deg.
         frames: Number of images.
         seed: The same scene and seed give the same scan.
-        noise: Make the images and poses as imperfect as those of a RealSense D435.
-        tilt: Turn the world of the scan at random, so that its z axis is not up.
+        noise: Render exact images and poses, without the noise of a RealSense D435.
+        tilt: Rotate the scan's frame at random, so that its z axis is not up.
         json: Print one JSON object instead of text.
     """
     check_outputs(folders=[out])
     check_seed(seed)
     if not 1 <= frames <= 10_000:
-        raise InputError("--frames must be between 1 and 10000")
-    find_scene(scene)  # a mistyped name is told before anything heavy is imported
+        raise InputError(f"--frames must be between 1 and 10000, not {frames}")
+    find_scene(scene)  # reports a mistyped name before anything heavy is imported
     from momapos.apps.synthetic_scans import DepthSensor, refuse_used, synthetic_scan, write_scan
     from momapos.core import user_cache
     from momapos.model.scene import load_scene, set_joints

@@ -1,4 +1,4 @@
-"""`momapos scene`: list, show, make and convert scenes."""
+"""momapos scene: list, show, generate and convert scenes."""
 
 from __future__ import annotations
 
@@ -6,14 +6,24 @@ import json as json_format
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from momapos.apps.plots import check_picture
+from tyro.conf import Positional, arg
+
+from momapos.apps.plots import check_figure_path
 from momapos.core import check_outputs
 from momapos.model.scene import builtin_names, builtin_size, find_scene
 
 from .console import busy
-from .options import JointsArg, ObjectsArg, OptionalPath, check_seed
+from .options import (
+    Flag,
+    JointsArg,
+    ObjectsArg,
+    OptionalFile,
+    OptionalFolder,
+    SceneArg,
+    check_seed,
+)
 
 if TYPE_CHECKING:
     from momapos.model.scene import Scene, SceneObject
@@ -21,8 +31,8 @@ if TYPE_CHECKING:
 SOLVED = 0
 
 
-def scene_list(*, json: bool = False) -> int:
-    """List the kitchens that come with momapos.
+def scene_list(*, json: Flag = False) -> int:
+    """List the built-in kitchens.
 
     Args:
         json: Print one JSON object instead of a table.
@@ -37,30 +47,29 @@ def scene_list(*, json: bool = False) -> int:
     for name in builtin_names():
         objects, joints = builtin_size(name)
         print(f"{name:20} {objects:3} objects, {joints:3} joints")
-    print("Use a name as SCENE, or a file; 'momapos scene new LAYOUT' makes more.")
+    print("Use a name or a file as SCENE; 'momapos scene new LAYOUT' generates more.")
     return SOLVED
 
 
 def scene_show(
-    scene: str,
+    scene: SceneArg,
     /,
     *,
     joint: JointsArg = (),
-    plot: OptionalPath = None,
-    json: bool = False,
+    plot: OptionalFile = None,
+    json: Flag = False,
 ) -> int:
-    """Show what is in a scene: its objects, their sizes, their joints.
+    """Show the objects of a scene, with sizes and joints.
 
     Args:
-        scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
-        joint: A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg;
-            repeatable.
-        plot: Draw the scene from above into this file (PNG, SVG, PDF).
+        scene: A built-in kitchen or a scene file (momapos, BestMan, URDF).
+        joint: Set a joint of the scene, such as fridge/door_hinge=60deg.
+        plot: Draw the floor plan (PNG, SVG or PDF).
         json: Print one JSON object instead of text.
     """
     check_outputs([plot])
-    check_picture(plot)
-    find_scene(scene)  # a mistyped name is told before anything heavy is imported
+    check_figure_path(plot)
+    find_scene(scene)  # reports a mistyped name before anything heavy is imported
     from momapos.core import user_cache
     from momapos.model.scene import load_scene, set_joints
 
@@ -83,23 +92,30 @@ def scene_show(
         for moving in item["joints"]:
             print(f"      {_joint_line(moving)}")
     floor = facts["floor_area"]
-    print(f"  floor: {'not known' if floor is None else f'{floor:.1f} m^2'}")
+    print(f"  floor: {'unknown' if floor is None else f'{floor:.1f} m^2'}")
     start = facts["start"]
     place = "none" if start is None else f"({start[0]:.2f}, {start[1]:.2f}), yaw {start[2]:.2f} rad"
     print(f"  start: {place}")
     _warn(loaded)
     if plot is not None:
-        print(f"  drawn in {plot}")
+        print(f"  plot: {plot}")
     return SOLVED
 
 
-def scene_new(layout: str, /, *, seed: int = 0, out: Path, json: bool = False) -> int:
-    """Make a new kitchen from a layout and a seed.
+def scene_new(
+    layout: Annotated[Positional[str], arg(metavar="LAYOUT")],
+    /,
+    *,
+    seed: int = 0,
+    out: Annotated[Path, arg(metavar="FILE")],
+    json: Flag = False,
+) -> int:
+    """Generate a kitchen from a layout and a seed.
 
     Args:
         layout: single_wall, galley, l_shaped, u_shaped, island or peninsula.
         seed: The same layout and seed give the same kitchen.
-        out: The scene file; the URDF files go into a folder beside it.
+        out: The scene file; the URDF files go into a folder next to it.
         json: Print one JSON object instead of text.
     """
     from momapos.model.scene import generate_kitchen, load_scene
@@ -117,26 +133,27 @@ def scene_new(layout: str, /, *, seed: int = 0, out: Path, json: bool = False) -
 
 
 def scene_convert(
-    source: str,
-    out: Path,
+    source: SceneArg,
+    out: Annotated[Positional[Path], arg(metavar="OUT")],
     /,
     *,
-    copy: bool = False,
-    root: OptionalPath = None,
+    copy: Flag = False,
+    root: OptionalFolder = None,
     without: ObjectsArg = (),
-    json: bool = False,
+    json: Flag = False,
 ) -> int:
-    """Write a scene of another kind as a momapos scene, as MJCF or for MoveIt.
+    """Convert a scene to a momapos scene, MJCF or a MoveIt planning scene.
 
     Args:
-        source: The scene to convert: a momapos scene, a BestMan list, a URDF or xacro file,
-            MJCF, a planning scene of MoveIt, SDF or USD.
-        out: The file to write: .json, .xml (MJCF) or .scene (MoveIt). A .json must lie above its
-            URDF files, or --copy them; those of a room that has none are written beside it.
-        copy: Copy the URDF and mesh files into the folder `<out>_files` beside the new file.
-        root: Folder that no path in the source may leave, and that those of a BestMan scene are
-            relative to; found where not given.
-        without: An object of another program's room that is left out, such as a robot; repeatable.
+        source: A momapos scene, a BestMan list, a URDF or xacro file, MJCF, a MoveIt planning
+            scene, SDF or USD.
+        out: The output file: .json, .xml (MJCF) or .scene (MoveIt). A .json file must be above its
+            URDF files, unless --copy copies them. Sources without URDF files get new ones next to
+            it.
+        copy: Copy the URDF and mesh files to the folder <out>_files next to the output.
+        root: Folder that no path in the source may leave; paths of a BestMan scene are relative to
+            it (default: found from the source).
+        without: Leave out this object of another program's scene, such as a robot.
         json: Print one JSON object instead of text.
     """
     check_outputs([out])
@@ -145,8 +162,8 @@ def scene_convert(
 
     scene, report = convert(path, out, copy=copy, root=root, without=without)
     if json:
-        told = {} if report is None else {"report": report.as_json()}
-        _print_json({**describe(scene), "warnings": list(scene.warnings), **told})
+        reported = {} if report is None else {"report": report.as_json()}
+        _print_json({**describe(scene), "warnings": list(scene.warnings), **reported})
         return SOLVED
     count = len(scene.objects)
     print(f"{out}: {count} object{'' if count == 1 else 's'}")
@@ -160,7 +177,7 @@ def scene_convert(
 
 
 def describe(scene: Scene) -> dict[str, Any]:
-    """What `scene show` tells, as plain values [m], [rad]."""
+    """Return the content of a scene as plain values [m], [rad]."""
     from momapos.core.geometry import signed_area
 
     return {
@@ -200,7 +217,7 @@ def _describe_object(item: SceneObject) -> dict[str, Any]:
 def _joint_line(joint: dict[str, Any]) -> str:
     unit = "m" if joint["kind"] == "prismatic" else "rad"
     if joint["lower"] is None:
-        span = "without end"
+        span = "unlimited"
     else:
         span = f"{joint['lower']:.2f} to {joint['upper']:.2f} {unit}"
     return f"{joint['name']:24} {joint['kind']}, {span}, at {joint['value']:.2f}"

@@ -1,26 +1,41 @@
-"""momapos solve: from a scan of a room to an opened door, all stages in one command."""
+"""momapos solve: go from a scan of a room to an executed task."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import Positional, arg
 
 from momapos.core import MAX, check_outputs, parse_quantity, require
 from momapos.model.robots import find_named_robot
-from momapos.planning import PipelineConfig
 
+from .configuration import (
+    NO_SETTINGS,
+    PIPELINE,
+    AlphaOption,
+    ConfigArgs,
+    Configuration,
+    MethodOption,
+    TimeoutOption,
+    load_config,
+)
 from .loading import load_arms_with_maps
-from .options import EXIT_STATUS, Target, ValueArg, check_seed, unread
-from .scan import ScanOptions
+from .options import (
+    EXIT_STATUS,
+    ArmOption,
+    Flag,
+    RobotOption,
+    Target,
+    ValueArg,
+    check_seed,
+)
+from .scan import DEFAULT as SCAN_DEFAULT
+from .scan import ScanArgs
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tyro.constructors import ConstructorRegistry
-
+    from momapos.planning import PipelineConfig
     from momapos.simulation import RunRecord
     from momapos.workflows import ScanAnswer
 
@@ -29,84 +44,93 @@ SCENE, PLAN, RUN, RECORD = "scene.json", "plan.json", "run.json", "solve.json"
 CLOUD = "cloud.ply"
 
 
+SETTINGS = (*PIPELINE, "scan")
+"""Fields and tables of a configuration that the command uses."""
+
+
 @dataclass(frozen=True)
 class SolveOptions:
-    """How to solve."""
+    """Options besides those of the scan."""
 
     to: ValueArg = None
-    """How far: 90deg, 1.2rad, 0.3m, 30cm or max; a quarter turn or the whole slide by default."""
-    robot: str = "fetch"
+    """How far: 90deg, 1.2rad, 0.3m, 30cm or max (default: 90 deg, or fully)."""
+    robot: RobotOption = "fetch"
     """A library robot or a robot file."""
-    arm: str = "any"
-    """Which arm of a robot that has several; any: the one with the cheapest answer."""
-    run: bool = True
-    """Carry the plan out in physics, in the room as it was modeled."""
+    arm: ArmOption = "any"
+    """The arm of a robot with several; any: the arm of the cheapest plan."""
+    run: Flag = True
+    """Don't execute the plan in simulation."""
     hold: Literal["contact", "weld"] = "contact"
-    """How the hand holds in physics, see run."""
+    """How the hand holds in simulation, see `momapos run`."""
+    tolerance: Flag = True
+    """Don't measure the tolerance of the base pose."""
+    pictures: Flag = True
+    """Don't draw an image for each object that explains its model."""
+    method: MethodOption = None
+    """ours, exhaustive (a grid), or a baseline such as paper or habitat (docs/baselines.md)."""
+    timeout: TimeoutOption = None
+    """Time limit of the search."""
+    alpha: AlphaOption = None
+    """Objects of lower importance stay boxes, in [0, 1]."""
     seed: int = 0
-    """Same seed, same answer."""
-    tolerance: bool = True
-    """Measure how far beside the base pose the robot may stand."""
-    pictures: bool = True
-    """Draw why every object was modeled as it was."""
-    json: bool = False
-    """Print the record as one JSON object and nothing else."""
-    scan: ScanOptions = field(default_factory=ScanOptions)
-    config: Annotated[PipelineConfig, OmitArgPrefixes] = field(default_factory=PipelineConfig)
+    """The same seed gives the same plan."""
+    json: Flag = False
+    """Print the record as one JSON object, and nothing else."""
+    scan: ScanArgs = SCAN_DEFAULT
+    settings: ConfigArgs = NO_SETTINGS
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
 
+    def read_config(self) -> Configuration:
+        """Read the configuration.
+
+        Raises:
+            InputError: A setting is unknown, or out of range.
+        """
+        return load_config(
+            self.settings, SETTINGS, method=self.method, timeout=self.timeout, alpha=self.alpha
+        )
+
 
 DEFAULT = SolveOptions()
-_GROUPS = ("scan", "config")
-_PLAIN = {
-    "--out",
-    *(f"--scan.{item.name.replace('_', '-')}" for item in fields(ScanOptions)),
-    *(f"--{item.name}" for item in fields(SolveOptions) if item.name not in _GROUPS),
-    *(f"--no-{name}" for name in ("run", "tolerance", "pictures", "json")),
-}
-
-
-def tyro_rules(words: Sequence[str]) -> ConstructorRegistry | None:
-    """How tyro reads the words of the command, see `unread`."""
-    return unread(PipelineConfig, _PLAIN, words)
 
 
 def solve(
     source: Annotated[Positional[Path], arg(metavar="DIR")],
     verb: Positional[Literal["open", "close", "pick", "place"]],
-    target: Positional[Target],
+    target: Target,
     /,
     *,
-    out: Path,
+    out: Annotated[Path, arg(metavar="DIR")],
     options: Annotated[SolveOptions, arg(name="")] = DEFAULT,
 ) -> int:
-    """From a scan to an opened door: survey, importance, models, base pose, drive, physics.
+    """Go from a scan to an executed task: survey, importance, models, plan, drive, manipulation.
 
-    Where no base pose is found, more of the scan is modeled and the question is asked again. All
-    that is made stays in the folder: the scene and its report, the plan, the run, and a record of
-    the stages and their times.
+    If there is no feasible base pose, momapos models more of the scan and plans again. The output
+    folder holds the scene and its report, the plan, the run, and a record of stages and times.
 
-    Exit status: 0 solved, and done where it was run; 1 the run failed; 2 input that cannot be used;
-    3 no feasible base pose; 4 out of time.
+    Exit status: 0 solved, and executed successfully; 1 the run failed; 2 unusable input; 3 no
+    feasible base pose; 4 out of time.
 
     Args:
-        source: Folder of posed color and depth images, a cloud, or a robot's log.
-        verb: What is to be done.
-        target: The object as the scan names it, and the joint where it has several.
-        out: A folder for all that is made.
+        source: Folder of posed color and depth images, a point cloud, or a robot's recording.
+        verb: The task.
+        target: The object as the scan names it, and its joint if it has several.
+        out: The output folder.
+        options: Further options.
     """
     from json import dumps
 
-    from momapos.model.scene import write_whole
+    from momapos.model.scene import write_text_atomic
 
     if options.to is not None and options.to != MAX:
         parse_quantity(options.to)
     find_named_robot(options.robot)
-    answer, record = _solve(source, verb, target, out, options)
+    config = options.read_config()
+    answer, record = _solve(source, verb, target, out, options, config)
     data = _to_dict(answer, record)
-    write_whole(out / RECORD, dumps(data, indent=1, allow_nan=False) + "\n")
+    write_text_atomic(out / RECORD, dumps(data, indent=1, allow_nan=False) + "\n")
     print(dumps(data, allow_nan=False) if options.json else _summary(answer, record, data, out))
     if record is not None and not record.success:
         return 1
@@ -114,12 +138,17 @@ def solve(
 
 
 def _solve(
-    source: Path, verb: Any, target: str, out: Path, options: SolveOptions
+    source: Path,
+    verb: Any,
+    target: str,
+    out: Path,
+    options: SolveOptions,
+    config: Configuration,
 ) -> tuple[ScanAnswer, RunRecord | None]:
-    """Answer, and write everything but the record."""
-    if options.run:  # told before the work
+    """Plan and execute, and write everything but the record."""
+    if options.run:  # a missing package is reported before the work
         with require("physics"):
-            import momapos.workflows.run  # noqa: F401
+            from momapos.workflows import run_plan  # noqa: F401
     from momapos.core import user_cache
     from momapos.model import with_times
     from momapos.model.plan_files import write_plan
@@ -140,12 +169,12 @@ def _solve(
     )
     from .scan_report import outputs_of, report_to_dict, write_report
 
-    scanning, given = scan_config(options.scan), given_models(options.scan)
+    scanning, given = scan_config(options.scan, config.scan), given_models(options.scan)
     labels, detector = given_labels(options.scan), detector_of(options.scan)
     files, folders = outputs_of(out / SCENE, pictures=options.pictures)
     check_outputs([*files, out / CLOUD, out / PLAN, out / RUN, out / RECORD], folders)
     name, _, joint = target.partition("/")
-    scan = read(source, options.scan)
+    scan = read(source, options.scan, config.scan)
     compile_once(ANSWER)
     cache = user_cache()
     arms, reach = load_arms_with_maps(options.robot, options.arm, cache)
@@ -154,7 +183,8 @@ def _solve(
             scan, list(zip(arms, reach, strict=True)),
             ScanTask(verb, name, joint or None, options.to), out / SCENE,
             tools=tools_for(scan, options.scan, detector), found=found_in(scan, options.scan),
-            labels=labels, given=given, scanning=scanning, config=options.config, seed=options.seed,
+            labels=labels, given=given, scanning=scanning, config=config.pipeline,
+            seed=options.seed,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
     data = report_to_dict(answer.modeled, scan, name)
@@ -168,11 +198,13 @@ def _solve(
     if result.plan.status != "solved" or not options.run:
         return answer, None
     chosen = next(k for k, one in enumerate(arms) if one.arm == robot.arm)
-    return answer, _run(answer, reach[chosen], out / RUN, options)
+    return answer, _run(answer, reach[chosen], out / RUN, options, config.pipeline)
 
 
-def _run(answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions) -> RunRecord:
-    """Carry the plan out, and write how that went."""
+def _run(
+    answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions, config: PipelineConfig
+) -> RunRecord:
+    """Execute the plan, and write the record."""
     from momapos.model.scene import as_planned, load_scene
     from momapos.simulation import ExecutionConfig, RunTrace, with_files, write_run
     from momapos.workflows import run_plan
@@ -181,7 +213,7 @@ def _run(answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions) -> R
     trace = RunTrace()
     record = run_plan(
         plan, as_planned(load_scene(answer.modeled.scene), plan), robot, reach,
-        config=options.config, physics=ExecutionConfig(hold=options.hold), seed=options.seed,
+        config=config, physics=ExecutionConfig(hold=options.hold), seed=options.seed,
         trace=trace.drive, watch=trace,
     )  # fmt: skip
     named = with_files(record, file, file.parent / PLAN)
@@ -190,7 +222,7 @@ def _run(answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions) -> R
 
 
 def _to_dict(answer: ScanAnswer, record: RunRecord | None) -> dict[str, Any]:
-    """The record as plain values; times in [s]."""
+    """Return the record as plain values; times in [s]."""
     plan, timing = answer.result.plan, dict(answer.timing)
     if record is not None:
         timing |= {**record.time, "total": timing.pop("total") + sum(record.time.values())}
@@ -210,7 +242,7 @@ def _to_dict(answer: ScanAnswer, record: RunRecord | None) -> dict[str, Any]:
 
 
 def _summary(answer: ScanAnswer, record: RunRecord | None, data: dict[str, Any], out: Path) -> str:
-    """The answer, how the run went, and where the time went."""
+    """Summarize the plan, the run and the times."""
     from .console import summary
     from .run import summary as run_summary
 
@@ -219,11 +251,11 @@ def _summary(answer: ScanAnswer, record: RunRecord | None, data: dict[str, Any],
     lines = [summary(answer.result, out / PLAN)]
     if record is not None:
         lines += ["", run_summary(record)]
-    back = f", back to the scan {again} times" if again else ""
+    back = f", lowered {again} times to model more" if again else ""
     return "\n".join([
         *lines, "",
-        f"  scan        {len(answer.modeled.decisions)} objects, {len(data['modeled'])} of them "
-        f"modeled (alpha {answer.alphas[-1]:.2f}{back})",
+        f"  scan        {len(answer.modeled.decisions)} objects, {len(data['modeled'])} modeled "
+        f"with joints (alpha {answer.alphas[-1]:.2f}{back})",
         f"  all stages  {data['timing']['total']:.1f} s ({stages})",
         f"  record      {out / RECORD}",
     ])  # fmt: skip

@@ -1,13 +1,10 @@
-"""momapos place ... then ...: several tasks one after the other, from few base poses."""
+"""momapos place ... then ...: plan several tasks in a row, from few base poses."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
-
-from tyro.conf import Positional
 
 from momapos.core import TaskError, check_outputs, unknown_name
 from momapos.model.records import Verb
@@ -15,14 +12,14 @@ from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene, refuse_unknown_object
 from momapos.planning.placement import OURS
 
-from .loading import load_arms_with_maps, load_room
-from .options import EXIT_STATUS, Target, ValueArg
+from .loading import load_arms_with_maps, load_scene_with_joints
+from .options import EXIT_STATUS, SceneArg, Target, ValueArg
 from .parse import parse
-from .place import DEFAULT, Options, Shared, parse_pose, read_region, tyro_rules
+from .place import DEFAULT, Options, Shared, parse_pose, read_region
 
 if TYPE_CHECKING:
     from momapos.model.records import PlacementPlan
-    from momapos.planning import Request, Tour
+    from momapos.planning import PipelineConfig, Request, Tour
 
 THEN = "then"
 VERBS = get_args(Verb)
@@ -30,29 +27,28 @@ USAGE = "write each further task as: then VERB OBJECT[/JOINT] [--to VALUE]"
 
 
 def run_tour(words: Sequence[str]) -> int:
-    """Answer `open SCENE OBJECT ... then VERB OBJECT ...`.
+    """Run `open SCENE OBJECT ... then VERB OBJECT ...`.
 
     Args:
         words: What follows `momapos place`.
 
     Raises:
-        InputError: The words make no tasks.
+        InputError: The words are not a list of tasks.
     """
     verb, first, further = split(words)
-    command = _command(verb, further)
-    return parse(command, first, "momapos place", tyro_rules(first))()
+    return parse(_command(verb, further), first, "momapos place")()
 
 
 def split(words: Sequence[str]) -> tuple[str, list[str], list[tuple[str, str, str | None]]]:
-    """Tell the tasks apart.
+    """Split the words into tasks.
 
-    Options may stand anywhere; they are of all tasks, but for --to, which is of its own.
+    Options may stand anywhere; all but --to apply to all tasks.
 
     Returns:
         The first verb, its words and all options, and verb, target and value of every other task.
 
     Raises:
-        InputError: A task is not complete, or its verb is none.
+        InputError: A task is incomplete, or its verb is unknown.
     """
     parts: list[list[str]] = [[]]
     for word in words:
@@ -73,7 +69,7 @@ def split(words: Sequence[str]) -> tuple[str, list[str], list[tuple[str, str, st
 
 
 def _value(words: list[str]) -> tuple[str | None, list[str]]:
-    """The value of --to, and what else there is."""
+    """Separate the value of --to from the other words."""
     for i, word in enumerate(words):
         if word == "--to":
             if i + 1 == len(words):
@@ -90,22 +86,22 @@ def _check_verb(verb: str) -> None:
 
 
 def _command(verb: Verb | str, further: list[tuple[str, str, str | None]]) -> Callable[..., int]:
-    """The command of a first verb, as tyro reads it."""
+    """Build the command of a first verb, for tyro."""
 
     def place_tour(
-        scene: Positional[str],
-        target: Positional[Target],
+        scene: SceneArg,
+        target: Target,
         /,
         *,
         to: ValueArg = None,
         options: Shared = DEFAULT,
     ) -> int:
-        """Do several tasks one after the other: one base pose for all, else the fewest stops.
+        """Plan several tasks in a row: from one base pose, or else from as few as possible.
 
         Args:
-            scene: A scene file or the name of a built-in kitchen.
-            target: The first task's object, and the joint where it has several.
-            to: How far the first part is moved; each further task may have its own.
+            scene: A scene file or a built-in kitchen.
+            target: The object of the first task, and its joint if it has several.
+            to: How far to move the first part; each further task may have its own --to.
         """
         return _answer(scene, [(verb, target, to), *further], options)
 
@@ -119,8 +115,8 @@ def _request(verb: str, target: str, to: str | None) -> Request:
     return Request(verb, name, joint or None, to)  # type: ignore[arg-type]
 
 
-def _check(options: Options) -> None:
-    """Refuse options that belong to a single task.
+def _check(options: Options, config: PipelineConfig) -> None:
+    """Refuse options that apply to a single task.
 
     Raises:
         TaskError: One is given.
@@ -128,17 +124,17 @@ def _check(options: Options) -> None:
     one = {"--at": options.at, "--plot": options.plot, "--robust": options.robust}
     for name, value in one.items():
         if value is not None:
-            raise TaskError(f"{name} belongs to one task; ask for each by itself, or leave it out")
-    if options.config.place.method not in OURS:
+            raise TaskError(f"{name} applies to one task; plan each task alone, or leave it out")
+    if config.place.method not in OURS:
         raise TaskError(
-            f"several tasks are answered by --method {' or '.join(OURS)}, not by "
-            f"{options.config.place.method}"
+            f"several tasks need --method {' or '.join(OURS)}, not {config.place.method}"
         )
 
 
 def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], options: Options) -> int:
-    _check(options)
-    start = None if options.start is None else parse_pose(options.start, "start")
+    config = options.read_config()
+    _check(options, config)
+    start = None if options.start is None else parse_pose(options.start, "--start")
     requests = [_request(*task) for task in tasks]
     outs = []
     if options.out is not None:
@@ -161,15 +157,15 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
     from .console import busy
 
     cache = user_cache()
-    scene = load_room(scene_name, options.joint, cache)
+    scene = load_scene_with_joints(scene_name, options.joint, cache)
     region = read_region(options, scene)
     compile_once(ANSWER)
     tours = []
     for robot, reach in zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True):
-        with busy(f"{robot.name}: searching", options.config.timeout):
+        with busy(f"{robot.name}: planning", config.timeout):
             tours.append(plan_tour(
                 scene, robot, requests, reach, start=None if start is None else np.array(start),
-                region=region, config=options.config, seed=options.seed,
+                region=region, config=config, seed=options.seed,
             ))  # fmt: skip
     order = tuple(EXIT_STATUS)
     tour = min(tours, key=lambda t: (-len(t.steps), order.index(t.status), max(t.stops), t.driving))
@@ -204,8 +200,8 @@ def _deliver(tour: Tour, options: Options) -> None:
 
 
 def _summary(tour: Tour, options: Options) -> str:
-    """The answer in a few lines: each stop, what is done there; all of a task without an answer."""
-    from .console import asked, summary
+    """Summarize a tour: each stop and its tasks, and why a task has no plan."""
+    from .console import pose_text, summary, task_text
 
     name = tour.steps[0].plan.robot_name
     done = [step for step in tour.steps if step.plan.status == "solved"]
@@ -215,13 +211,13 @@ def _summary(tour: Tour, options: Options) -> str:
     for before, stop, step in zip((0, *tour.stops), tour.stops, done, strict=False):
         plan = step.plan
         assert plan.base_pose is not None
-        x, y, yaw = plan.base_pose
         if stop != before:
-            pose = f"x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} deg"
-            here = [one for at, one in zip(tour.stops, done, strict=False) if at == stop]
-            room = room_beside([one.plan for one in here])
-            lines.append(f"  stop {stop}      {pose}; {plan.navigation_cost:.2f} m to drive{room}")
-        lines += [f"    {asked(step)}; {words}" for words in step.holds[:1]]
+            here = [one.plan for at, one in zip(tour.stops, done, strict=False) if at == stop]
+            lines.append(
+                f"  stop {stop}      {pose_text(plan.base_pose)}; drive "
+                f"{plan.navigation_cost:.2f} m{_stop_tolerance(here)}"
+            )
+        lines += [f"    {task_text(step)}; {words}" for words in step.holds[:1]]
     lines += [f"  assumed     {words}" for words in tour.assumed]
     lines += [f"  time        {1000 * tour.seconds:.0f} ms"]
     if tour.status != "solved":
@@ -232,10 +228,10 @@ def _summary(tour: Tour, options: Options) -> str:
     return "\n".join(lines)
 
 
-def room_beside(plans: Sequence[PlacementPlan]) -> str:
-    """How far beside a stop the robot may stand for all its tasks, where that is known."""
+def _stop_tolerance(plans: Sequence[PlacementPlan]) -> str:
+    """The tolerance of a base pose for all its tasks, if it was measured."""
     known = [plan.tolerance for plan in plans if plan.tolerance is not None]
     if not known:
         return ""
     least = min(known, key=lambda one: one.radius)
-    return f"; {least} beside it" if least.radius > 0.0 else "; no tolerance beside it"
+    return f"; tolerance {least}" if least.radius > 0.0 else "; no tolerance"

@@ -1,32 +1,29 @@
-"""momapos verify: check a plan again, from the files alone."""
+"""momapos verify: check a plan independently, from its files."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from tyro.conf import Positional
-
-from .options import OptionalPath
+from .options import Flag, OptionalFolder, PlanArg
 from .plan_sources import check_plan_file
 
 
 def verify(
-    plan: Positional[Path],
+    plan: PlanArg,
     /,
     *,
-    scene_root: OptionalPath = None,
-    json: bool = False,
+    scene_root: OptionalFolder = None,
+    json: Flag = False,
 ) -> int:
-    """Check a plan again, from the plan file, the scene and the URDF that it names.
+    """Check a plan independently of the planner, from the plan file, the scene and the URDF.
 
-    Of a tour each plan is checked, and that each begins where and as the one before it ends.
+    For a tour, each plan is checked, and that it begins where the one before it ends.
 
-    Exit status: 0 the plan holds, 1 it does not, 2 a file cannot be used.
+    Exit status: 0 plan valid; 1 plan invalid; 2 unusable file.
 
     Args:
-        plan: The plan file, or a tour.
-        scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
-        json: Print the report as one JSON object and nothing else.
+        plan: A plan file or a tour file.
+        scene_root: Folder for files that are not next to the plan, and for models of a BestMan
+            scene.
+        json: Print the report as one JSON object, and nothing else.
     """
     check_plan_file(plan)
     from json import dumps

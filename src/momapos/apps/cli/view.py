@@ -1,19 +1,19 @@
-"""momapos view: a web page that shows a room, a robot and its answers."""
+"""momapos view: show a scene, a robot and plans on a web page."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from momapos.core import InputError, check_outputs, require
 from momapos.model.robots import find_named_robot, library_names
 from momapos.model.scene import builtin_names, find_scene
 
-from .options import OptionalPath, OptionalText
+from .options import OptionalFile, OptionalFolder, OptionalRobot
 from .view_sources import kind_of, opened_source, source_in
 
 if TYPE_CHECKING:
@@ -24,32 +24,30 @@ FIRST_SCENE, FIRST_ROBOT = "kitchen_small", "segway_ur5e"
 
 
 def view(
-    source: Positional[str] = FIRST_SCENE,
+    source: Annotated[Positional[str], arg(metavar="SOURCE")] = FIRST_SCENE,
     /,
     *,
-    robot: OptionalText = None,
-    scene_root: OptionalPath = None,
-    static: OptionalPath = None,
+    robot: OptionalRobot = None,
+    scene_root: OptionalFolder = None,
+    static: OptionalFile = None,
     host: str = "127.0.0.1",
     port: int = PORT,
 ) -> int:
-    """Show a room and a robot on a web page: ask, drag the base, watch the answer move.
+    """Show a scene and a robot on a web page; plan there and drag the base.
 
-    A plan plays, a tour task by task, a run as physics did it; of a scan the points are shown and a
-    scene is made.
+    A plan, a tour and a run are played. A scan is shown as points, and can be turned into a scene.
 
-    The page can be reached from this machine alone, unless another address is given. All browsers
-    see the same. It ends with Ctrl-C.
+    Only this machine can open the page, unless you give another --host. All browsers see the same
+    page. Ctrl-C stops the server.
 
     Args:
-        source: A scene file, the name of a built-in kitchen, a plan, a tour, the record of a run,
-            a scan, or a folder that momapos solve has written.
-        robot: A library robot or a robot file; by default the one of the plan.
-        scene_root: Folder for what a plan names and does not lie beside it.
-        static: Write a solved plan, tour or run as one page that plays without a server; serve
-            nothing.
-        host: The address on which the page can be reached; 0.0.0.0 for all of this machine.
-        port: Its port; 0 for any that is free.
+        source: A scene file, a built-in kitchen, a plan, a tour, the record of a run, a scan, or an
+            output folder of `momapos solve`.
+        robot: A library robot or a robot file (default: the robot of the plan).
+        scene_root: Folder for files that are not next to the plan.
+        static: Write a solved plan, tour or run as one page that plays without a server, and exit.
+        host: Address of the page; 0.0.0.0 for all addresses of this machine.
+        port: Port of the page; 0 for any free port.
     """
     source = source_in(source)
     kind = kind_of(source)
@@ -60,8 +58,8 @@ def view(
     if static is not None:
         if kind not in ("plan", "run"):
             raise InputError(
-                f"--static shows a plan or a run, and {source} is none; momapos place ... --out "
-                "plan.json writes one"
+                f"--static needs a plan or a run, and {source} is neither; momapos place ... --out "
+                "plan.json writes a plan"
             )
         check_outputs([static])
     with require("view"):
@@ -81,7 +79,7 @@ def _write(opened: Opened | OpenedScan | None, static: Path) -> None:
         opened.scene, opened.robot, opened.plan, static, story=opened.story(),
         active=opened.question.target.partition("/")[0],
     )  # fmt: skip
-    print(f"{static}: {static.stat().st_size / 1e6:.1f} MB, plays in any browser")
+    print(f"{static}: {static.stat().st_size / 1e6:.1f} MB; open it in any browser")
 
 
 def _serve(
@@ -94,8 +92,8 @@ def _serve(
 
     if host not in LOOPBACK:
         print(
-            f"momapos: {host} is no loopback address: whoever can reach this machine can use the "
-            "page, and write plans and scenes into this folder",
+            f"momapos: {host} is not a loopback address: anyone who can reach this machine can use "
+            "the page, and write plans and scenes into this folder",
             file=sys.stderr,
         )
     compile_once((*ANSWER, *RANK))
@@ -105,7 +103,7 @@ def _serve(
         scenes=tuple(dict.fromkeys((source, *builtin_names()))),
         robots=tuple(dict.fromkeys((machine, *library_names()))), opened=opened,
     ) as (page, address):  # fmt: skip
-        print(f"momapos: {address} shows {source} (Ctrl-C ends it)", flush=True)
-        with contextlib.suppress(KeyboardInterrupt):  # how it is ended
+        print(f"momapos: {address} shows {source} (Ctrl-C stops it)", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):  # the way to stop it
             page.server.sleep_forever()
     return 0

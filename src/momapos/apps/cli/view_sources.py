@@ -1,4 +1,4 @@
-"""What `momapos view` can show, and how it is read."""
+"""Read what `momapos view` can show."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from typing import TYPE_CHECKING, Literal
 
 from momapos.core import MomaposError, open_regular
 
-from .loading import tell
+from .loading import print_warnings
 
 if TYPE_CHECKING:
     from momapos.apps.web import Opened, OpenedScan
 
 Kind = Literal["scene", "plan", "run", "scan"]
 _HEAD = 300
-"""A file says within so many bytes what it is."""
+"""Bytes at the beginning of a file that identify its format [-]."""
 _SCANS = (b"ply", b"# .PCD", b"#ROSBAG", b"\x89MCAP0", b"SQLite format 3")
-"""How clouds and recordings begin."""
+"""First bytes of point clouds and recordings."""
 
 
 def kind_of(source: str) -> Kind:
-    """What a source calls itself; what else is wrong with it its reader says."""
+    """Identify a source by its first bytes; its reader reports everything else."""
     path = Path(source)
     try:
         if path.is_dir():
             return "scan"
         with open_regular(path) as file:
             head = file.read(_HEAD)
-    except (OSError, ValueError, MomaposError):  # a name, or what the reader of scenes refuses
+    except (OSError, ValueError, MomaposError):  # a name, or a file that the scene reader refuses
         return "scene"
     if head.startswith(_SCANS):
         return "scan"
@@ -43,7 +43,7 @@ def kind_of(source: str) -> Kind:
 
 
 def source_in(source: str) -> str:
-    """The record or the plan in a folder of `momapos solve`; else the source itself."""
+    """Return the record or the plan in an output folder of `momapos solve`; else the source."""
     inside = (Path(source) / name for name in ("run.json", "plan.json"))
     return next((str(path) for path in inside if path.is_file()), source)
 
@@ -52,15 +52,15 @@ def source_in(source: str) -> str:
 def opened_source(
     source: str, robot: str | None, scene_root: Path | None = None
 ) -> Iterator[Opened | OpenedScan | None]:
-    """What the page is opened with; None for a scene, which it loads itself.
+    """Read a source for the page; None for a scene, which the page loads itself.
 
     Args:
         source: A file, a folder, or a name.
-        robot: A library robot or a robot file; None for the one that a plan names.
-        scene_root: Folder for what a plan names and does not lie beside it.
+        robot: A library robot or a robot file; None for the robot of the plan.
+        scene_root: Folder for files that are not next to the plan.
 
     Raises:
-        MomaposError: It cannot be read.
+        MomaposError: The source can't be read.
     """
     kind = kind_of(source)
     if kind == "scene":
@@ -73,7 +73,7 @@ def opened_source(
 
 
 def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) -> Opened:
-    """Read a plan, the plans of a tour, or the record of a run and the plan that it names."""
+    """Read a plan, the plans of a tour, or a run with its plan."""
     from momapos.apps.web import Opened
 
     from .plan_sources import open_plans, open_run, plans_of
@@ -87,10 +87,9 @@ def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) 
 
 
 def _scan(path: Path, folder: Path) -> OpenedScan:
-    """Read a scan, of which the page makes a scene."""
     from momapos.apps.web import OpenedScan
     from momapos.perception.recordings import read_scan
 
     scan = read_scan(path)
-    tell(scan.warnings)
+    print_warnings(scan.warnings)
     return OpenedScan(str(path), scan, folder)

@@ -1,6 +1,6 @@
-from .attached_object import is_carried as is_carried
+from .attached_object import carries_object as carries_object
 from .attached_object import write_attached as write_attached
-from .carried_object import Carried as Carried
+from .carried_object import CarriedObject as CarriedObject
 from .mcap_recording import write_recording as write_recording
 from .phases import PhaseKind as PhaseKind
 from .phases import phases_of as phases_of
@@ -10,6 +10,6 @@ from .ros2 import write_ros2 as write_ros2
 from .tables import write_csv as write_csv
 from .tables import write_npz as write_npz
 from .timeline import Timeline as Timeline
-from .timeline import executed as executed
-from .timeline import planned as planned
+from .timeline import plan_timeline as plan_timeline
 from .timeline import recorded_motion as recorded_motion
+from .timeline import run_timeline as run_timeline

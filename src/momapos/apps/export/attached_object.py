@@ -1,6 +1,6 @@
-"""What is in the hand, as MoveIt attaches it: a `moveit_msgs/AttachedCollisionObject` as JSON.
+"""Write the object in the hand as a `moveit_msgs/AttachedCollisionObject` in JSON.
 
-The text of a planning scene has no place for it: MoveIt writes the world's objects alone there.
+The text format of a planning scene has only objects of the world.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ PRIMITIVES = {"box": 1, "sphere": 2, "cylinder": 3}
 """Types of `shape_msgs/SolidPrimitive`."""
 
 
-def is_carried(plan: PlacementPlan) -> bool:
-    """Whether the hand carries the plan's object: a rigid one, which is picked or placed."""
+def carries_object(plan: PlacementPlan) -> bool:
+    """Check that the plan picks or places a movable object."""
     return plan.task.joint is None and plan.motion is not None
 
 
 def attached_object(plan: PlacementPlan, scene: Scene, robot: Robot) -> dict[str, Any]:
-    """The members of the message: the object in the frame of the tool.
+    """Return the members of the message: the object in the frame of the tool.
 
-    It is in the hand from the grasp of a pick on, and until a placed one is let go.
+    The object is attached after the grasp of a pick, or before the release of a place.
 
     Args:
-        plan: A solved plan that carries something, see `is_carried`.
-        scene: Its room.
-        robot: Its robot.
+        plan: A solved plan that carries an object, see `carries_object`.
+        scene: Scene of the plan.
+        robot: Robot of the plan.
     """
     item, motion = scene.object(plan.task.object), plan.motion
     assert motion is not None
@@ -57,7 +57,7 @@ def attached_object(plan: PlacementPlan, scene: Scene, robot: Robot) -> dict[str
                 })  # fmt: skip
                 mesh_poses.append(_pose(T))
             else:
-                # Of a cylinder the message says height, then radius.
+                # The message lists a cylinder's height, then its radius.
                 sizes = shape.size[::-1] if shape.kind == "cylinder" else shape.size
                 primitives.append({"type": PRIMITIVES[shape.kind], "dimensions": list(sizes)})
                 poses.append(_pose(T @ shape.T_link_geometry))
@@ -84,7 +84,6 @@ def write_attached(plan: PlacementPlan, scene: Scene, robot: Robot, path: Path) 
 
 
 def _pose(T: Float[np.ndarray, "4 4"]) -> dict[str, dict[str, float]]:
-    """A `geometry_msgs/Pose`."""
     position, turn = T[:3, 3].tolist(), Rotation.from_matrix(T[:3, :3]).as_quat().tolist()
     return {
         "position": dict(zip("xyz", position, strict=True)),

@@ -1,4 +1,4 @@
-"""A loose object that the hand takes along: it moves with the tool."""
+"""A movable object in the hand, which moves with the tool."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
-@dataclass(frozen=True)
-class Carried:
-    """A loose object that the hand takes along."""
+@dataclass(frozen=True, eq=False)
+class CarriedObject:
+    """A movable object that is picked or placed."""
 
     T_world_rest: Float[np.ndarray, "4 4"]
-    """Pose of its root link where it stands before it is picked, or after it is placed."""
+    """Pose of its root link before it is picked, or after it is placed."""
     T_tool_object: Float[np.ndarray, "4 4"]
-    """The same as the hand holds it."""
+    """Pose of its root link in the hand."""
 
     @classmethod
-    def of(cls, scene: Scene, task: Task, motion: Motion) -> Carried | None:
-        """What a motion takes along; None where it moves a joint of something that stands."""
+    def of(cls, scene: Scene, task: Task, motion: Motion) -> CarriedObject | None:
+        """Return the object that a motion carries; None if the motion moves a joint."""
         if task.joint is not None:
             return None
         item = scene.object(task.object)
@@ -38,7 +38,7 @@ class Carried:
         return cls(T_world_rest, invert(motion.Ts_world_tool[0]) @ T_world_rest)
 
     def at_end(self, task: Task, motion: Motion) -> Float[np.ndarray, "4 4"]:
-        """Pose of its root link when all is done."""
+        """Return the final pose of its root link."""
         if task.verb == "place":
             return self.T_world_rest
         return motion.Ts_world_tool[-1] @ self.T_tool_object
@@ -50,15 +50,15 @@ class Carried:
         phase: Int[np.ndarray, " t"],
         Ts_world_tool: Float[np.ndarray, "t 4 4"],
     ) -> Float[np.ndarray, "t 4 4"]:
-        """Poses of its root link over time.
+        """Return the poses of its root link over time.
 
-        A picked object is carried from when the gripper closes, a placed one until it opens.
+        A picked object is carried after the gripper closes, a placed one until the gripper opens.
 
         Args:
-            task: What is done with it.
-            kinds: Of all phases, in order.
-            phase: Index of the phase of each moment.
-            Ts_world_tool: Pose of the tool at each moment.
+            task: Pick or place.
+            kinds: Kinds of all phases, in order.
+            phase: Index of the phase of each sample.
+            Ts_world_tool: Pose of the tool at each sample.
         """
         if task.verb == "pick":
             held = phase >= list(kinds).index(PhaseKind.CLOSE)

@@ -1,8 +1,7 @@
-"""What moves as ROS 2 messages in MCAP: Foxglove, RViz and `ros2 bag play` show it.
+"""Write a timeline as a ROS 2 bag in MCAP, for Foxglove, RViz and `ros2 bag play`.
 
-Topics: /tf (frames of the robot and of what it moves), /joint_states, /robot_description,
-/base_pose, /base_path, /trajectory (moveit_msgs/RobotTrajectory), /scene (markers of the room's
-shapes).
+Topics: /tf (frames of the robot and of the moved object), /joint_states, /robot_description,
+/base_pose, /base_path, /trajectory (moveit_msgs/RobotTrajectory), /scene (markers of the shapes).
 """
 
 from __future__ import annotations
@@ -31,56 +30,46 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 RATE = 20.0
-"""Messages about what moves, a second [1/s]."""
+"""State messages per second [1/s]."""
 ROBOT_TRAJECTORY = """trajectory_msgs/JointTrajectory joint_trajectory
 trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory
 """
-"""Definition of moveit_msgs/msg/RobotTrajectory, which ROS 2's own messages do not hold."""
+"""Definition of moveit_msgs/msg/RobotTrajectory, which is not in the type store."""
 _TRIANGLES, _ADD = 11, 0
 
 
 @dataclass(frozen=True)
 class _Messages:
-    """Constructors of message types by name, and how they are serialized."""
+    """Constructors of ROS messages."""
 
     store: Any
 
     def make(self, kind: str, **members: Any) -> Any:
-        """A message of a type, such as `geometry_msgs/msg/Pose`."""
+        """Make a message of a type, such as `geometry_msgs/msg/Pose`."""
         return self.store.types[kind](**members)
 
-    def time(self, seconds: float) -> Any:
-        """A stamp."""
-        return self.make("builtin_interfaces/msg/Time", **stamp(seconds))
-
     def duration(self, seconds: float) -> Any:
-        """A duration."""
         return self.make("builtin_interfaces/msg/Duration", **stamp(seconds))
 
     def header(self, seconds: float, frame: str) -> Any:
-        """A header."""
-        return self.make("std_msgs/msg/Header", stamp=self.time(seconds), frame_id=frame)
+        time = self.make("builtin_interfaces/msg/Time", **stamp(seconds))
+        return self.make("std_msgs/msg/Header", stamp=time, frame_id=frame)
 
     def vector(self, values: Float[np.ndarray, "3"], kind: str = "Vector3") -> Any:
-        """A `geometry_msgs` Vector3 or Point."""
+        """Make a `geometry_msgs` Vector3 or Point."""
         x, y, z = map(float, values)
         return self.make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
 
     def quaternion(self, R: Float[np.ndarray, "3 3"]) -> Any:
-        """An orientation."""
         x, y, z, w = Rotation.from_matrix(R).as_quat().tolist()
         return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
     def pose(self, T: Float[np.ndarray, "4 4"]) -> Any:
-        """A pose."""
-        return self.make(
-            "geometry_msgs/msg/Pose",
-            position=self.vector(T[:3, 3], "Point"),
-            orientation=self.quaternion(T[:3, :3]),
-        )
+        position, orientation = self.vector(T[:3, 3], "Point"), self.quaternion(T[:3, :3])
+        return self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
     def frames(self, seconds: float, parent: str, poses: dict[str, Any]) -> Any:
-        """A TFMessage of frames in one parent."""
+        """Make a TFMessage of frames with one parent."""
         transforms = [
             self.make(
                 "geometry_msgs/msg/TransformStamped",
@@ -98,24 +87,24 @@ class _Messages:
 def write_recording(
     timeline: Timeline, scene: Scene, robot: Robot, frame: str, folder: Path
 ) -> None:
-    """Write a ROS 2 bag with MCAP storage: a folder that holds one `.mcap` file.
+    """Write a ROS 2 bag with MCAP storage: a folder with one `.mcap` file.
 
     Args:
-        timeline: What moves.
-        scene: The room.
+        timeline: The motion.
+        scene: The scene.
         robot: The robot.
-        frame: Name of the world's frame, such as "map".
-        folder: The bag; it must not exist yet.
+        frame: Name of the world frame, such as "map".
+        folder: The bag; it must not exist.
 
     Raises:
         MissingExtraError: rosbags is not installed.
-        InputError: The folder exists, or cannot be written.
+        InputError: The folder exists, or can't be written.
     """
     with require("scan"):
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     if folder.exists():
-        raise InputError(f"{folder}: exists already; remove it or write to another folder")
+        raise InputError(f"{folder}: already exists; remove it or write to another folder")
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(ROBOT_TRAJECTORY, "moveit_msgs/msg/RobotTrajectory"))
     try:
@@ -129,11 +118,11 @@ def write_recording(
 
 
 Send = Callable[[str, str, float, Any], None]
-"""Records a message: its topic, its type, when [s], itself."""
+"""Writes a message; takes topic, type, time [s] and the message."""
 
 
 def _opener(writer: Any, store: Any) -> Send:
-    """A function that records messages, and opens their topics as they come."""
+    """Return a function that writes messages, and opens each topic at its first message."""
     topics: dict[str, Any] = {}
 
     def send(topic: str, kind: str, seconds: float, message: Any) -> None:
@@ -147,7 +136,6 @@ def _opener(writer: Any, store: Any) -> Send:
 def _fill(
     make: _Messages, send: Send, timeline: Timeline, scene: Scene, robot: Robot, frame: str
 ) -> None:
-    """Everything that does not change first, then what moves."""
     task, samples = timeline.task, timeline.samples
     target = scene.object(task.object)
     model = target.model
@@ -160,7 +148,7 @@ def _fill(
         send("/robot_description", kind, 0.0, make.make(kind, data=text))
     _send_scene(make, send, scene, target, moving, frame)
     _send_path(make, send, timeline, frame)
-    for stage, part in timeline.stretches():
+    for stage, part in timeline.phases():
         if timeline.arm[stage]:
             kind = "moveit_msgs/msg/RobotTrajectory"
             began = float(samples.times[part.start])
@@ -171,7 +159,7 @@ def _fill(
 
 
 def _at_rate(times: Float[np.ndarray, " t"]) -> Any:
-    """Indices of samples about `RATE` a second, first and last included."""
+    """Return the indices of about `RATE` samples per second, with the first and the last."""
     wanted = np.append(np.arange(0.0, times[-1], 1.0 / RATE), times[-1])
     return np.unique(np.minimum(np.searchsorted(times, wanted), len(times) - 1))
 
@@ -179,7 +167,6 @@ def _at_rate(times: Float[np.ndarray, " t"]) -> Any:
 def _send_state(
     make: _Messages, send: Send, timeline: Timeline, robot: Robot, frame: str, i: int
 ) -> None:
-    """The robot at one sample: its joints, its base, the frames of its links."""
     samples, joints = timeline.samples, timeline.joints
     now, q, v = float(samples.times[i]), samples.positions[i], samples.velocities[i]
     kind = "sensor_msgs/msg/JointState"
@@ -207,11 +194,10 @@ def _send_part(
     frame: str,
     i: int,
 ) -> None:
-    """The frames of what the task moves: a part, or a loose object."""
-    samples, joint, loose = timeline.samples, timeline.task.joint, timeline.Ts_world_object
+    samples, joint, Ts = timeline.samples, timeline.task.joint, timeline.Ts_world_object
     poses = target.link_poses({} if joint is None else {joint: float(samples.object_q[i])})
-    if loose is not None:
-        T_now_rest = loose[i] @ invert(poses[target.model.urdf.root])
+    if Ts is not None:
+        T_now_rest = Ts[i] @ invert(poses[target.model.urdf.root])
         poses = {link: T_now_rest @ T for link, T in poses.items()}
     named = {f"{target.name}/{link}": poses[link] for link in moving}
     now = float(samples.times[i])
@@ -226,7 +212,7 @@ def _send_scene(
     moving: tuple[str, ...],
     frame: str,
 ) -> None:
-    """The hulls of all objects as markers; those of what moves in frames of their own."""
+    """Send the hulls of all objects as markers; those of moving links in their own frames."""
     markers: list[Any] = []
     for item in scene.objects:
         for link, T in item.link_poses().items():
@@ -249,7 +235,6 @@ def _marker(
     hull: Hull,
     moves: bool,
 ) -> Any:
-    """A hull as a list of triangles."""
     corners = hull.vertices[hull.faces].reshape(-1, 3)
     red, green, blue = (0.2, 0.5, 0.9) if moves else (0.7, 0.7, 0.7)
     image = make.make(
@@ -271,7 +256,6 @@ def _marker(
 
 
 def _send_path(make: _Messages, send: Send, timeline: Timeline, frame: str) -> None:
-    """The way that the base drives."""
     if timeline.base_path is None:
         return
     header = make.header(0.0, frame)
@@ -284,7 +268,7 @@ def _send_path(make: _Messages, send: Send, timeline: Timeline, frame: str) -> N
 
 
 def _trajectory(make: _Messages, samples: Samples, part: slice, joints: tuple[str, ...]) -> Any:
-    """A `moveit_msgs/RobotTrajectory` of one phase; its times begin at 0."""
+    """Make a `moveit_msgs/RobotTrajectory` of one phase; its times begin at 0."""
     times = samples.times[part] - samples.times[part.start]
     rows = zip(times, samples.positions[part], samples.velocities[part], strict=True)
     header, none = make.header(0.0, ""), np.zeros(0)

@@ -1,4 +1,4 @@
-"""A plan as phases over time: drive, move the arm, close or open the gripper."""
+"""Split a plan into timed phases: drive, move the arm, close or open the gripper."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 GRIPPER_TIME = 1.0
-"""A gripper gets this long to close or open [s]."""
+"""Time for a gripper to close or open [s]."""
 STEP = 0.02
+"""Time between samples [s]."""
 
 
 class PhaseKind(StrEnum):
-    """What happens in a phase; the words stand in files."""
+    """Kind of a phase; the values are written to files."""
 
     DRIVE = "drive"
     ARM = "arm"
@@ -30,62 +31,56 @@ class PhaseKind(StrEnum):
     OPEN = "open_gripper"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Phase:
-    """A stretch of a plan that begins and ends at rest."""
+    """A section of a plan that begins and ends at rest."""
 
     kind: PhaseKind
     times: Float[np.ndarray, " t"]
-    """[s], from the beginning of the phase."""
+    """Time since the beginning of the phase [s]."""
     base: Float[np.ndarray, "t 3"]
     """x [m], y [m], yaw [rad] of the base on the floor."""
     positions: Float[np.ndarray, "t n"]
-    """Of the joints that the plan names [rad] or [m]."""
+    """Positions of the plan's joints [rad] or [m]."""
     velocities: Float[np.ndarray, "t n"]
     object_q: Float[np.ndarray, " t"]
-    """Value of the object's joint [rad] or [m]; zeros where the task has none."""
-
-    @property
-    def duration(self) -> float:
-        """[s]"""
-        return float(self.times[-1])
+    """Value of the object's joint [rad] or [m]; zeros if the task has none."""
 
 
 def phases_of(
     plan: PlacementPlan, robot: Robot, speeds: SpeedConfig = DEFAULT, *, step: float = STEP
 ) -> tuple[Phase, ...]:
-    """The phases of a solved plan, in order.
+    """Return the phases of a solved plan, in order.
 
-    The base drives along its path with its arm at home; then the arm moves, and comes to rest
-    wherever the gripper closes or opens.
+    The base drives along its path with the arm at home. Then the arm moves, and rests while the
+    gripper closes or opens.
 
     Args:
-        plan: A solved plan of this robot.
-        robot: Its speed limits count.
-        speeds: How fast the arm moves.
+        plan: A solved plan.
+        robot: Robot of the plan, with its speed limits.
+        speeds: Speed limits of the arm.
         step: Time between samples [s].
 
     Raises:
         InputError: The plan is not solved, or no trajectory keeps the limits.
     """
     if plan.motion is None or plan.base_pose is None:
-        raise InputError(f"the plan is {plan.status!r}: it holds no motion to export")
-    motion, base = plan.motion, np.array(plan.base_pose)
+        raise InputError(f"the plan is {plan.status!r}: it has no motion to export")
+    motion, base, verb = plan.motion, np.array(plan.base_pose), plan.task.verb
     phases = [] if plan.base_path is None else [_drive(plan.base_path, motion, robot, step)]
     q, value = _first(motion), float(motion.object_q[0])
-    if plan.task.verb == "place":
+    if verb == "place":
         phases.append(_gripper(PhaseKind.CLOSE, base, q, value))
-    for part in _parts(plan.task.verb, motion):
+    for part in _parts(verb, motion):
         if isinstance(part, PhaseKind):
             phases.append(_gripper(part, base, q, value))
         else:
-            phases.append(_arm(part, plan.task.verb, base, robot, speeds, step))
+            phases.append(_arm(part, verb, base, robot, speeds, step))
             q, value = phases[-1].positions[-1], float(phases[-1].object_q[-1])
     if motion.home is not None:
         back = np.concatenate([motion.q[-1:], motion.home])
-        rest = np.full(len(back), value)
-        way = _Stretch(back, rest, None)
-        phases.append(_arm(way, plan.task.verb, base, robot, speeds, step))
+        section = _Section(back, np.full(len(back), value), None)
+        phases.append(_arm(section, verb, base, robot, speeds, step))
     return tuple(phases)
 
 
@@ -93,22 +88,23 @@ def _first(motion: Motion) -> Float[np.ndarray, " n"]:
     return motion.approach[0] if len(motion.approach) else motion.q[0]
 
 
-@dataclass(frozen=True)
-class _Stretch:
+@dataclass(frozen=True, eq=False)
+class _Section:
     """States of the arm between two actions of the gripper."""
 
     q: Float[np.ndarray, "m n"]
     object_q: Float[np.ndarray, " m"]
     Ts_world_tool: Float[np.ndarray, "m 4 4"] | None
-    """None on the way to the object, where the tool's speed is limited only if it carries one."""
+    """None before the grasp and after the release, where the tool's speed is limited only if it
+    carries an object."""
 
 
-def _parts(verb: str, motion: Motion) -> list[_Stretch | PhaseKind]:
-    """The arm's motion, cut where the gripper closes or opens."""
-    parts: list[_Stretch | PhaseKind] = []
+def _parts(verb: str, motion: Motion) -> list[_Section | PhaseKind]:
+    """Cut the motion of the arm where the gripper closes or opens."""
+    parts: list[_Section | PhaseKind] = []
     if len(motion.approach):
         rest = np.full(len(motion.approach), motion.object_q[0])
-        parts.append(_Stretch(motion.approach, rest, None))
+        parts.append(_Section(motion.approach, rest, None))
     last = len(motion.q) - 1
     if verb == "pick":
         return [*parts, PhaseKind.CLOSE, _between(motion, 0, last)]
@@ -122,10 +118,9 @@ def _parts(verb: str, motion: Motion) -> list[_Stretch | PhaseKind]:
     return [*parts, _between(motion, at, last)] if at < last else parts
 
 
-def _between(motion: Motion, first: int, last: int) -> _Stretch:
-    """The states from one to another, both included."""
+def _between(motion: Motion, first: int, last: int) -> _Section:
     part = slice(first, last + 1)
-    return _Stretch(motion.q[part], motion.object_q[part], motion.Ts_world_tool[part])
+    return _Section(motion.q[part], motion.object_q[part], motion.Ts_world_tool[part])
 
 
 def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: float) -> Phase:
@@ -133,7 +128,9 @@ def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: f
     limit = np.array([robot.max_acceleration, robot.max_acceleration, robot.max_yaw_acceleration])
     turned = path.copy()
     turned[:, 2] = np.unwrap(path[:, 2])
-    turned[:, 2] += path[-1, 2] - turned[-1, 2]  # whole turns: the arm's phases begin at its end
+    turned[:, 2] += (
+        path[-1, 2] - turned[-1, 2]
+    )  # by whole turns, to end at the yaw of the arm phases
     timed = time_path(turned, speed, limit, step)
     rest = np.tile(_first(motion), (len(timed), 1))
     return Phase(
@@ -143,30 +140,28 @@ def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: f
 
 
 def _arm(
-    part: _Stretch,
+    part: _Section,
     verb: Verb,
     base: Float[np.ndarray, "3"],
     robot: Robot,
     speeds: SpeedConfig,
     step: float,
 ) -> Phase:
-    none = part.q[:0]
     if part.Ts_world_tool is None:
-        whole = Motion(part.q, part.q[-1:], part.object_q[-1:], np.eye(4)[None])
-        timed = time_motion(robot, whole, speeds, step, verb=verb)[0]
+        motion = Motion(part.q, part.q[-1:], part.object_q[-1:], np.eye(4)[None])
+        timed = time_motion(robot, motion, speeds, step, verb=verb)[0]
     else:
-        whole = Motion(none, part.q, part.object_q, part.Ts_world_tool)
-        timed = time_motion(robot, whole, speeds, step, verb=verb)[1]
+        motion = Motion(part.q[:0], part.q, part.object_q, part.Ts_world_tool)
+        timed = time_motion(robot, motion, speeds, step, verb=verb)[1]
     times = _times(len(timed), step)
     values = np.interp(times, timed.state_times, part.object_q)
-    stands = np.tile(base, (len(timed), 1))
-    return Phase(PhaseKind.ARM, times, stands, timed.q, timed.v, values)
+    bases = np.tile(base, (len(timed), 1))
+    return Phase(PhaseKind.ARM, times, bases, timed.q, timed.v, values)
 
 
 def _gripper(
     kind: PhaseKind, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], object_q: float
 ) -> Phase:
-    """The gripper closes or opens, and all else rests."""
     rest = np.tile(q, (2, 1))
     return Phase(
         kind, np.array([0.0, GRIPPER_TIME]), np.tile(base, (2, 1)), rest, np.zeros_like(rest),
@@ -178,9 +173,9 @@ def _times(count: int, step: float) -> Float[np.ndarray, " t"]:
     return np.arange(count) * step
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Samples:
-    """All phases one after the other."""
+    """Samples of all phases in order."""
 
     times: Float[np.ndarray, " t"]
     base: Float[np.ndarray, "t 3"]
@@ -188,12 +183,12 @@ class Samples:
     velocities: Float[np.ndarray, "t n"]
     object_q: Float[np.ndarray, " t"]
     phase: Int[np.ndarray, " t"]
-    """Index of the phase that each sample is of."""
+    """Index of the phase of each sample."""
 
 
 def samples_of(phases: tuple[Phase, ...]) -> Samples:
-    """Join phases; where one ends the next begins."""
-    begin = np.cumsum([0.0, *(phase.duration for phase in phases[:-1])])
+    """Join phases; each begins when the one before it ends."""
+    begin = np.cumsum([0.0, *(phase.times[-1] for phase in phases[:-1])])
     return Samples(
         times=np.concatenate([t + p.times for t, p in zip(begin, phases, strict=True)]),
         base=np.concatenate([phase.base for phase in phases]),

@@ -1,7 +1,7 @@
-"""A room and a robot for MoveIt: the planning scene as `.scene` text, and an SRDF.
+"""Write a scene and a robot for MoveIt: a `.scene` text file and an SRDF.
 
-The format is what MoveIt's `PlanningScene::saveGeometryToStream` writes and RViz's motion planning
-panel imports: an object's pose, its shapes with their poses in it, their colors, its subframes.
+MoveIt's `PlanningScene::saveGeometryToStream` writes this format, and RViz's motion planning panel
+imports it: the pose of an object, its shapes with their poses and colors, its subframes.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def write_scene(
     *,
     absent: Collection[str] = (),
 ) -> None:
-    """Write a room as a planning scene; furniture with joints is one object for each of its links.
+    """Write a planning scene, with one object per link of articulated furniture.
 
     Args:
-        scene: The room.
-        T_frame_world: Pose of the world in the planning frame, which is the robot's base where
-            MoveIt knows no other.
+        scene: The scene.
+        T_frame_world: Pose of the world in the planning frame, by default the robot's base frame
+            in MoveIt.
         path: The file.
-        absent: Objects that are left out.
+        absent: Objects to omit.
     """
     lines = [scene.name.replace("\n", " ")]
     for item in scene.objects:
@@ -51,7 +51,7 @@ def write_scene(
 
 
 def _object(item: SceneObject, link: str, T: Float[np.ndarray, "4 4"]) -> Iterator[str]:
-    """One object: a link of furniture; nothing where it has no shape."""
+    """Yield the lines of a link; none if it has no shape."""
     shapes = item.model.urdf.links[link].collisions
     if not shapes:
         return
@@ -79,7 +79,7 @@ def _shape(shape: Geometry, hull: Hull) -> Iterator[str]:
 
 
 def _pose(T: Float[np.ndarray, "4 4"]) -> tuple[str, str]:
-    """Two lines: position, and orientation as a quaternion x y z w."""
+    """Return two lines: position, and orientation as a quaternion x y z w."""
     return _numbers(T[:3, 3]), _numbers(Rotation.from_matrix(T[:3, :3]).as_quat())
 
 
@@ -88,7 +88,7 @@ def _numbers(values: Float[np.ndarray, " n"]) -> str:
 
 
 def write_srdf(robot: Robot, path: Path) -> None:
-    """Write an SRDF: the arm as a group with its home, the hand, and pairs that are not checked."""
+    """Write an SRDF: the arm as a group with its home, the hand, and the disabled pairs."""
     hand = [name for name in robot.gripper_links if name in robot.model.urdf.links]
     pairs = sorted((min(pair), max(pair)) for pair in robot.disabled if len(pair) == 2)
     base, tool = quoteattr(robot.base_link), quoteattr(robot.tool_link)

@@ -1,6 +1,6 @@
-"""Plans as ROS 2 messages, written as JSON: goals for Nav2, an arm's controller and a gripper.
+"""Write a plan as ROS 2 messages in JSON: goals for Nav2, an arm controller and a gripper.
 
-The members are those of the messages, so that a node fills them in as they are.
+The members have the names of the messages' fields, so that a node can copy them.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ FORMAT, VERSION = "momapos-ros2", 1
 
 
 def stamp(seconds: float) -> dict[str, int]:
-    """A `builtin_interfaces` Time or Duration."""
+    """Return a `builtin_interfaces` Time or Duration."""
     whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
     return {"sec": whole, "nanosec": rest}
 
 
 def pose_stamped(pose: Sequence[float], frame: str) -> dict[str, Any]:
-    """A `geometry_msgs/PoseStamped` on the floor, from x [m], y [m] and yaw [rad]."""
+    """Return a `geometry_msgs/PoseStamped` on the floor for x [m], y [m] and yaw [rad]."""
     x, y, yaw = pose
     return {
         "header": {"stamp": stamp(0.0), "frame_id": frame},
@@ -39,7 +39,7 @@ def pose_stamped(pose: Sequence[float], frame: str) -> dict[str, Any]:
 
 
 def joint_trajectory(phase: Phase, joints: tuple[str, ...]) -> dict[str, Any]:
-    """A `trajectory_msgs/JointTrajectory`."""
+    """Return a `trajectory_msgs/JointTrajectory`."""
     rows = zip(
         phase.times.tolist(), phase.positions.tolist(), phase.velocities.tolist(), strict=True
     )
@@ -57,7 +57,7 @@ def joint_trajectory(phase: Phase, joints: tuple[str, ...]) -> dict[str, Any]:
 def messages(
     plan: PlacementPlan, phases: tuple[Phase, ...], robot: Robot, frame: str
 ) -> dict[str, Any]:
-    """Everything that a node needs to carry the plan out, in order."""
+    """Return all that a node needs to execute the plan, in order."""
     assert plan.base_pose is not None
     goal = pose_stamped(plan.base_pose, frame)
     steps: list[dict[str, Any]] = []
@@ -77,8 +77,8 @@ def messages(
             action = "control_msgs/action/FollowJointTrajectory"
             steps.append({"action": action, "goal": {"trajectory": trajectory}})
         elif phase.kind is not PhaseKind.DRIVE:
-            wide = robot.opening if phase.kind is PhaseKind.OPEN else 0.0
-            command = {"position": wide, "max_effort": robot.grip_force}
+            position = robot.opening if phase.kind is PhaseKind.OPEN else 0.0
+            command = {"position": position, "max_effort": robot.grip_force}
             action = "control_msgs/action/GripperCommand"
             steps.append({"action": action, "goal": {"command": command}})
     return {

@@ -1,4 +1,4 @@
-"""What moves over time as tables: CSV for people and spreadsheets, NPZ for programs."""
+"""Write a timeline as a table: CSV or NPZ."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ OBJECT = tuple(f"object_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "q
 
 
 def write_csv(timeline: Timeline, path: Path) -> None:
-    """Write a line a sample: time, phase, base pose, joints, their velocities, the object's joint.
+    """Write one line per sample: time, phase, base pose, joint positions and velocities, object_q.
 
-    Of a loose object its pose follows, position and quaternion. Units are s, m and rad.
+    For a movable object, its pose follows: position and quaternion. Units are s, m and rad.
     """
     samples, names = timeline.samples, timeline.joints
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     velocities = [f"{name}_velocity" for name in names]
     columns = [samples.base, samples.positions, samples.velocities, samples.object_q]
-    heads = ["time", "phase", *BASE, *names, *velocities, "object_q"]
+    header = ["time", "phase", *BASE, *names, *velocities, "object_q"]
     if timeline.Ts_world_object is not None:
-        heads += OBJECT
+        header += OBJECT
         columns.append(_poses(timeline.Ts_world_object))
-    rows.writerow(heads)
+    rows.writerow(header)
     numbers = np.column_stack(columns)
     for time, index, row in zip(samples.times, samples.phase, numbers, strict=True):
-        words = [f"{value:.9g}" for value in row.tolist()]
-        rows.writerow([f"{time:.9g}", f"{index}_{timeline.stages[index]}", *words])
+        values = [f"{value:.9g}" for value in row.tolist()]
+        rows.writerow([f"{time:.9g}", f"{index}_{timeline.stages[index]}", *values])
     write_atomic(path, text.getvalue().encode())
 
 
 def write_npz(timeline: Timeline, path: Path) -> None:
     """Write the samples as arrays: times, base, positions, velocities, object_q, phase, names.
 
-    Of a loose object `object_poses` holds x, y, z and the quaternion wxyz.
+    For a movable object, `object_poses` contains x, y, z and the quaternion wxyz.
     """
     samples, content = timeline.samples, io.BytesIO()
-    loose: dict[str, Any] = {}
+    poses: dict[str, Any] = {}
     if timeline.Ts_world_object is not None:
-        loose["object_poses"] = _poses(timeline.Ts_world_object)
+        poses["object_poses"] = _poses(timeline.Ts_world_object)
     np.savez_compressed(
         content, times=samples.times, base=samples.base, positions=samples.positions,
         velocities=samples.velocities, object_q=samples.object_q, phase=samples.phase,
-        phases=np.array(timeline.stages), joints=np.array(timeline.joints), **loose,
+        phases=np.array(timeline.stages), joints=np.array(timeline.joints), **poses,
     )  # fmt: skip
     write_atomic(path, content.getvalue())
 
 
 def _poses(Ts: Float[np.ndarray, "t 4 4"]) -> Float[np.ndarray, "t 7"]:
-    """x, y, z [m] and the quaternion wxyz."""
-    turns = Rotation.from_matrix(Ts[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
-    return np.concatenate([Ts[:, :3, 3], turns], axis=1)
+    """Return x, y, z [m] and the quaternion wxyz."""
+    quaternions = Rotation.from_matrix(Ts[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    return np.concatenate([Ts[:, :3, 3], quaternions], axis=1)

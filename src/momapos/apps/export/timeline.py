@@ -1,4 +1,4 @@
-"""What moves over time: as a plan says, or as physics did it in a run."""
+"""Motion over time, from a plan or from the record of a run in physics."""
 
 from __future__ import annotations
 
@@ -16,51 +16,45 @@ from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.simulation import DRIVE, RunMotion, RunRecord
 
-from .carried_object import Carried
+from .carried_object import CarriedObject
 from .phases import Phase, PhaseKind, Samples, samples_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Timeline:
-    """What moves, from the beginning to the end; time rises from sample to sample, or stays."""
+    """Motion of robot and object over time; sample times never decrease."""
 
     task: Task
-    """What is done."""
     joints: tuple[str, ...]
-    """Of the robot, one for each column of the positions."""
+    """Joints of the robot, one per column of the positions."""
     samples: Samples
     stages: tuple[str, ...]
-    """What is done in each phase of the samples, in order."""
+    """Name of each phase, in order."""
     arm: tuple[bool, ...]
-    """Whether the arm moves in it."""
+    """Whether the arm moves in each phase."""
     base_path: Float[np.ndarray, "k 3"] | None
-    """Where the base drives: x [m], y [m], yaw [rad]; None where it does not."""
+    """Path of the base: x [m], y [m], yaw [rad]; None without a drive."""
     Ts_world_object: Float[np.ndarray, "t 4 4"] | None
-    """Pose of a loose object's root link; None where the task moves a joint."""
+    """Pose of a movable object's root link; None if the task moves a joint."""
 
-    def stretches(self) -> Iterator[tuple[int, slice]]:
-        """Each phase by number, and which samples are of it."""
+    def phases(self) -> Iterator[tuple[int, slice]]:
+        """Yield the index and the samples of each phase."""
         phase = self.samples.phase
         cuts = np.flatnonzero(np.diff(phase)) + 1
         for first, end in pairwise([0, *cuts.tolist(), len(phase)]):
             yield int(phase[first]), slice(first, end)
 
 
-def planned(plan: PlacementPlan, phases: tuple[Phase, ...], scene: Scene, robot: Robot) -> Timeline:
-    """What a solved plan says.
-
-    Args:
-        plan: The plan.
-        phases: Its phases, see `phases_of`.
-        scene: Its room.
-        robot: Its robot.
-    """
+def plan_timeline(
+    plan: PlacementPlan, phases: tuple[Phase, ...], scene: Scene, robot: Robot
+) -> Timeline:
+    """Return the timeline of a solved plan with its phases, see `phases_of`."""
     assert plan.motion is not None
     samples, kinds = samples_of(phases), tuple(phase.kind for phase in phases)
-    carried, poses = Carried.of(scene, plan.task, plan.motion), None
+    carried, poses = CarriedObject.of(scene, plan.task, plan.motion), None
     if carried is not None:
         tools = robot.chain.tool_poses(robot.chain.freedom_values(samples.positions))
         tools = pose_planar(samples.base) @ tools
@@ -71,18 +65,18 @@ def planned(plan: PlacementPlan, phases: tuple[Phase, ...], scene: Scene, robot:
     )  # fmt: skip
 
 
-def executed(record: RunRecord, robot: Robot) -> Timeline:
-    """What physics did in a run; velocities are differences of the recorded positions.
+def run_timeline(record: RunRecord, robot: Robot) -> Timeline:
+    """Return the timeline of a run; velocities are differences of the recorded positions.
 
     Args:
-        record: The record, with what moved.
-        robot: The robot of its plan.
+        record: The record, with its motion.
+        robot: The robot of the plan.
 
     Raises:
-        InputError: It does not say what moved, or it is one of another robot.
+        InputError: The record has no motion, or belongs to another robot.
     """
     motion, task = recorded_motion(record, robot), record.true_task or record.task
-    later = np.append(np.diff(motion.times) > 0, True)  # of moments at one time the last
+    later = np.append(np.diff(motion.times) > 0, True)  # of samples at one time, the last
     times = np.array(motion.times)[later]
     base = np.array(motion.bases)[later]
     positions = np.zeros((len(times), len(motion.joints)))
@@ -107,17 +101,17 @@ def executed(record: RunRecord, robot: Robot) -> Timeline:
 
 
 def recorded_motion(record: RunRecord, robot: Robot) -> RunMotion:
-    """What moved in a run.
+    """Return the motion of a run.
 
     Raises:
-        InputError: Its record does not say what moved, or it is one of another robot.
+        InputError: The record has no motion, or belongs to another robot.
     """
     motion = record.motion
     if motion is None or len(motion.times) < 2:
         raise InputError(
-            "the record does not say what moved; momapos run ... --out writes one that does"
+            "the run record contains no motion; 'momapos run ... --out FILE' writes one with motion"
         )
-    unknown = [name for name in motion.joints if name not in robot.model.joints]
-    if unknown:
-        raise InputError(f"the record moves {unknown[0]!r:.60}, which {robot.name} has not")
+    unknown = next((name for name in motion.joints if name not in robot.model.joints), None)
+    if unknown is not None:
+        raise InputError(f"the run record moves {unknown!r:.60}, which is no joint of {robot.name}")
     return motion

@@ -1,4 +1,4 @@
-"""Answers as task planners ask for them: streams of PDDLStream, poses of pycram.
+"""Adapters for task planners: a stream for PDDLStream, base poses for pycram.
 
-Neither planner is imported: what they take is an iterator and a callable.
+Neither planner is imported; the adapters are an iterator and a callable.
 """

@@ -1,8 +1,8 @@
-"""Base configurations and arm trajectories as a stream of PDDLStream.
+"""A PDDLStream stream of base configurations and arm trajectories.
 
 Garrett, Lozano-Perez and Kaelbling, "PDDLStream: Integrating Symbolic Planners and Blackbox
-Samplers via Optimistic Adaptive Planning", ICAPS 2020. Its `from_gen_fn` takes a function that
-gets the values of a stream's inputs and yields tuples of values for its outputs, until it ends.
+Samplers via Optimistic Adaptive Planning", ICAPS 2020. Its `from_gen_fn` takes a function from the
+values of a stream's inputs to an iterator over tuples of values of its outputs.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ STREAM = """\
   :certified (and (BConf ?q) (ATraj ?t) (Kin ?o ?p ?g ?q ?t))
 )
 """
-"""The declaration that goes into a domain's stream file, with the predicates of PDDLStream's own
-examples of mobile manipulators."""
+"""Declaration for a domain's stream file, with the predicates of PDDLStream's examples of mobile
+manipulators."""
 
 BaseConf: TypeAlias = tuple[float, float, float]
-"""What ?q stands for: x [m], y [m], yaw [rad] of the base on the floor."""
+"""Value of ?q: x [m], y [m], yaw [rad] of the base on the floor."""
 ObjectPose: TypeAlias = "Float[np.ndarray, '4 4'] | float | None"
-"""What ?p stands for: T_world_object of a loose thing, the value of a part's joint [rad] or [m],
-or None where the scene has it."""
+"""Value of ?p: T_world_object of a movable object, the joint value of a part [rad] or [m], or None
+for the pose in the scene."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmTrajectory:
-    """What ?t stands for: the arm's motion at ?q; one is equal to itself alone."""
+    """Value of ?t: the motion of the arm at ?q; compared by identity."""
 
     plan: PlacementPlan
     robot: Robot
 
     @cached_property
     def timed(self) -> TimedTrajectory:
-        """The motion over time.
+        """The timed motion.
 
         Raises:
             InputError: No trajectory keeps the limits of speed and acceleration.
@@ -79,28 +79,28 @@ def placement_stream(
     config: PipelineConfig = DEFAULT,
     seed: int = 0,
 ) -> GenFn:
-    """Make the generator of a stream (?o, ?p, ?g) -> (?q, ?t) that certifies kin, see `STREAM`.
+    """Make the generator function of a stream (?o, ?p, ?g) -> (?q, ?t), see `STREAM`.
 
-    `from_gen_fn` of PDDLStream takes it as it is. Called with an object, its pose and a grasp, it
-    yields base configurations with arm trajectories in the order of `iter_placements`, and ends
-    where there is no further one, or where the time of `config.timeout` is over. The object is
-    named as on the command line: "cup", or "fridge/door_hinge" for a part. A grasp is a
-    `GraspConfig`, the ways of holding that may be used; None for those of `config`.
+    Pass it to `from_gen_fn` of PDDLStream. It takes an object, its pose and a grasp, and yields
+    base configurations with arm trajectories in the order of `iter_placements`, until there are no
+    more or `config.timeout` is over. Objects are named as on the command line: "cup", or
+    "fridge/door_hinge" for a part. A grasp is a `GraspConfig`, the allowed grasp families; None
+    for those of `config`.
 
     Args:
-        scene: The room; the object asked about is moved in it to its pose.
+        scene: The scene; the stream moves its object to the given pose.
         robot: The mobile manipulator.
         verb: open, close, pick or place.
-        to: Value that a part is moved to, see `make_task`.
+        to: Joint value to reach, see `make_task`.
         reach: The robot's reachability map; None to load it.
-        start: Where the base is at first: x [m], y [m], yaw [rad]; the scene's start by default.
-        region: Where the base is allowed to stand.
-        config: How to search.
+        start: Initial base pose x [m], y [m], yaw [rad]; the scene's start by default.
+        region: Region of allowed base poses.
+        config: Configuration of the search.
         seed: Same seed, same stream.
 
     Raises:
-        MomaposError: When the generator is advanced: as `make_task` and `iter_placements`, or the
-            pose is not of the kind that the object has.
+        MomaposError: While iterating: see `make_task` and `iter_placements`, or the pose has the
+            wrong form for the object.
     """
 
     def gen_fn(
@@ -109,9 +109,11 @@ def placement_stream(
         item, _, joint = name.partition("/")
         room = scene if pose is None else _moved(scene, item, joint, pose)
         task = make_task(room, verb, item, joint or None, to)
-        held = config if grasp is None else _holding(config, grasp)
+        settings = config
+        if grasp is not None:
+            settings = replace(config, motion=replace(config.motion, grasps=grasp))
         answers = iter_placements(
-            room, robot, task, reach, start=start, region=region, config=held, seed=seed
+            room, robot, task, reach, start=start, region=region, config=settings, seed=seed
         )
         with closing(answers):  # type: ignore[type-var]
             for answer in answers:
@@ -121,19 +123,15 @@ def placement_stream(
     return gen_fn
 
 
-def _holding(config: PipelineConfig, grasp: GraspConfig) -> PipelineConfig:
-    return replace(config, motion=replace(config.motion, grasps=grasp))
-
-
 def _moved(scene: Scene, name: str, joint: str, pose: Float[np.ndarray, "4 4"] | float) -> Scene:
-    """The scene with a part at another value, or with a loose thing elsewhere and no file."""
+    """Return the scene with a part at a joint value, or with a movable object at a pose."""
     if joint:
         if np.ndim(pose):
-            raise InputError(f"{name}/{joint}: the pose of a part is one number [rad] or [m]")
+            raise InputError(f"{name}/{joint}: the pose of a part must be one number [rad] or [m]")
         return scene.with_joints({name: {joint: float(pose)}})
     T = np.array(pose, float)
     if T.shape != (4, 4):
-        raise InputError(f"{name}: the pose of an object is T_world_object, 4 x 4, not {T.shape}")
+        raise InputError(f"{name}: the pose of an object must be a 4 x 4 matrix, not {T.shape}")
     try:
         T = rigid_pose(T)
     except ValueError as error:

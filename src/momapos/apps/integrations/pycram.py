@@ -1,7 +1,7 @@
-"""Base poses as a generator back-end of pycram's locations.
+"""A generator back-end of base poses for pycram's locations.
 
 A `Location` of pycram (CRAM's Python framework) iterates over its back-end for pose candidates, and
-yields those that its own world and validators accept. A back-end is anything to iterate over.
+yields those that its world and validators accept. A back-end is any iterable.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ Pose = TypeVar("Pose")
 
 @dataclass(frozen=True, eq=False)
 class PlacementBackend(Generic[Pose]):
-    """Base poses from which a task works, in the order of `iter_placements`; each pass begins anew.
+    """Base poses for a task, in the order of `iter_placements`; each iteration starts a new search.
 
-    It has no `merge`: whether it would generate what another back-end does is not known. Narrow it
-    by `region`, or give the location more validators.
+    It has no `merge`, because the poses of another back-end can't be tested for membership. Use
+    `region` or more validators of the location instead.
     """
 
     scene: Scene
     robot: Robot
     task: Task
     make_pose: Callable[[float, float, float], Pose]
-    """Makes a pose of pycram from x [m], y [m] and yaw [rad] on the floor of its world, such as
+    """Makes a pycram pose from x [m], y [m] and yaw [rad] on the floor of its world, such as
     `lambda x, y, yaw: Pose.from_xyz_rpy(x, y, 0.0, yaw=yaw, reference_frame=world.root)`."""
     reach: ReachScorer | None = None
     """The robot's reachability map; None to load it."""
     region: BaseRegion = ANYWHERE
-    """Where the base is allowed to stand."""
+    """Region of allowed base poses."""
     config: PipelineConfig = DEFAULT
-    """How to search, and for how long."""
+    """Configuration and time limit of the search."""
     seed: int = 0
 
     def __iter__(self) -> Iterator[Pose]:
-        """Yield poses until none is left, or the time is over.
+        """Yield poses until there are no more, or the time is over.
 
         Raises:
-            MomaposError: As `iter_placements`.
+            MomaposError: See `iter_placements`.
         """
         answers = iter_placements(
             self.scene, self.robot, self.task, self.reach,

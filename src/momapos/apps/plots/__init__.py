@@ -1,4 +1,4 @@
-"""Pictures of scenes and answers."""
+"""Figures of scenes, robots and answers."""
 
 import lazy_loader
 

@@ -1,14 +1,15 @@
 from .answer_plot import draw_answer as draw_answer
-from .answer_plot import waypoints_by_hold as waypoints_by_hold
+from .answer_plot import waypoints_by_grasp as waypoints_by_grasp
 from .candidate_markers import KINDS as KINDS
 from .candidate_markers import outcomes as outcomes
 from .candidate_markers import thin as thin
 from .graph_plot import draw_importance as draw_importance
-from .heat import Heat as Heat
+from .heat import PotentialMap as PotentialMap
 from .heat import potential_map as potential_map
-from .image_files import check_picture as check_picture
+from .image_files import check_figure_path as check_figure_path
 from .modeling_plot import draw_modeled as draw_modeled
 from .opening_plot import draw_opening_map as draw_opening_map
+from .outlines import box_corners as box_corners
 from .palette import ARM as ARM
 from .palette import BAD as BAD
 from .palette import FLOOR as FLOOR
@@ -36,5 +37,5 @@ from .robot_spheres import draw_robot as draw_robot
 from .robot_spheres import sphere_centers as sphere_centers
 from .room_plot import room_bounds as room_bounds
 from .scene_outlines import draw_scene as draw_scene
-from .text_panel import question as question
+from .text_panel import task_text as task_text
 from .text_panel import value_text as value_text

@@ -1,4 +1,4 @@
-"""What became of the candidates, in the few kinds that a picture can show."""
+"""Outcomes of the candidates, grouped into the few kinds that a figure can show."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class MarkerKind:
     size: float = 2.6
     """Size of the marker [pt]."""
     obvious: bool = False
-    """Whether the room explains it at a glance; drawn on the open floor only."""
+    """Whether the room alone explains it; such candidates are drawn under the furniture."""
 
 
 _S = PoseStatus
 KINDS = (
-    MarkerKind("farther than the arm", (_S.BEYOND_ARM,), "#c9ced3", ".", size=2.2, obvious=True),
+    MarkerKind("beyond the arm's reach", (_S.BEYOND_ARM,), "#c9ced3", ".", size=2.2, obvious=True),
     MarkerKind(
         "base", (_S.BASE_BLOCKED, _S.OFF_FLOOR, _S.NO_ROUTE, _S.NO_ROUTE_AT_HOME), "#a3aab1", "x",
         size=2.2, obvious=True,
@@ -45,7 +45,7 @@ KINDS = (
         ),
         "#4f6d8f", "o",
     ),
-    MarkerKind("not tried", (_S.NOT_TRIED, _S.PATH_FOUND), "#6f7a83", ".", size=2.8),
+    MarkerKind("not checked", (_S.NOT_TRIED, _S.PATH_FOUND), "#6f7a83", ".", size=2.8),
     MarkerKind(
         "other",
         (
@@ -60,13 +60,13 @@ KINDS = (
     MarkerKind("exact check", (_S.EXACT_CHECK,), "#330000", "P", size=3.6),
     MarkerKind("feasible", (_S.FEASIBLE,), "#009e73", "o", filled=True, size=5.0),
 )  # fmt: skip
-"""From what fails first to what succeeds; the order in which they are drawn."""
+"""Kinds in the order of the checks that fail, which is also the drawing order."""
 KIND_OF = {status: index for index, kind in enumerate(KINDS) for status in kind.statuses}
 """Index of the kind that a status belongs to."""
 _NOWHERE = (PoseStatus.OUT_OF_REACH_ANYWHERE, PoseStatus.TASK_INFEASIBLE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Outcomes:
     """All candidates of a search."""
 
@@ -74,29 +74,29 @@ class Outcomes:
     kind: Int[np.ndarray, " n"]
     """Index into `KINDS`."""
     counts: dict[tuple[int, str], int]
-    """How many, by kind (as above) and summary."""
+    """Number of candidates by kind and summary."""
 
 
 def outcomes(search: Search) -> Outcomes:
-    """Sort the candidates of a search into kinds."""
+    """Group the candidates of a search by kind."""
     poses = np.concatenate([np.zeros((0, 3)), *search.poses])
     seen = [outcome for block in search.outcomes for outcome in block]
     counts = Counter((KIND_OF[outcome.status], outcome.summary) for outcome in seen)
     kind = np.array([KIND_OF[outcome.status] for outcome in seen], int)
-    # Where nothing can be sampled the search says so in one candidate that has no place.
-    real = np.array([outcome.status not in _NOWHERE for outcome in seen], bool)
-    return Outcomes(poses[real], kind[real], dict(counts))
+    # If no pose can be sampled, the search reports it as one candidate without a pose.
+    placed = np.array([outcome.status not in _NOWHERE for outcome in seen], bool)
+    return Outcomes(poses[placed], kind[placed], dict(counts))
 
 
 def thin(
     points: Float[np.ndarray, "n 2"], rank: Int[np.ndarray, " n"], most: int
 ) -> Int[np.ndarray, " k"]:
-    """Choose points for a picture: all of them, or the highest rank in each cell of the floor.
+    """Return the indices of all points, or of the highest-ranked point in each cell of a grid.
 
     Args:
         points: Positions [m].
-        rank: What is more worth showing.
-        most: How many may be chosen; the cells grow until it holds.
+        rank: Priority of each point.
+        most: Maximum number of points; the cells grow until it is met.
     """
     cell = 0.0
     chosen = np.arange(len(points))

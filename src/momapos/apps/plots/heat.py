@@ -1,4 +1,4 @@
-"""The potential map: how promising each floor position is, at its best yaw."""
+"""The potential map: the score of each floor position at its best yaw."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 YAWS = 8
-"""Yaws that are tried at each position [-]."""
+"""Yaws sampled at each position [-]."""
 
 
-@dataclass(frozen=True)
-class Heat:
-    """A grid of values over the floor."""
+@dataclass(frozen=True, eq=False)
+class PotentialMap:
+    """The potential on a grid over the floor."""
 
     value: Float[np.ndarray, "rows columns"]
-    """Potential in [0, 1], 0 where the base cannot stand or the arm cannot reach."""
+    """Potential in [0, 1]; 0 where the base cannot stand or the arm cannot reach."""
     low: Float[np.ndarray, "2"]
-    """Corner of cell (0, 0) [m]."""
+    """Lower corner of cell (0, 0) [m]."""
     cell: float
     """Edge of a cell [m]."""
 
@@ -43,8 +43,10 @@ class Heat:
         return (float(self.low[0]), float(right), float(self.low[1]), float(top))
 
 
-def potential_map(geometry: PlacementGeometry, reach: ReachScorer, *, cell: float) -> Heat | None:
-    """Evaluate reachability plus attraction on a grid, as the weakest waypoint has them.
+def potential_map(
+    geometry: PlacementGeometry, reach: ReachScorer, *, cell: float
+) -> PotentialMap | None:
+    """Compute the mean of reachability, for the worst waypoint, and attraction on a grid.
 
     Args:
         geometry: Room and task.
@@ -52,7 +54,7 @@ def potential_map(geometry: PlacementGeometry, reach: ReachScorer, *, cell: floa
         cell: Edge of a cell [m].
 
     Returns:
-        None where no position is within the arm's length of all waypoints.
+        The map, or None if no position is within the arm's length of all waypoints.
     """
     corners = reachable_rectangle(geometry)
     if corners is None:
@@ -64,7 +66,7 @@ def potential_map(geometry: PlacementGeometry, reach: ReachScorer, *, cell: floa
     xy = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     yaw = 2 * np.pi / YAWS * np.arange(YAWS)
     poses = np.column_stack([np.repeat(xy, YAWS, axis=0), np.tile(yaw, len(xy))])
-    # What the arm reaches is asked first, as it is the cheaper question.
+    # Reachability first, as it is cheaper to compute.
     score = np.zeros(len(poses))
     near = np.flatnonzero(within_reach(geometry, poses))
     score[near] = reach.min_score(poses[near], geometry.Ts_world_tool).max(1, initial=0.0)
@@ -75,4 +77,4 @@ def potential_map(geometry: PlacementGeometry, reach: ReachScorer, *, cell: floa
     value = np.zeros(len(xy))
     field = attraction(geometry, xy[seen], np.array([geometry.shoulder[2]]))
     value[seen] = (best[seen] + field) / 2
-    return Heat(value.reshape(rows, columns), low, cell)
+    return PotentialMap(value.reshape(rows, columns), low, cell)

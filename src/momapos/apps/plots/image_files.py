@@ -1,4 +1,4 @@
-"""Picture files: the ending of the name says what is written."""
+"""Figure files, whose format is that of the file ending."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-"""What can be written, and the metadata that would make two equal pictures differ."""
+"""Formats, and the metadata that would make two equal figures differ."""
 
 
-def check_picture(path: Path | None) -> None:
-    """Make sure before the work that a picture can be written there.
+def check_figure_path(path: Path | None) -> None:
+    """Check, before the work, that a figure can be written to a path; None needs no check.
 
     Raises:
-        InputError: Its ending is none of a picture, or it is a folder.
+        InputError: The format is not supported, or the path is a folder.
     """
     if path is None:
         return
     if path.suffix.lower() not in FORMATS:
-        raise InputError(f"{path}: a picture ends in {', '.join(FORMATS)}; name it so")
+        raise InputError(f"{path}: unsupported figure format; use {', '.join(FORMATS)}")
     if path.is_dir():
         raise InputError(f"{path}: cannot be written (it is a folder)")
 
 
 def save_figure(figure: Figure, path: Path, *, dpi: float) -> None:
-    """Write a figure as what the name ends in, the whole file or nothing.
+    """Write a figure in the format of the file ending, completely or not at all.
 
     Args:
         figure: The figure.
-        path: A file that ends in .png, .svg or .pdf; its folder is made if it does not exist.
-        dpi: Resolution of what is made of pixels.
+        path: A file that ends in .png, .svg or .pdf; its folder is created if needed.
+        dpi: Resolution of pixel images [1/in].
 
     Raises:
-        InputError: The ending is another one, or the file cannot be written.
+        InputError: The format is not supported, or the file cannot be written.
     """
-    from momapos.core import write_atomic  # numpy's import would slow every command down
+    from momapos.core import write_atomic  # imports numpy, which would slow down every command
 
-    check_picture(path)
+    check_figure_path(path)
     kind = path.suffix.lower()
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind[1:], dpi=dpi, metadata=FORMATS[kind])

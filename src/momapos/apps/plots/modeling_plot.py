@@ -1,4 +1,4 @@
-"""Why an object was modeled as it was: the image that was chosen, the parts found, the fit."""
+"""The figure of a reconstructed object: the chosen image, the detected parts, the fit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.patches import Polygon, Rectangle
 from momapos.core.geometry import apply, invert
 from momapos.model.records import Cloud, Detection, Frame, Part
 from momapos.model.scene import SceneObject
-from momapos.perception.views import Face, View, corners
+from momapos.perception.views import Face, FrontView, corners
 
 from .image_files import save_figure
 
@@ -28,29 +28,29 @@ COLORS = {
     "drawer": "#3a86ff",
 }  # fmt: skip
 HANDLE = "#ffd166"
-MOST_POINTS = 20_000
-"""Points of the cloud that are drawn [-]."""
+MAX_POINTS = 20_000
+"""Approximate number of points drawn [-]."""
 
 
 def draw_modeled(
     detection: Detection,
-    view: View | None,
+    view: FrontView | None,
     frames: Sequence[Frame],
     cloud: Cloud,
     model: SceneObject | None,
     caption: str,
     path: Path,
 ) -> None:
-    """Draw what was decided about one object, and on what grounds.
+    """Draw the decision about one object, and the data it is based on.
 
     Args:
         detection: The object.
-        view: Its front, or None where none was found.
+        view: Its front; None where none was found.
         frames: All images.
-        cloud: The room.
-        model: The object as it stands in the scene.
-        caption: One line on top.
-        path: The PNG to write.
+        cloud: The points of the room.
+        model: The object in the scene.
+        caption: Title of the figure.
+        path: The file.
     """
     figure = Figure(figsize=(15, 5), layout="constrained")
     image, face, front, side = figure.subplots(1, 4)
@@ -69,7 +69,6 @@ def draw_modeled(
 
 
 def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None:
-    """The chosen image with the object's box."""
     axes.imshow(frame.color)
     points = apply(invert(frame.T_world_camera), corners(detection.box))
     visible = points[:, 2] > 0.1
@@ -84,8 +83,8 @@ def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None
     axes.set_title(f"{frame.name}, {angle:.0f} deg off the normal")
 
 
-def _face(axes: Axes, view: View) -> None:
-    """The front seen straight on, with the parts and the side of their hinges."""
+def _face(axes: Axes, view: FrontView) -> None:
+    """Draw the rectified front with its parts and their hinges."""
     width, height = view.image.width, view.image.height
     axes.imshow(view.image.color, extent=(0, width, 0, height))
     for part in view.front.parts:
@@ -107,7 +106,7 @@ def _face(axes: Axes, view: View) -> None:
 
 
 def _hinge(part: Part, width: float, height: float) -> tuple[list[float], list[float]]:
-    """The edge about which a door turns; nothing for drawers."""
+    """Return the edge of a door's hinge; empty for a drawer."""
     left, top, right, bottom = part.box
     x0, x1, z0, z1 = left * width, right * width, (1 - bottom) * height, (1 - top) * height
     return {
@@ -127,9 +126,9 @@ def _fit(
     cloud: Cloud,
     model: SceneObject | None,
 ) -> None:
-    """The model over the points, from the front and from the side."""
+    """Draw the model over the points, from the front and from the side."""
     T_face_world = _face_frame(detection, face)
-    step = max(1, len(detection.members) // MOST_POINTS)
+    step = max(1, len(detection.members) // MAX_POINTS)
     members = detection.members[::step]
     points = apply(T_face_world, cloud.points[members])
     colors = cloud.colors[members] / 255.0
@@ -142,7 +141,7 @@ def _fit(
 
 
 def _face_frame(detection: Detection, face: Face | None) -> Float[np.ndarray, "4 4"]:
-    """From the world to a face: x right, y up, z outward; the box's own -y side without one."""
+    """Return T_face_world with x right, y up, z outward; without a face, of the box's -y side."""
     if face is not None:
         return invert(face.T_world_face)
     c, s = np.cos(detection.box.yaw), np.sin(detection.box.yaw)
@@ -163,6 +162,6 @@ def _outline(
             try:
                 ring = flat[ConvexHull(flat).vertices]
             except QhullError:
-                continue  # seen edge-on it is a line
+                continue  # edge-on
             color = "0.3" if link == model.model.urdf.root else "#d00000"
             axes.add_patch(Polygon(ring, fill=False, edgecolor=color, linewidth=0.8))

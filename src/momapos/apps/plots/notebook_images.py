@@ -1,4 +1,4 @@
-"""Pictures as notebooks take them: the content of a PNG."""
+"""Figures for notebooks, as the content of PNG files."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .scene_outlines import draw_scene
 
 
 def scene_png(scene: Scene) -> bytes:
-    """A scene from above."""
+    """Draw a scene from above."""
     return _content(lambda path: draw_scene(scene, path))
 
 
 def answer_png(answer: PlacementResult) -> bytes:
-    """An answer; what was modeled as a box is drawn as one."""
+    """Draw an answer, with the scene as it was prepared for planning."""
     prepared = answer.prepared
     return _content(
         lambda path: draw_answer(prepared.scene, answer, load_reach(prepared.robot), path)
@@ -32,12 +32,12 @@ def answer_png(answer: PlacementResult) -> bytes:
 
 
 def opening_png(opening: OpeningMap) -> bytes:
-    """How far a part can be moved, by where the base stands."""
+    """Draw an opening map."""
     return _content(lambda path: draw_opening_map_alone(opening, path))
 
 
 def reach_png(reach: ReachMap) -> bytes:
-    """A reachability map in slices; the tool comes along its last axis."""
+    """Draw slices of a reachability map; the approach direction is the last joint's axis."""
     along = reach.line_tool[0]
     aside = np.eye(3)[np.argmin(np.abs(along))]
     across = np.cross(along, aside) / np.linalg.norm(np.cross(along, aside))
@@ -49,6 +49,6 @@ def reach_png(reach: ReachMap) -> bytes:
 
 def _content(draw: Callable[[Path], None]) -> bytes:
     with tempfile.TemporaryDirectory(prefix="momapos-") as folder:
-        path = Path(folder) / "picture.png"
+        path = Path(folder) / "figure.png"
         draw(path)
         return path.read_bytes()

@@ -1,4 +1,4 @@
-"""A picture of how far a part can be moved, by where the base stands."""
+"""The figure of an opening map: how far a part can be moved from each base position."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from momapos.model.scene import Scene
 from momapos.planning import YAWS, OpeningMap, PlacementResult
 from momapos.planning.grasps import slides
 
-from .answer_plot import DPI, frame, moving_links, widen
-from .image_files import check_picture, save_figure
+from .answer_plot import DPI, moving_links, new_figure, set_view, widen
+from .image_files import check_figure_path, save_figure
 from .outlines import box_bounds, box_outlines, draw_union
 from .palette import INK, PART, PART_BEFORE, PART_EDGE, SOFT_INK
 from .robot_plot import draw_footprint
-from .room_plot import name_objects, room, room_bounds
+from .room_plot import draw_room, name_objects, room_bounds
 from .text_panel import reached_value, shown_base
 
 if TYPE_CHECKING:
@@ -26,75 +26,71 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE = (8.0, 5.6)
-"""Size of the picture [in]."""
+"""Size of the figure [in]."""
 COLORS = "viridis"
-"""Told apart by everybody, and by their lightness alone."""
-MOST_LABELS = 13
-"""Values that are written beside the colors at most [-]."""
-AROUND = 0.3
-"""What is seen of the room around what matters [m]."""
+"""A colormap for all kinds of color vision, and for grayscale."""
+MAX_LABELS = 13
+"""Maximum number of values next to the color bar [-]."""
+VIEW_MARGIN = 0.3
+"""Margin of the view around the part, the colored cells and the base [m]."""
 _MAP = (0.06, 0.075, 0.735, 0.82)
 _BAR = (0.825, 0.3, 0.028, 0.545)
-_TITLE = 0.92
-"""Width of the title at most, as a share of the picture [-]."""
+_MAX_TITLE_WIDTH = 0.92
+"""Maximum width of the title, as a share of the figure [-]."""
 _CELL_LAYER, _PART_LAYER, _DOT = 1.0, 7.0, 12.0
 
 
 def draw_opening_map(
     scene: Scene, answer: PlacementResult, opening: OpeningMap, path: Path
 ) -> None:
-    """Draw an opening map into a PNG, SVG or PDF file, the whole file or nothing.
+    """Draw an opening map into a PNG, SVG or PDF file, which is written completely or not at all.
 
     Args:
-        scene: The room that was asked about.
-        answer: What the pipeline said; its base pose is drawn, or the one that goes farthest.
+        scene: The room.
+        answer: The answer of the pipeline, whose base pose is drawn.
         opening: The map.
         path: The file.
 
     Raises:
-        InputError: The file cannot be written, or its name says that it is no picture.
+        InputError: The file cannot be written, or its format is not supported.
     """
-    check_picture(path)
-    save_figure(_picture(scene, answer, opening), path, dpi=DPI)
+    check_figure_path(path)
+    save_figure(_figure(scene, answer, opening), path, dpi=DPI)
 
 
 def draw_opening_map_alone(opening: OpeningMap, path: Path) -> None:
-    """Draw an opening map without an answer, into a PNG, SVG or PDF file, as `draw_opening_map`."""
-    check_picture(path)
-    save_figure(_picture_alone(opening), path, dpi=DPI)
+    """Draw an opening map without an answer; otherwise like `draw_opening_map`."""
+    check_figure_path(path)
+    save_figure(_figure_alone(opening), path, dpi=DPI)
 
 
-def _picture_alone(opening: OpeningMap) -> Figure:
+def _figure_alone(opening: OpeningMap) -> Figure:
     scene, task = opening.scene, opening.task
-    matters = np.concatenate([scene.object(task.object).bounds[:, :2], *_colored(opening)])
-    figure, axes = _framed(scene, matters)
-    room(axes, scene, target=task.object)
+    content = np.concatenate([scene.object(task.object).bounds[:, :2], *_colored(opening)])
+    figure, axes = _new_map(scene, content)
+    draw_room(axes, scene, target=task.object)
     _draw_cells(figure, axes, opening, slides=slides(scene, task))
     name_objects(axes, scene, target=task.object, keep_clear=_colored(opening))
     _write(figure, f"How far a robot can {task.verb} {task.object}/{task.joint}", ["the base"])
     return figure
 
 
-def _framed(scene: Scene, matters: Float[np.ndarray, "n 2"]) -> tuple[Figure, Any]:
-    """A figure and its axes in meters, in which points of the floor are seen [m]."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+def _new_map(scene: Scene, content: Float[np.ndarray, "n 2"]) -> tuple[Figure, Any]:
+    """Return a figure and its axes in meters, whose view contains points of the floor [m]."""
+    figure = new_figure(SIZE)
     axes = figure.add_axes(_MAP)
     bounds = room_bounds(scene) + np.array([[-0.1], [0.1]])
     ratio = _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1])
-    view = np.stack([matters.min(0) - AROUND, matters.max(0) + AROUND])
-    frame(axes, widen(view, ratio, bounds))
+    view = np.stack([content.min(0) - VIEW_MARGIN, content.max(0) + VIEW_MARGIN])
+    set_view(axes, widen(view, ratio, bounds))
     return figure, axes
 
 
-def _picture(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figure:
+def _figure(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figure:
     chosen = shown_base(answer)
-    figure, axes = _framed(scene, _matters(scene, answer, opening, chosen))
+    figure, axes = _new_map(scene, _content(scene, answer, opening, chosen))
     target = opening.task.object
-    room(axes, scene, target=target, moving=moving_links(scene, answer))
+    draw_room(axes, scene, target=target, moving=moving_links(scene, answer))
     _draw_cells(figure, axes, opening, slides=answer.slides)
     clear = [np.stack([xy.min(0), xy.max(0)]) for xy in _draw_part(axes, answer)]
     if chosen is not None:
@@ -109,18 +105,18 @@ def _picture(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figu
         reached = reached_value(answer)
         to = "" if reached is None else f", {_value(reached, answer.slides)}"
         lines.append(f"dot: the answer{to}")
-    what = f"{answer.plan.robot_name}: how far it can {task.verb} {task.object}/{task.joint}"
-    _write(figure, what, lines)
+    title = f"How far {answer.plan.robot_name} can {task.verb} {task.object}/{task.joint}"
+    _write(figure, title, lines)
     return figure
 
 
-def _matters(
+def _content(
     scene: Scene,
     answer: PlacementResult,
     opening: OpeningMap,
     chosen: Float[np.ndarray, "3"] | None,
 ) -> Float[np.ndarray, "n 2"]:
-    """What must be seen: corners of the part, the colored cells, the base [m]."""
+    """Return corners of the part, the colored cells and the base, which the view contains [m]."""
     motion = answer.prepared.motion
     points = [scene.object(opening.task.object).bounds[:, :2], box_bounds(motion.sweep())]
     points += _colored(opening)
@@ -130,23 +126,23 @@ def _matters(
 
 
 def _colored(opening: OpeningMap) -> list[Float[np.ndarray, "2 2"]]:
-    """Lower and upper corner of each row of colored cells [m]."""
+    """Return the lower and upper corner of each row of colored cells [m]."""
     rows, columns = np.nonzero(np.isfinite(opening.farthest))
     corners = []
     for row in np.unique(rows):
-        of_row = columns[rows == row]
-        cells = np.array([[of_row.min(), row], [of_row.max() + 1, row + 1]])
+        own = columns[rows == row]
+        cells = np.array([[own.min(), row], [own.max() + 1, row + 1]])
         corners.append(opening.low + opening.cell * cells)
     return corners
 
 
 def _draw_cells(figure: Figure, axes: Any, opening: OpeningMap, *, slides: bool) -> None:
-    """Color the cells by their value, one color a value, and say which color is which."""
+    """Color the cells, with one color for each value, and draw the color bar."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
     values, count = opening.values, len(opening.values)
-    # From light for little to dark for all: dark on a light floor is what one looks for.
+    # Dark for the largest values, which stand out most on a light floor.
     colors = ListedColormap(colormaps[COLORS](np.linspace(0.97, 0.08, count)))
     order = np.argsort(np.abs(values[None] - opening.farthest.reshape(-1, 1)), axis=1)[:, 0]
     index = np.where(np.isnan(opening.farthest), np.nan, order.reshape(opening.farthest.shape))
@@ -161,7 +157,7 @@ def _draw_cells(figure: Figure, axes: Any, opening: OpeningMap, *, slides: bool)
         np.arange(count)[:, None], extent=(0, 1, -0.5, count - 0.5), origin="lower",
         interpolation="nearest", aspect="auto", **limits,
     )  # fmt: skip
-    every = -(-count // MOST_LABELS)
+    every = -(-count // MAX_LABELS)
     ticks = np.arange(count - 1, -1, -every)
     bar.set_yticks(ticks, [_value(values[k], slides) for k in ticks])
     bar.set_xticks([])
@@ -177,9 +173,9 @@ def _value(value: float, slides: bool) -> str:
 
 
 def _draw_part(axes: Any, answer: PlacementResult) -> list[Float[np.ndarray, "c 2"]]:
-    """Draw the part that moves, before and where the answer leaves it; returns its outlines.
+    """Draw the part before and after the answer's motion; return its outlines.
 
-    There it is see-through, as the base may well stand under a lid or where a door is later.
+    The latter is transparent, as the base may stand under a lid or where the door is later.
     """
     motion = answer.prepared.motion
     before = box_outlines(motion.moving.at(0))
@@ -195,19 +191,19 @@ def _draw_part(axes: Any, answer: PlacementResult) -> list[Float[np.ndarray, "c 
 
 
 def _write(figure: Any, what: str, lines: Sequence[str]) -> None:
-    """The title above, and at the right what a cell is.
+    """Write the title, and at the right what a cell means.
 
     Args:
-        figure: The picture.
-        what: It shows, in the title.
-        lines: What stands in a cell, and what else is drawn.
+        figure: The figure.
+        what: Beginning of the title.
+        lines: The frame that stands in a cell, and what else is drawn.
     """
-    title = figure.text(_MAP[0], 0.94, f"{what}, by where it stands", size=11, weight="bold")
+    title = figure.text(_MAP[0], 0.94, f"{what}, by base position", size=11, weight="bold")
     width = title.get_window_extent(figure.canvas.get_renderer()).width
-    title.set(color=INK, size=11 * min(1.0, _TITLE * SIZE[0] * DPI / width))
+    title.set(color=INK, size=11 * min(1.0, _MAX_TITLE_WIDTH * SIZE[0] * DPI / width))
     base, *further = lines
-    beside = [base, "stands in a cell,", f"best of {YAWS} yaws", "", "no color: the part",
-              "stays where it is"]  # fmt: skip
+    text = ["cell: position of", f"{base},", f"best of {YAWS} yaws", "", "no color: the part",
+            "cannot be moved"]  # fmt: skip
     for line in further:
-        beside += ["", line]
-    figure.text(_BAR[0], 0.27, "\n".join(beside), size=7.5, color=SOFT_INK, va="top")
+        text += ["", line]
+    figure.text(_BAR[0], 0.27, "\n".join(text), size=7.5, color=SOFT_INK, va="top")

@@ -1,8 +1,8 @@
-"""Bodies seen from above: convex outlines, and paths that draw many of them as one."""
+"""Shapes from above: convex outlines, and the drawing of their union."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +17,14 @@ if TYPE_CHECKING:
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 
 
+def box_corners(boxes: Boxes) -> Float[np.ndarray, "b 8 3"]:
+    """Return the corners of boxes [m]; the coordinates vary from y (slowest) over x to z."""
+    scaled = _CORNERS[None] * boxes.half[:, None]
+    return np.einsum("bij,bcj->bci", boxes.rotation, scaled) + boxes.center[:, None]
+
+
 def outline(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k 2"] | None:
-    """The convex outline of points from above, counterclockwise; None where they span no area."""
+    """Return the counterclockwise convex outline of points from above; None without an area."""
     try:
         xy = points[ConvexHull(points[:, :2]).vertices, :2]
     except (QhullError, ValueError):
@@ -27,10 +33,8 @@ def outline(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k 2"] | None
 
 
 def box_outlines(boxes: Boxes) -> list[Float[np.ndarray, "_ 2"]]:
-    """The outline of each box [m]."""
-    scaled = _CORNERS[None] * boxes.half[:, None]
-    corners = np.einsum("bij,bcj->bci", boxes.rotation, scaled) + boxes.center[:, None]
-    upright = _upright_outlines(boxes)
+    """Return the outline of each box from above [m]."""
+    corners, upright = box_corners(boxes), _upright_outlines(boxes)
     found = [
         upright[b] if upright[b] is not None else outline(corners[b]) for b in range(len(boxes))
     ]
@@ -38,7 +42,7 @@ def box_outlines(boxes: Boxes) -> list[Float[np.ndarray, "_ 2"]]:
 
 
 def _upright_outlines(boxes: Boxes) -> list[Float[np.ndarray, "4 2"] | None]:
-    """The rectangles of the boxes that stand on a side; None for the others."""
+    """Return the rectangles of boxes that stand on a side; None for the others."""
     each = np.arange(len(boxes))
     up = np.abs(boxes.rotation[:, 2]).argmax(1) if len(boxes) else each
     a, b = (
@@ -52,16 +56,9 @@ def _upright_outlines(boxes: Boxes) -> list[Float[np.ndarray, "4 2"] | None]:
 
 
 def box_bounds(boxes: Boxes) -> Float[np.ndarray, "n 2"]:
-    """Lower and upper corners of the boxes from above [m]."""
+    """Return the lower and then the upper corners of boxes from above [m]."""
     extent = np.einsum("bij,bj->bi", np.abs(boxes.rotation[:, :2]), boxes.half)
     return np.concatenate([boxes.center[:, :2] - extent, boxes.center[:, :2] + extent])
-
-
-def union_path(polygons: Iterable[Float[np.ndarray, "_ 2"]]) -> Any:
-    """One path for polygons of one orientation; filled by winding it shows their union."""
-    from matplotlib.path import Path
-
-    return Path.make_compound_path(*(Path(np.vstack([p, p[:1]]), closed=True) for p in polygons))
 
 
 def draw_union(
@@ -74,17 +71,19 @@ def draw_union(
     alpha: float = 1.0,
     zorder: float,
 ) -> None:
-    """Fill the union of polygons; only its own outline is drawn, nothing within (opaque fills).
+    """Fill the union of counterclockwise polygons, and draw its outline if the fill is opaque.
 
-    The limits of the axes stay as they are.
+    The limits of the axes do not change.
     """
     from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
 
     if not len(polygons):
         return
-    path = union_path(polygons)
+    rings = (Path(np.vstack([p, p[:1]]), closed=True) for p in polygons)
+    path = Path.make_compound_path(*rings)
     if edge is not None:
-        # Half of the line lies within the union, where the fill covers it.
+        # The fill covers the inner half of the line.
         rim = {"edgecolor": edge, "linewidth": 2 * width, "joinstyle": "round"}
         axes.add_artist(PathPatch(path, facecolor="none", zorder=zorder, **rim))
     axes.add_artist(PathPatch(path, facecolor=fill, linewidth=0, alpha=alpha, zorder=zorder))

@@ -1,4 +1,4 @@
-"""The colors of all pictures, told apart without red and green (after Okabe and Ito, and Tol)."""
+"""The colors of all figures, safe for color blindness (after Okabe and Ito, and Tol)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ ARM = "#2b3a48"
 GOOD, BAD = "#008060", "#a5371e"
 
 SELECTED, UNSELECTED, SELECTED_BAR = "#2a7ab8", "#ffffff", "#bcd7ec"
-"""Nodes of the scene graph in S and not in S; the score of those in S."""
+"""Nodes of the scene graph in S and not in S; bars of scores in S."""
 
 
 @dataclass(frozen=True)
-class Line:
-    """How a line is drawn."""
+class LineStyle:
+    """Style of a line."""
 
     color: str
     width: float
@@ -36,8 +36,8 @@ class Line:
 
 
 RELATIONS = {
-    "on": Line("#1d2731", 1.4),
-    "in": Line("#d55e00", 1.6, (0, (4, 1.5))),
-    "inside": Line("#7a1fa2", 1.8, (0, (1.2, 1.2))),
-    "near": Line("#8a96a0", 0.6, "-", 0.65),
+    "on": LineStyle("#1d2731", 1.4),
+    "in": LineStyle("#d55e00", 1.6, (0, (4, 1.5))),
+    "inside": LineStyle("#7a1fa2", 1.8, (0, (1.2, 1.2))),
+    "near": LineStyle("#8a96a0", 0.6, "-", 0.65),
 }

@@ -1,4 +1,4 @@
-"""What an arm reaches, in level slices: from how many directions the tool comes to each place."""
+"""Horizontal slices of a reachability map: from how many directions the tool reaches a place."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 HEIGHTS = (0.1, 0.4, 0.7, 1.0, 1.3, 1.6)
-"""Of the slices of a picture above the floor [m]."""
+"""Heights of the slices above the floor [m]."""
 COLUMNS = 3
 COLORS, PALE, DARK = "viridis", 0.97, 0.08
 """Light for few directions, dark for many."""
@@ -31,19 +31,19 @@ def reach_slice(
     cell: float = 0.06,
     directions: int = 26,
 ) -> tuple[Float[np.ndarray, "n n"], float]:
-    """From how many directions the tool reaches places at a height, as shares.
+    """Compute the share of directions from which the tool reaches places at a height.
 
     Args:
         reach: The robot's map.
-        T_tool_axes: Columns: along which the tool comes, a unit vector across it, and their cross
-            product, in the tool frame.
-        farthest: So far from the base's origin places are asked about [m].
-        height: Above the floor [m].
+        T_tool_axes: Columns in the tool frame: approach direction, a unit vector across it, and
+            their cross product; see `tool_axes`.
+        farthest: Largest distance from the base's origin along x and y [m].
+        height: Height above the floor [m].
         cell: Edge of a cell [m].
-        directions: How many approach directions are tried, spread over the sphere [-].
+        directions: Number of approach directions, spread evenly over the sphere [-].
 
     Returns:
-        Shares over a square around the base, in the base frame, and half its edge [m].
+        Shares in [0, 1] over a square around the base, in the base frame, and half its edge [m].
     """
     half = cell * np.ceil(farthest / cell)
     axis = np.arange(-half + cell / 2, half, cell)
@@ -61,12 +61,12 @@ def reach_slice(
 def tool_axes(
     approach: Float[np.ndarray, "3"], across: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3 3"]:
-    """The columns that `reach_slice` takes, of two unit vectors that are square to each other."""
+    """Return the axes for `reach_slice` from two perpendicular unit vectors."""
     return np.stack([approach, across, np.cross(approach, across)], -1)
 
 
 def _spread(count: int) -> Float[np.ndarray, "r 3 3"]:
-    """Frames whose first axes point along directions spread evenly over the sphere."""
+    """Return rotations whose first axes are spread evenly over the sphere (Fibonacci lattice)."""
     k = np.arange(count) + 0.5
     polar, around = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k
     ahead = np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar),
@@ -91,8 +91,8 @@ def draw_reach(
     Args:
         reach, T_tool_axes, farthest: As for `reach_slice`.
         path: A file that ends in .png, .svg or .pdf.
-        title: Whose they are.
-        footprint: Of the base in its frame [m]; None where nobody knows.
+        title: Beginning of the title, such as the robot's name.
+        footprint: Footprint in the base frame [m]; None where unknown.
 
     Raises:
         InputError: The file cannot be written.
@@ -100,7 +100,7 @@ def draw_reach(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
-    figure.suptitle(f"{title}: from how many directions the tool reaches", size=11, color=INK)
+    figure.suptitle(f"{title}: share of directions the tool can come from", size=11, color=INK)
     rows = -(-len(HEIGHTS) // COLUMNS)
     grid = figure.subplots(rows, COLUMNS, sharex=True, sharey=True)
     for axes, height in zip(grid.flat, HEIGHTS, strict=True):
@@ -111,7 +111,7 @@ def draw_reach(
         axes.plot(0.0, 0.0, "+", color=INK, markersize=6)
         axes.set_title(f"{height:.1f} m above the floor", size=9, color=INK)
     for axes in grid[-1]:
-        axes.set_xlabel("x [m], ahead", size=8)
+        axes.set_xlabel("x [m], forward", size=8)
     for axes in grid[:, 0]:
         axes.set_ylabel("y [m]", size=8)
     bar = figure.colorbar(image, ax=grid, shrink=0.6, format=lambda v, _: f"{100 * v:.0f} %")

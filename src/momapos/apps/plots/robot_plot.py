@@ -27,7 +27,7 @@ def draw_footprint(
     dashed: bool = False,
     filled: bool = True,
 ) -> None:
-    """Draw where the base stands, and which way it looks."""
+    """Draw the footprint of the base with an arrow for its heading."""
     from matplotlib.patches import Polygon
 
     xy = place_points(np.asarray(base, float)[None], robot.footprint)[0]
@@ -53,7 +53,7 @@ def draw_arm(
     *,
     faint: bool = False,
 ) -> None:
-    """Draw the arm: the silhouette of its links, and the line through its joints."""
+    """Draw the silhouette of the arm's links, and a line through its joints."""
     poses, line = arm_frames(robot, base, q)
     bodies = [
         outline(apply(T, hull.vertices))
@@ -73,7 +73,7 @@ def draw_arm(
 def arm_frames(
     robot: Robot, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"]
 ) -> tuple[dict[str, Float[np.ndarray, "4 4"]], Float[np.ndarray, "k 2"]]:
-    """World poses of the links that the arm moves, and the line from joint to joint to tool [m]."""
+    """Return the world poses of the arm's links, and the line through its joints and tool [m]."""
     chain, segments = robot.chain, robot.segments
     R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
     stand_at_origin(R, p)

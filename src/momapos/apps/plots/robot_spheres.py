@@ -1,4 +1,4 @@
-"""A robot at home, as its collision spheres."""
+"""The figure of a robot in its home configuration, with its collision spheres."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from momapos.model.robots import Robot
 
 from .image_files import save_figure
+from .outlines import box_corners
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -18,11 +19,11 @@ if TYPE_CHECKING:
 
 
 def draw_robot(robot: Robot, path: Path, others: Sequence[Robot] = ()) -> None:
-    """Draw a robot at home from above and from its right, with its collision spheres.
+    """Draw a robot in its home configuration from above and from the right.
 
     Args:
         robot: The robot, with one of its arms.
-        path: The picture.
+        path: The file.
         others: The same robot with its other arms.
     """
     from matplotlib.figure import Figure
@@ -50,22 +51,17 @@ def draw_robot(robot: Robot, path: Path, others: Sequence[Robot] = ()) -> None:
 
 
 def _draw_base(robot: Robot, axes: Axes, i: int, j: int) -> None:
-    """Draw the boxes of the base, projected onto two coordinates of its frame."""
+    """Draw the boxes of the base, projected onto axes i and j of its frame."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Polygon
     from scipy.spatial import ConvexHull
 
-    base = robot.base
-    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), -1).reshape(-1, 3)
-    boxes = []
-    for k in range(len(base)):
-        points = (base.center[k] + (signs * base.half[k]) @ base.rotation[k].T)[:, [i, j]]
-        boxes.append(Polygon(points[ConvexHull(points).vertices]))
+    corners = box_corners(robot.base)[:, :, [i, j]]
+    boxes = [Polygon(points[ConvexHull(points).vertices]) for points in corners]
     axes.add_collection(PatchCollection(boxes, facecolor="0.8", edgecolor="0.5", alpha=0.7))
 
 
 def _draw_arm(robot: Robot, axes: Axes, i: int, j: int) -> None:
-    """Draw the spheres of the arm and the axes of its tool."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 
@@ -84,7 +80,7 @@ def _draw_arm(robot: Robot, axes: Axes, i: int, j: int) -> None:
 def sphere_centers(
     robot: Robot, q: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "s 3"], Int[np.ndarray, " s"]]:
-    """Centers of the collision spheres in the base frame [m]; OTHER, PALM or FINGER of each."""
+    """Return the centers of the collision spheres in the base frame [m], and their gripper part."""
     from momapos.model.collision import place_segments
     from momapos.model.kinematics import chain_arrays
 

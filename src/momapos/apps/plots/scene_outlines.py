@@ -1,4 +1,4 @@
-"""A scene from above."""
+"""The figure of a scene from above."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .outlines import outline
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-MOST_NAMES = 300
-"""Names of more objects would cover each other and take minutes to draw [-]."""
+MAX_NAMED_OBJECTS = 300
+"""Scenes with more objects have no names, which would overlap and take minutes to draw [-]."""
 
 
 def draw_scene(scene: Scene, path: Path) -> None:
-    """Draw a scene from above: every hull's outline, the floor, the start."""
+    """Draw a scene from above: the outlines of all hulls, the floor, the start."""
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon
@@ -37,10 +37,10 @@ def draw_scene(scene: Scene, path: Path) -> None:
                 points = apply(T, hull.vertices)
                 if (xy := outline(points)) is not None:
                     shapes.append((float(points[:, 2].max()), xy, f"C{index % 10}"))
-        if len(scene.objects) <= MOST_NAMES:
+        if len(scene.objects) <= MAX_NAMED_OBJECTS:
             x, y = item.bounds.mean(0)[:2]
             axes.text(x, y, item.name, ha="center", va="center", size=7, zorder=99)
-    shapes.sort(key=lambda shape: shape[0])  # what is higher is drawn over what is lower
+    shapes.sort(key=lambda shape: shape[0])  # higher shapes are drawn over lower ones
     colors = [color for _, _, color in shapes]
     axes.add_collection(
         PolyCollection(

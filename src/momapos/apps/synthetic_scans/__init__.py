@@ -1,4 +1,4 @@
-"""Renders scans of scenes that are known: to try the stages with, and to measure them."""
+"""Render scans of known scenes, to test and measure perception."""
 
 import lazy_loader
 

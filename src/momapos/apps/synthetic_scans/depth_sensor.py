@@ -1,8 +1,8 @@
-"""What a depth camera makes of a perfect image: noise, holes, blur, and a pose that drifts.
+"""Add the errors of a depth camera to perfect images: noise, holes, blur, drifting poses.
 
-The model is that of an active stereo camera such as the RealSense D435: depth comes from the shift
-between two images, so that its error grows with the square of the distance, and what the second
-camera cannot see has no depth.
+The model is an active stereo camera such as the RealSense D435. Its depth comes from the disparity
+of two images: the error grows with the square of the distance, and surfaces hidden from the second
+camera have no depth.
 """
 
 from __future__ import annotations
@@ -24,47 +24,47 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DepthSensor:
-    """How a depth camera errs."""
+    """Errors of a depth camera, as standard deviations unless stated otherwise."""
 
     baseline: float = 0.05
     """Distance between the two cameras [m]; the second is on the right."""
     subpixel: float = 0.08
-    """Deviation of the shift between the images [px of an image 640 wide]."""
+    """Disparity error [px of an image 640 wide]."""
     steps: int = 32
-    """Values of the shift per pixel [-]."""
+    """Disparity steps per pixel [-]."""
     correlation: float = 1.2
-    """Deviation of the blur that makes the noise of neighbors alike [px]; 0 for none."""
+    """Blur that correlates the noise of neighboring pixels [px]; 0 for none."""
     near: float = 0.3
     far: float = 6.0
-    """Range in which depth is measured [m]."""
+    """Range of measured depth [m]."""
     grazing: float = 75.0
-    """Surfaces that are seen at a larger angle from their normal have no depth [deg]."""
+    """Maximum angle between the ray and the surface normal with a depth [deg]."""
     color: float = 2.5
-    """Deviation of a color channel [of 255]."""
+    """Noise of a color channel [of 255]."""
     blur: float = 0.45
-    """Deviation of the blur of colors [px]."""
+    """Blur of colors [px]."""
     exposure: float = 0.06
-    """Deviation of the brightness of an image [-]."""
+    """Log brightness of an image [-]."""
     balance: float = 0.012
-    """Deviation of each channel's share in it [-]."""
+    """Log gain of each color channel [-]."""
     position: float = 0.003
-    """Deviation of the camera's position [m]."""
+    """Position error of the camera [m]."""
     angle: float = 0.1
-    """Deviation of the camera's direction [deg]."""
+    """Orientation error of the camera [deg]."""
     drift: float = 0.9
-    """How much of its error a pose inherits from the one before, in [0, 1) [-]."""
+    """Correlation of the pose errors of consecutive images, in [0, 1) [-]."""
 
 
 def sense(frame: Frame, rng: np.random.Generator, sensor: DepthSensor | None = None) -> Frame:
-    """Take a frame with a real camera.
+    """Add sensor errors to the color and depth of a frame.
 
     Args:
         frame: A perfect image, as from `render_frame`.
         rng: Source of the noise.
-        sensor: How the camera errs.
+        sensor: Errors of the camera.
 
     Returns:
-        The frame with noise in color and depth; the pose is as it was.
+        The noisy frame with the same pose.
     """
     sensor = sensor or DepthSensor()
     color = _sense_color(frame.color, rng, sensor)
@@ -78,35 +78,37 @@ def _sense_depth(
 ) -> Float32[np.ndarray, "h w"]:
     seen = depth > 0
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=seen)
-    reach = frame.intrinsics[0, 0] * sensor.baseline  # [px m]: shift times depth
-    shift = reach * inverse
-    seen &= ~_shadowed(shift) & (_incidence(inverse, frame) > np.cos(np.radians(sensor.grazing)))
+    scale = frame.intrinsics[0, 0] * sensor.baseline  # [px m]: disparity times depth
+    disparity = scale * inverse
+    seen &= ~_occluded(disparity) & (
+        _incidence(inverse, frame) > np.cos(np.radians(sensor.grazing))
+    )
     noise = rng.standard_normal(depth.shape)
     if sensor.correlation > 0:
         noise = gaussian_filter(noise, sensor.correlation)
         noise /= noise.std()
     pixels = depth.shape[1] / 640
-    shift += sensor.subpixel * pixels * noise
-    shift = np.round(shift * sensor.steps / pixels) * pixels / sensor.steps
-    measured = np.divide(reach, shift, out=np.zeros_like(shift), where=shift > 0)
+    disparity += sensor.subpixel * pixels * noise
+    disparity = np.round(disparity * sensor.steps / pixels) * pixels / sensor.steps
+    measured = np.divide(scale, disparity, out=np.zeros_like(disparity), where=disparity > 0)
     seen &= (measured >= sensor.near) & (measured <= sensor.far)
     return np.where(seen, measured, 0.0).astype(np.float32)
 
 
-def _shadowed(shift: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Where the second camera looks at something nearer, left of what stands in front."""
-    column = np.arange(shift.shape[1]) - shift
+def _occluded(disparity: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels hidden from the second camera, left of nearer surfaces."""
+    column = np.arange(disparity.shape[1]) - disparity
     beyond = np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]
-    hidden = np.zeros(shift.shape, bool)
+    hidden = np.zeros(disparity.shape, bool)
     hidden[:, :-1] = beyond[:, 1:] <= column[:, :-1]
     return hidden
 
 
 def _incidence(inverse: Float[np.ndarray, "h w"], frame: Frame) -> Float[np.ndarray, "h w"]:
-    """Cosine of the angle between the view and the surface's normal, exact on planes.
+    """Return the cosine of the angle between ray and surface normal, exact on planes.
 
-    On a plane 1 / depth is linear in the image. Of the slopes to both sides the smaller counts,
-    which at an edge is the one on the surface itself.
+    On a plane, 1 / depth is linear in the image. Of the slopes to both sides, the smaller one is
+    used: at an edge, it lies on the surface itself.
     """
     K = frame.intrinsics
     height, width = inverse.shape
@@ -144,12 +146,12 @@ def drifting(
     rng: np.random.Generator,
     sensor: DepthSensor | None = None,
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Camera poses as they would be estimated: each with an error much like that before it.
+    """Return estimated camera poses, with errors that change slowly from image to image.
 
     Args:
-        Ts_world_camera: True poses, in the order in which the images are taken.
-        rng: Source of the error.
-        sensor: How large it is, and how slowly it changes.
+        Ts_world_camera: True poses, in the order of the images.
+        rng: Source of the errors.
+        sensor: Size and correlation of the errors.
     """
     sensor = sensor or DepthSensor()
     true = np.asarray(Ts_world_camera, float)

@@ -1,7 +1,7 @@
-"""What things in a room are made of, where their files do not say: a palette with chance in it.
+"""Draw the materials of objects whose files have no colors.
 
-One kitchen has one kind of cabinet front and one kind of steel, so the choice is made per category
-and room; each thing then differs a little from its like.
+A kitchen has one kind of cabinet front and one kind of steel, so the draw is per category and room,
+with small differences between objects.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 Role = Literal["body", "front", "handle"]
-"""What a shape is to its object: what stays, what opens, what is held."""
+"""Role of a shape in its object: fixed body, moving front, or handle."""
 RGB = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface looks."""
+    """Color and grain of a surface."""
 
     color: RGB
-    """As a screen shows it, in [0, 1]."""
+    """sRGB color, in [0, 1]."""
     strength: float = 0.03
-    """How much the grain lightens and darkens it [-]."""
+    """Relative brightness amplitude of the grain [-]."""
     frequency: RGB = (40.0, 40.0, 40.0)
-    """How fine the grain is along x, y, z [1/m]."""
+    """Frequency of the grain along x, y, z [1/m]."""
 
 
 WOOD = (55.0, 55.0, 3.0)
@@ -91,7 +91,7 @@ KINDS: tuple[tuple[tuple[str, ...], tuple[Material, ...]], ...] = (
     (("wall",), WALL),
     (("cabinet", "sink", "island", "drawer", "table", "chair", "shelf", "furniture"), CABINET),
 )
-"""Words in a category, and what such things are made of; the first that fits counts."""
+"""Words in a category, and the materials of such objects; the first match counts."""
 
 
 class Palette:
@@ -101,43 +101,43 @@ class Palette:
         self._seed = int(rng.integers(2**63))
 
     def floor(self) -> Material:
-        """The material of the floor."""
-        return self._choose(FLOOR, "floor")
+        """Draw the material of the floor."""
+        return self._draw(FLOOR, "floor")
 
     def material(self, name: str, category: str, role: Role, paint: Paint) -> Material:
-        """The material of a part.
+        """Draw the material of a part.
 
         Args:
             name: Name of the object.
-            category: Its category.
-            role: What the part is to the object.
-            paint: Color that its files give; None where they give none.
+            category: Category of the object.
+            role: Role of the part in the object.
+            paint: Color in the object's files; None if they have none.
         """
         kinds = KINDS if category != "wall_cabinet" else KINDS[3:]
         offered = next((m for words, m in kinds if any(w in category for w in words)), None)
         if paint is not None:
             base = Material(paint)
         elif offered is None:
-            base = self._choose(BRIGHT, category, name)
+            base = self._draw(BRIGHT, category, name)
         elif role == "handle":
-            base = self._choose(METAL, "handle", "" if offered is CABINET else category)
+            base = self._draw(METAL, "handle", "" if offered is CABINET else category)
         else:
-            # all cabinets of a kitchen are alike, but two appliances are often not
-            base = self._choose(offered, "" if offered is CABINET else category)
+            # The cabinets of a kitchen have one material; the appliances often differ.
+            base = self._draw(offered, "" if offered is CABINET else category)
         shift = self._rng("tint", name).normal(0.0, 0.004, 3)
         shift += self._rng("shade", name, role).normal(0.0, 0.015)
         shade = 0.93 if role == "body" and offered in (CABINET, APPLIANCE) else 1.0
         r, g, b = np.clip(shade * np.array(base.color) + shift, 0.02, 0.98).tolist()
         return Material((r, g, b), base.strength, base.frequency)
 
-    def _choose(self, offered: Sequence[Material], *words: str) -> Material:
+    def _draw(self, offered: Sequence[Material], *words: str) -> Material:
         return offered[int(self._rng(*words).integers(len(offered)))]
 
     def _rng(self, *words: str) -> np.random.Generator:
-        """Chance that depends on names alone, so that what is added changes nothing else."""
+        """Return a generator seeded by names, so that an added object changes no other."""
         return np.random.default_rng([self._seed, *"\0".join(words).encode()])
 
 
 def linear(color: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """From a color as shown to an amount of light (gamma 2.2)."""
+    """Convert an sRGB color to linear light (gamma 2.2)."""
     return np.asarray(color, float) ** 2.2

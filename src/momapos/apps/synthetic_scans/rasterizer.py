@@ -1,8 +1,8 @@
-"""Images of triangles: which one each ray meets first, and how bright it is there.
+"""Rasterize and shade triangles.
 
-Rays leave one point on a regular grid, so that a triangle is drawn row by row with the edge
-functions of Olano and Greer (Triangle Scan Conversion using 2D Homogeneous Coordinates, 1997).
-They need no clipping, and give the distance that casting every ray by itself would give.
+A triangle is drawn row by row with the edge functions of Olano and Greer (Triangle Scan Conversion
+using 2D Homogeneous Coordinates, 1997). They need no clipping, and give the same distances as ray
+casting.
 """
 
 from __future__ import annotations
@@ -18,51 +18,50 @@ if TYPE_CHECKING:
     Triple = tuple[float, float, float]
 
 NEAREST = 0.02
-"""What is nearer to the camera is not drawn [m]."""
+"""Minimum depth of drawn surfaces [m]."""
 AMBIENT = 0.36
 HEADLIGHT = 0.16
-"""Shares of light that come from all around, and from beside the camera [-]."""
+"""Light from all directions, and from next to the camera [-]."""
 CREVICE = 0.008
-"""How far around a point is searched for what stands out beside it [m]."""
+"""Radius around a point in which raised surfaces darken it [m]."""
 RAISED = 0.003
-"""What stands out by this much [m] darkens its neighborhood."""
+"""Minimum height of a raised surface [m]."""
 DEEP = 0.035
-"""What lies behind by more than this [m] is no crevice but another thing."""
+"""Maximum depth of a crevice [m]; deeper points belong to another object."""
 _RING = ((0, 0), (0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0))
 SHADE = 0.75
-"""How much darker a crevice is that is enclosed all around [-]."""
+"""Share of light that a completely enclosed crevice loses [-]."""
 
 
 class Buffers(NamedTuple):
-    """What `rasterize` finds along rays."""
+    """The nearest triangle along each ray."""
 
     inverse: Float32[np.ndarray, "h w"]
-    """1 / depth [1/m]; 0 where a ray meets nothing."""
+    """1 / depth [1/m]; 0 for none."""
     nearest: Int32[np.ndarray, "h w"]
-    """The triangle's number; -1 where there is none."""
+    """Index of the triangle; -1 for none."""
 
 
 class View(NamedTuple):
-    """An image before it has colors."""
+    """A rasterized image without colors."""
 
     xs: Float[np.ndarray, " w"]
     ys: Float[np.ndarray, " h"]
     """The rays (x, y, 1)."""
     buffers: Buffers
-    """What they meet."""
     rotation: Float[np.ndarray, "3 3"]
-    """Of the camera in the world."""
+    """Rotation of the camera in the world."""
     eye: Float[np.ndarray, "3"]
-    """Where the camera is in the world [m]."""
+    """Position of the camera in the world [m]."""
 
 
 class Surfaces(NamedTuple):
-    """What triangles look like."""
+    """Normals and colors of triangles."""
 
     normals: Float[np.ndarray, "n 3"]
     """Unit normals of the triangles."""
     number: Int32[np.ndarray, " n"]
-    """The surface of each triangle."""
+    """Index of the surface of each triangle."""
     color: Float[np.ndarray, "s 3"]
     """Linear color of each surface."""
     grain: Float[np.ndarray, "s 4"]
@@ -70,23 +69,23 @@ class Surfaces(NamedTuple):
 
 
 class Lamps(NamedTuple):
-    """Where light comes from, and where it does not reach."""
+    """Lamps with their shadow maps."""
 
     Ts_lamp_world: Float[np.ndarray, "k 4 4"]
     strength: Float[np.ndarray, " k"]
     scale: Float[np.ndarray, " k"]
     """Texels of the shadow map per tangent [-]."""
     maps: Float32[np.ndarray, "k m m"]
-    """Shadow maps, each 1 / depth [1/m]."""
+    """1 / depth from each lamp [1/m]."""
 
 
 class Appearance(NamedTuple):
-    """All that colors come from."""
+    """Everything that determines the colors."""
 
     surfaces: Surfaces
     lamps: Lamps
     background: Float[np.ndarray, "3"]
-    """Linear color where there is nothing."""
+    """Linear color of the background."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -97,13 +96,13 @@ def rasterize(
     ys: Float[np.ndarray, " h"],
     buffers: Buffers,
 ) -> None:
-    """Find the first triangle along each ray (x, y, 1).
+    """Find the nearest triangle along each ray (x, y, 1).
 
     Args:
         corners: Triangles in the camera's frame [m].
-        one_sided: Triangles that are seen only from where they run counterclockwise.
-        xs, ys: The rays; both are evenly spaced and grow.
-        buffers: Filled.
+        one_sided: Triangles that are visible only from their counterclockwise side.
+        xs, ys: The rays; both are evenly spaced and increasing.
+        buffers: Output.
     """
     inverse, nearest = buffers.inverse, buffers.nearest
     inverse[:] = 0.0
@@ -156,7 +155,7 @@ def rasterize(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _hash(cell: int) -> float:
-    """A number in [0, 1) for each cell of a lattice."""
+    """Return a number in [0, 1) for a cell of a lattice."""
     h = (cell ^ (cell >> 15)) * 0x2C1B3C6D
     h = (h ^ (h >> 12)) * 0x297A2D39
     return ((h ^ (h >> 15)) & 0xFFFF) / 65536.0
@@ -164,7 +163,7 @@ def _hash(cell: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _grain(x: float, y: float, z: float) -> float:
-    """Smooth noise in [-1, 1] that varies over about one unit."""
+    """Return smooth noise in [-1, 1] that varies over about one unit."""
     fx, fy, fz = np.floor(x), np.floor(y), np.floor(z)
     u, v, w = x - fx, y - fy, z - fz
     u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
@@ -180,7 +179,7 @@ def _grain(x: float, y: float, z: float) -> float:
 
 @njit(inline="always")
 def _crevice(i: int, j: int, normal: Triple, view: View) -> float:
-    """Share of the directions around a point in which something stands out beside it."""
+    """Return the share of the directions around a point with a raised surface."""
     xs, ys, inverse = view.xs, view.ys, view.buffers.inverse
     height, width = inverse.shape
     inv = inverse[i, j]
@@ -199,7 +198,7 @@ def _crevice(i: int, j: int, normal: Triple, view: View) -> float:
 
 @njit(inline="always")
 def _lamp_light(p: Triple, n: Triple, lamps: Lamps) -> float:
-    """Light of all lamps that reach a point with this normal."""
+    """Return the light of all lamps at a point with a normal."""
     strength, scale, maps = lamps.strength, lamps.scale, lamps.maps
     size = maps.shape[1]
     light = 0.0
@@ -213,7 +212,7 @@ def _lamp_light(p: Triple, n: Triple, lamps: Lamps) -> float:
         u = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]) * factor
         v = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]) * factor
         a, b = int(v + size / 2), int(u + size / 2)
-        # one step of the map lets a slanted surface fall below itself by this much
+        # Depth tolerance: a slanted surface varies by this much within a texel of the map.
         slack = 0.004 + 1.5 / (factor * max(steep, 0.15))
         inside = 0 <= a < size and 0 <= b < size
         if not inside or (depth - slack) * maps[k, a, b] < 1:
@@ -225,7 +224,6 @@ def _lamp_light(p: Triple, n: Triple, lamps: Lamps) -> float:
 def _shade(
     i: int, j: int, tri: int, view: View, look: Appearance, out: Float[np.ndarray, "3"]
 ) -> None:
-    """Linear color of the surface that one ray meets."""
     xs, ys, inverse = view.xs, view.ys, view.buffers.inverse
     R, eye, normals = view.rotation, view.eye, look.surfaces.normals
     colors, grain = look.surfaces.color, look.surfaces.grain
@@ -263,16 +261,16 @@ def shade_image(
     shown: UInt8[np.ndarray, " levels"],
     image: UInt8[np.ndarray, "h w 3"],
 ) -> None:
-    """Color each pixel from the 3 x 3 rays around its center, weighted as a tent.
+    """Color each pixel from the 3 x 3 rays around its center, with tent weights.
 
-    Each triangle that these rays meet is shaded once: between edges that is one of nine.
+    Each triangle hit by these rays is shaded once, so most pixels need one evaluation.
 
     Args:
-        view: Its rays are twice as dense as the pixels; the pixel (i, j) has its center at
-            (2i + 1, 2j + 1).
-        look: See `Appearance`.
-        shown: Colors on a screen for evenly spaced linear ones in [0, 1].
-        image: Filled with them.
+        view: The view, with rays twice as dense as the pixels; the center of pixel (i, j) is the
+            ray (2i + 1, 2j + 1).
+        look: Everything that determines the colors.
+        shown: sRGB values of evenly spaced linear colors in [0, 1].
+        image: Output.
     """
     nearest = view.buffers.nearest
     height, width, _ = image.shape
@@ -285,7 +283,7 @@ def shade_image(
             seen[0], weight[0] = nearest[2 * i + 1, 2 * j + 1], 0.25
             where[0, 0], where[0, 1] = 2 * i + 1, 2 * j + 1
             count = 1
-            # the center comes first, so that a triangle seen there is shaded there
+            # The center comes first, so that its triangle is shaded there.
             for k in range(8):
                 a, b = 2 * i + _RING[k][0], 2 * j + _RING[k][1]
                 share = 0.125 if k % 2 else 0.0625

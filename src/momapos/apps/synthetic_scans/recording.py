@@ -1,4 +1,4 @@
-"""Scans of scenes, written as a folder of posed frames with the truth beside them."""
+"""Render scans of scenes into a folder of posed frames with the ground truth."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 FORMAT, VERSION = "momapos-scan-truth", 1
 SIZE = (640, 480)
 FOCALS = (525.0, 600.0)
-"""Focal lengths of such cameras [px]; each scan has one of them or between."""
+"""Range of focal lengths [px]; each scan draws one."""
 MAX_FRAMES = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class SyntheticScan:
-    """A scan that can be rendered, and what is true in it."""
+    """A scan to render, with its ground truth."""
 
     scene: Scene
     world: RenderWorld
@@ -45,15 +45,15 @@ class SyntheticScan:
     Ts_world_camera: Float[np.ndarray, "n 4 4"]
     """True poses in the scene's world."""
     Ts_scan_camera: Float[np.ndarray, "n 4 4"]
-    """Poses as the scan tells them, in its own world."""
+    """Estimated poses in the scan's world."""
     T_scan_scene: Float[np.ndarray, "4 4"]
-    """From the scene's world to the scan's; identity unless it was tilted."""
+    """From the scene's world to the scan's; identity unless tilted."""
     sensor: DepthSensor | None
-    """What is wrong with the frames; None for perfect ones."""
+    """Errors of the camera; None for perfect frames."""
     seed: int
 
     def frame(self, index: int) -> Frame:
-        """Render one frame, its pose in the scan's world; the same each time."""
+        """Render one frame with its pose in the scan's world; repeated calls return the same."""
         name = f"frame-{index:06d}"
         exact = render_frame(self.world, self.Ts_world_camera[index], self.intrinsics, SIZE, name)
         if self.sensor is not None:
@@ -61,9 +61,13 @@ class SyntheticScan:
         return replace(exact, T_world_camera=self.Ts_scan_camera[index])
 
     def frames(self) -> Iterator[Frame]:
-        """Render all frames in order, two at a time."""
-        with ThreadPoolExecutor(max(1, min(4, os.cpu_count() or 1))) as pool:
+        """Render all frames in order, in parallel."""
+        with _pool() as pool:
             yield from pool.map(self.frame, range(len(self.Ts_scan_camera)))
+
+
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max(1, min(4, os.cpu_count() or 1)))
 
 
 def synthetic_scan(
@@ -80,30 +84,30 @@ def synthetic_scan(
         scene: The room.
         frames: Number of images.
         seed: Seed of materials, route and noise.
-        sensor: What is wrong with the frames; None for perfect ones.
-        tilt: Turn the world of the scan at random, so that its z axis is not up.
+        sensor: Errors of the camera; None for perfect frames.
+        tilt: Rotate the world of the scan at random, so that its z axis is not up.
 
     Raises:
-        InputError: The number of frames or the seed cannot be used.
-        SceneError: There is nowhere to stand.
-        UrdfError: A mesh cannot be read.
+        InputError: The number of frames or the seed is out of range.
+        SceneError: There is no free floor for the camera.
+        UrdfError: A mesh can't be read.
     """
     if not 1 <= frames <= MAX_FRAMES:
-        raise InputError(f"a scan has between 1 and {MAX_FRAMES} frames, not {frames}")
+        raise InputError(f"frames must be between 1 and {MAX_FRAMES}, not {frames}")
     if seed < 0:
-        raise InputError(f"the seed of a scan must be 0 or more, not {seed}")
-    # two rooms with one seed shall not look alike
+        raise InputError(f"seed must be at least 0, not {seed}")
+    # The name makes rooms with equal seeds look different.
     rng = np.random.default_rng((seed, 1, zlib.crc32(scene.name.encode())))
     world = render_world(scene, rng)
     focal = round(float(rng.uniform(*FOCALS)), 1)
     Ts = scan_route(scene, world, frames, rng, focal=focal, size=SIZE)
-    told = Ts if sensor is None else drifting(Ts, rng, sensor)
+    estimated = Ts if sensor is None else drifting(Ts, rng, sensor)
     T = pose((0, 0, 0), Rotation.random(rng=rng).as_matrix()) if tilt else np.eye(4)
-    return SyntheticScan(scene, world, pinhole(SIZE, focal), Ts, T @ told, T, sensor, seed)
+    return SyntheticScan(scene, world, pinhole(SIZE, focal), Ts, T @ estimated, T, sensor, seed)
 
 
 def truth(scan: SyntheticScan) -> dict[str, Any]:
-    """What is true of a scan, as plain values [m], [rad]; boxes stand in the scene's world."""
+    """Return the ground truth as plain values [m], [rad], with boxes in the scene's world."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -114,7 +118,7 @@ def truth(scan: SyntheticScan) -> dict[str, Any]:
 
 
 def true_box(world: RenderWorld, item: SceneObject, number: int) -> UprightBox:
-    """The upright box around what can be seen of an object, turned as the object is."""
+    """Return the upright box around an object's triangles, with the object's yaw."""
     R = upright_frame(item.T_world_object[:3, :3])
     local = world.triangles[world.owner == number].reshape(-1, 3) @ R
     if not len(local):
@@ -147,17 +151,17 @@ def _true_object(scan: SyntheticScan, number: int) -> dict[str, Any]:
 
 
 def refuse_used(folder: Path) -> None:
-    """Make sure that a scan can be written to a folder.
+    """Check that a scan can be written to a folder.
 
     Raises:
-        SceneError: It holds files already, or is a file.
+        SceneError: The folder is not empty, or is a file.
     """
     try:
         if folder.is_dir():
             if any(folder.iterdir()):
-                raise SceneError(f"{folder}: is not empty; name a new folder for the scan")
+                raise SceneError(f"{folder}: is not empty; choose a new folder for the scan")
         elif folder.exists():
-            raise SceneError(f"{folder}: is a file; name a new folder for the scan")
+            raise SceneError(f"{folder}: is a file; choose a new folder for the scan")
     except OSError as error:
         raise SceneError(f"{folder}: cannot be looked up ({error.strerror})") from error
 
@@ -165,19 +169,19 @@ def refuse_used(folder: Path) -> None:
 def write_scan(
     scan: SyntheticScan, folder: Path, report: Callable[[float], None] = lambda _: None
 ) -> None:
-    """Render a scan into a folder in the layout of 7-Scenes, the whole scan or nothing.
+    """Render a scan into a folder in the layout of 7-Scenes; write all of it or nothing.
 
     Args:
-        scan: What is rendered.
+        scan: The scan.
         folder: A new or empty folder.
-        report: Is told the share that is done.
+        report: Called with the finished share.
 
     Raises:
-        SceneError: The folder holds files already or cannot be written.
+        SceneError: The folder is not empty or can't be written.
         MissingExtraError: Pillow is not installed.
     """
     with require("scan"):
-        import PIL.Image  # noqa: F401 - asked for before anything is rendered
+        import PIL.Image  # noqa: F401 - fails before anything is rendered
     refuse_used(folder)
     partial: Path | None = None
     try:
@@ -185,7 +189,7 @@ def write_scan(
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         np.savetxt(partial / "camera-intrinsics.txt", scan.intrinsics)
         (partial / "truth.json").write_text(json.dumps(truth(scan), indent=1) + "\n")
-        with ThreadPoolExecutor(max(1, min(4, os.cpu_count() or 1))) as pool:
+        with _pool() as pool:
             jobs = range(len(scan.Ts_scan_camera))
             for done, _ in enumerate(pool.map(lambda k: _write(scan.frame(k), partial), jobs), 1):
                 report(done / len(jobs))

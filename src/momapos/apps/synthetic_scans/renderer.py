@@ -1,7 +1,6 @@
-"""Images of a scene as an ideal camera would take them.
+"""Render a scene as an ideal camera sees it.
 
-Everything is drawn as triangles on the processor: distances are exact, and colors are good enough
-that seams, edges and handles can be told apart.
+The CPU rasterizes triangles. Depth is exact, and the shading shows seams, edges and handles.
 """
 
 from __future__ import annotations
@@ -19,42 +18,41 @@ from momapos.model.scene import Scene, SceneObject
 
 from .materials import Material, Palette, Role, linear
 from .rasterizer import Appearance, Buffers, Lamps, Surfaces, View, rasterize, shade_image
-from .surfaces import Patch, patches, urdf_paints
+from .surfaces import SurfacePatch, patches, urdf_paints
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 FLOOR_MARGIN = 2.0
-"""How far the floor reaches beyond the objects where the scene does not say [m]."""
+"""Margin of the floor around the objects in a scene without a floor outline [m]."""
 LAMPS = 6
 LAMP_LIGHT = 1.1
 """Light of all lamps together on a surface that faces them [-]."""
-LAMP_DISTANCE = 60.0  # [m]: so far that their light is all but parallel
+LAMP_DISTANCE = 60.0
+"""Distance of the lamps, for nearly parallel light [m]."""
 SHADOW_TEXELS = 768
 BACKGROUND = (0.75, 0.78, 0.80)
-"""Color where there is nothing, as a screen shows it."""
-_TO_SCREEN = np.rint(255 * np.linspace(0, 1, 4097) ** (1 / 2.2)).astype(np.uint8)
+"""sRGB color of the background."""
+_TO_SRGB = np.rint(255 * np.linspace(0, 1, 4097) ** (1 / 2.2)).astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
 class RenderWorld:
-    """A scene as triangles, ready to be drawn from anywhere."""
+    """A scene as triangles."""
 
     triangles: Float[np.ndarray, "n 3 3"]
-    """In the world [m]."""
+    """Corners in the world [m]."""
     closed: Bool[np.ndarray, " n"]
-    """Those of closed bodies, which are seen from outside only."""
+    """Triangles of closed bodies, which are visible only from outside."""
     owner: Int[np.ndarray, " n"]
     """Index of the scene's object; -1 for the floor."""
     surface: Int[np.ndarray, " n"]
     materials: tuple[Material, ...]
     """One for each surface."""
-    names: tuple[str, ...]
-    """Of the scene's objects."""
 
     @cached_property
     def normals(self) -> Float[np.ndarray, "n 3"]:
-        """Unit normals; zero for triangles without an area."""
+        """Unit normals; zero for triangles without area."""
         a, b, c = np.moveaxis(self.triangles, 1, 0)
         normals = np.cross(b - a, c - a)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -68,7 +66,7 @@ class RenderWorld:
 
     @cached_property
     def _lamps(self) -> Lamps:
-        """Shadow maps of lamps high above that surround a main direction."""
+        """Shadow maps of lamps above the scene, spread over the hemisphere."""
         points = self.triangles.reshape(-1, 3)
         middle = (points.min(0) + points.max(0)) / 2
         radius = float(np.linalg.norm(points - middle, axis=1).max())
@@ -97,7 +95,7 @@ class RenderWorld:
         xs: Float[np.ndarray, " w"],
         ys: Float[np.ndarray, " h"],
     ) -> Buffers:
-        """What rays (x, y, 1) of a camera meet."""
+        """Find the nearest triangles along rays (x, y, 1) of a camera."""
         shape = len(ys), len(xs)
         buffers = Buffers(np.empty(shape, np.float32), np.empty(shape, np.int32))
         corners = self._seen_from(invert(T_world_camera))
@@ -106,21 +104,21 @@ class RenderWorld:
 
 
 def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) -> RenderWorld:
-    """Turn a scene, its joints at their values, into triangles with colors.
+    """Convert a scene with its current joint values to triangles with colors.
 
-    A scene may be one object, as `load_scene` gives for a URDF; numbered PartNet objects then
+    A scene may be one object, as `load_scene` returns for a URDF; numbered PartNet objects then
     stand upright with their front toward -x.
 
     Args:
-        scene: What is drawn.
-        rng: Chooses materials where the files give no colors, and small differences.
-        floor: Draw the floor too.
+        scene: The scene.
+        rng: Draws materials for objects without colors, and small differences.
+        floor: Whether to add the floor.
 
     Raises:
-        UrdfError: A mesh cannot be read.
+        UrdfError: A mesh can't be read.
     """
     palette = Palette(rng)
-    found: list[tuple[Patch, int, Material]] = []
+    found: list[tuple[SurfacePatch, int, Material]] = []
     paints = {item.model.urdf.path: urdf_paints(item.model.urdf.path) for item in scene.objects}
     for number, item in enumerate(scene.objects):
         for role, patch in _object_patches(item, paints[item.model.urdf.path]):
@@ -128,7 +126,7 @@ def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) 
             found.append((patch, number, material))
     if floor:
         triangles = _floor_triangles(scene, [patch.triangles for patch, _, _ in found])
-        found.append((Patch(triangles, None, closed=False), -1, palette.floor()))
+        found.append((SurfacePatch(triangles, None, closed=False), -1, palette.floor()))
     counts = [len(patch.triangles) for patch, _, _ in found]
     return RenderWorld(
         triangles=np.concatenate([patch.triangles for patch, _, _ in found]),
@@ -136,14 +134,13 @@ def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) 
         owner=np.repeat([number for _, number, _ in found], counts),
         surface=np.repeat(np.arange(len(found)), counts),
         materials=tuple(material for _, _, material in found),
-        names=tuple(item.name for item in scene.objects),
     )
 
 
 def _object_patches(
     item: SceneObject, paints: dict[str, list[tuple[float, float, float] | None]]
-) -> Iterator[tuple[Role, Patch]]:
-    """The shapes of an object in the world: visual ones where a link has any."""
+) -> Iterator[tuple[Role, SurfacePatch]]:
+    """Yield the shapes of an object in the world: visuals, or collisions of a link without any."""
     model, poses = item.model, item.link_poses()
     moving = {link for joint in model.joints for link in model.moved_by(joint)}
     for name, link in model.urdf.links.items():
@@ -157,15 +154,15 @@ def _object_patches(
             for patch in patches(shape, paint):
                 T = poses[name]
                 triangles = patch.triangles @ T[:3, :3].T + T[:3, 3]
-                yield role, Patch(triangles, patch.paint, patch.closed)
+                yield role, SurfacePatch(triangles, patch.paint, patch.closed)
 
 
 def _floor_triangles(scene: Scene, parts: list[np.ndarray]) -> Float[np.ndarray, "n 3 3"]:
-    """The floor at height 0: the scene's outline, or a rectangle around everything."""
-    points = np.concatenate([part.reshape(-1, 3) for part in parts] or [np.zeros((1, 3))])
+    """Return the floor at height 0: the scene's outline, or a rectangle around everything."""
     if scene.floor_polygon is not None:
         corners = np.column_stack([scene.floor_polygon, np.zeros(len(scene.floor_polygon))])
         return corners[ear_clipped(scene.floor_polygon)]
+    points = np.concatenate([part.reshape(-1, 3) for part in parts] or [np.zeros((1, 3))])
     low, high = points.min(0), points.max(0)
     (x0, y0), (x1, y1) = low[:2] - FLOOR_MARGIN, high[:2] + FLOOR_MARGIN
     corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
@@ -173,14 +170,14 @@ def _floor_triangles(scene: Scene, parts: list[np.ndarray]) -> Float[np.ndarray,
 
 
 def ear_clipped(outline: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, "m 3"]:
-    """Cut a simple polygon into triangles, by the indices of its corners."""
+    """Triangulate a simple polygon by ear clipping; return indices of its corners."""
     index = list(range(len(outline)))
     if signed_area(outline) < 0:
         index.reverse()
     found = []
     while len(index) > 3:
         ears = (k for k in range(len(index)) if _is_ear(outline, index, k))
-        k = next(ears, 0)  # corners on one line have no ear, and any cut will do
+        k = next(ears, 0)  # collinear corners have no ear; any cut is valid
         found.append([index[k - 1], index[k], index[(k + 1) % len(index)]])
         del index[k]
     return np.array([*found, index])
@@ -200,11 +197,11 @@ def _is_ear(outline: Float[np.ndarray, "k 2"], index: list[int], k: int) -> bool
 def look_at(
     eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], roll: float = 0.0
 ) -> Float[np.ndarray, "4 4"]:
-    """Pose in the world of a camera that looks at a target, its image upright.
+    """Return the world pose of an upright camera that looks at a target.
 
     Args:
-        eye, target: Where it is and what is in the middle of its image [m].
-        roll: Turn about the view [rad].
+        eye, target: Positions of the camera and of the point in the middle of its image [m].
+        roll: Rotation about the optical axis [rad].
     """
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -216,7 +213,7 @@ def look_at(
 
 
 def pinhole(size: tuple[int, int], focal: float) -> Float[np.ndarray, "3 3"]:
-    """Intrinsics of a camera whose optical axis meets the middle of the image [px].
+    """Return the intrinsics [px] of a centered pinhole camera.
 
     Args:
         size: Width and height of the image [px].
@@ -233,28 +230,28 @@ def render_frame(
     size: tuple[int, int],
     name: str = "",
 ) -> Frame:
-    """Draw what a camera sees, without noise; whole numbers are the centers of pixels.
+    """Render an image without noise; integer coordinates are pixel centers.
 
     Args:
         world: From `render_world`.
-        T_world_camera: Camera axes as in OpenCV: x right, y down, z forward.
-        intrinsics: A pinhole without skew [px].
+        T_world_camera: Camera pose, axes as in OpenCV: x right, y down, z forward.
+        intrinsics: Pinhole intrinsics without skew [px].
         size: Width and height of the image [px].
         name: Name of the frame.
 
     Returns:
-        Color, and depth along the optical axis [m], 0 where there is nothing.
+        Color, and depth along the optical axis [m], 0 for none.
     """
     width, height = size
     K = intrinsics
-    # twice as dense, and one ray beyond each border: pixel i is at 2 i + 1
+    # Rays are twice as dense as pixels, with one beyond each border: pixel i is ray 2 i + 1.
     xs = (np.arange(2 * width + 1) / 2 - 0.5 - K[0, 2]) / K[0, 0]
     ys = (np.arange(2 * height + 1) / 2 - 0.5 - K[1, 2]) / K[1, 1]
     buffers = world.trace(T_world_camera, xs, ys)
     color = np.empty((height, width, 3), np.uint8)
     rotation, eye = np.ascontiguousarray(T_world_camera[:3, :3]), T_world_camera[:3, 3].copy()
     look = Appearance(world._surfaces, world._lamps, linear(np.array(BACKGROUND)))
-    shade_image(View(xs, ys, buffers, rotation, eye), look, _TO_SCREEN, color)
+    shade_image(View(xs, ys, buffers, rotation, eye), look, _TO_SRGB, color)
     inverse = buffers.inverse[1::2, 1::2]
     depth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
     return Frame(name, color, depth, np.array(K, float), np.array(T_world_camera, float))

@@ -1,4 +1,4 @@
-"""Triangles and paint of a model's shapes, as far as its files tell."""
+"""Read the triangles and colors of a model's shapes from its files."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 Paint = tuple[float, float, float] | None
-"""A color in [0, 1] as a screen shows it; None where no file gives one."""
-ROUND = 48
-"""Corners that stand for a circle [-]."""
+"""sRGB color in [0, 1]; None if no file has one."""
+CIRCLE_CORNERS = 48
+"""Corners of the polygon for a circle [-]."""
 MAX_TRIANGLES = 2_000_000
-"""Of one mesh file [-]."""
+"""Maximum number of triangles of one mesh file [-]."""
 _CORNERS = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
 
 
-@dataclass(frozen=True)
-class Patch:
+@dataclass(frozen=True, eq=False)
+class SurfacePatch:
     """Triangles of one color."""
 
     triangles: Float[np.ndarray, "n 3 3"]
-    """In the frame of the shape's link [m]."""
+    """Corners in the frame of the shape's link [m]."""
     paint: Paint
     closed: bool
-    """Whether they run counterclockwise seen from outside and leave no hole."""
+    """Whether the triangles enclose a body, counterclockwise seen from outside."""
 
 
-def patches(shape: Geometry, paint: Paint) -> list[Patch]:
-    """Triangles of a shape, in the frame of its link; a mesh with several colors gives several.
+def patches(shape: Geometry, paint: Paint) -> list[SurfacePatch]:
+    """Return the triangles of a shape in the frame of its link, one patch per color.
 
     Args:
         shape: A box, cylinder, sphere or mesh.
-        paint: Color that its URDF gives, which comes before that of a mesh file.
+        paint: Color in its URDF, which overrides those of a mesh file.
 
     Raises:
-        UrdfError: The mesh cannot be read.
+        UrdfError: The mesh can't be read.
     """
     if shape.kind != "mesh":
         triangles = _primitive(shape)
-        return [Patch(_placed(triangles, shape), paint, closed=True)]
+        return [SurfacePatch(_placed(triangles, shape), paint, closed=True)]
     assert shape.mesh is not None
     found = _mesh(shape.mesh)
     size = np.array(shape.size)
     return [
-        Patch(_placed(triangles * size, shape), paint or own, closed=False)
+        SurfacePatch(_placed(triangles * size, shape), paint or own, closed=False)
         for triangles, own in found
         if len(triangles)
     ]
@@ -70,9 +70,11 @@ def _primitive(shape: Geometry) -> Float[np.ndarray, "n 3 3"]:
         points = _CORNERS * np.array(shape.size)
     elif shape.kind == "cylinder":
         radius, length = shape.size
-        angle = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
+        angle = np.linspace(0, 2 * np.pi, CIRCLE_CORNERS, endpoint=False)
         ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
-        ends = [np.column_stack([ring, np.full(ROUND, z)]) for z in (-length / 2, length / 2)]
+        ends = [
+            np.column_stack([ring, np.full(CIRCLE_CORNERS, z)]) for z in (-length / 2, length / 2)
+        ]
         points = np.concatenate(ends)
     else:
         import trimesh
@@ -99,18 +101,18 @@ def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
         try:
             triangles = np.array(mesh.vertices, float)[np.array(mesh.faces, int)]
         except (ValueError, IndexError, AttributeError) as error:
-            raise UrdfError(f"{path}: not a usable mesh (it has no sound faces)") from error
+            raise UrdfError(f"{path}: not a usable mesh (it has no valid faces)") from error
         found = [(triangles, None)]
     count = sum(len(triangles) for triangles, _ in found)
     if count > MAX_TRIANGLES:
-        raise UrdfError(f"{path}: {count} triangles; at most {MAX_TRIANGLES} can be drawn")
+        raise UrdfError(f"{path}: {count} triangles; the limit is {MAX_TRIANGLES}")
     if not all(np.isfinite(triangles).all() for triangles, _ in found):
-        raise UrdfError(f"{path}: the mesh holds NaN or infinite vertices")
+        raise UrdfError(f"{path}: the mesh has NaN or infinite vertices")
     return found
 
 
 def _obj(path: Path, text: str) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
-    """Read the triangles of an OBJ file by material; what has textures counts as unpainted."""
+    """Read the triangles of an OBJ file by material; textured materials have no paint."""
     points: list[list[float]] = []
     faces: dict[str, list[list[int]]] = {}
     current = faces.setdefault("", [])
@@ -131,14 +133,14 @@ def _obj(path: Path, text: str) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]
         vertices = np.array(points, float).reshape(-1, 3)
         index = {name: np.array(rows, int).reshape(-1, 3) for name, rows in faces.items()}
         if any(len(rows) and rows.min() < 0 for rows in index.values()):
-            raise ValueError("a face names a vertex before the first")
+            raise ValueError("a face refers to a vertex before the first")
         return [(vertices[rows], paints.get(name)) for name, rows in index.items()]
     except (ValueError, IndexError, OverflowError) as error:
         raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
 
 
 def _mtl(folder: Path, name: str) -> dict[str, Paint]:
-    """Diffuse colors of a material file that lies beside its mesh; none where it does not."""
+    """Read the diffuse colors of a material file in the folder of its mesh, if it exists."""
     file = folder / Path(name).name
     if not name or not file.is_file() or file.stat().st_size > 1_000_000:
         return {}
@@ -168,13 +170,12 @@ def _paint(text: str) -> Paint:
 
 
 def urdf_paints(path: Path | None) -> dict[str, list[Paint]]:
-    """Colors of the visual shapes of each link, in the file's order.
+    """Return the colors of the visual shapes of each link, in the file's order.
 
-    The file was read before, so its size and form are known to be sound. The colors that
-    momapos' own kitchens carry say which part is which, the same in every room: they are no paint.
+    The colors of momapos' own kitchens mark the kinds of parts, so they don't count as paint.
 
     Args:
-        path: The URDF; None for a box without a file.
+        path: A URDF that was read before, so that it is valid; None for a box without a file.
     """
     if path is None:
         return {}

@@ -1,32 +1,15 @@
-"""Which layers are drawn: made when they are first asked for, then only switched on and off."""
+"""The layers of an answer: drawn when first switched on, then only hidden and shown."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from momapos.apps.plots import (
-    BAD,
-    GOOD,
-    HANDLE,
-    INK,
-    KINDS,
-    PART,
-    POTENTIAL,
-    RELATIONS,
-    SELECTED,
-    SOFT_INK,
-    TARGET,
-    WAYPOINT,
-    potential_map,
-    reach_slice,
-    tool_axes,
-)
+from momapos.apps import plots
 from momapos.core import Clock
 from momapos.model.records import ReachScorer
 from momapos.model.scene import Scene
@@ -35,31 +18,29 @@ from momapos.planning.grasps import hand_path
 from momapos.planning.importance import rank
 
 from . import map_layers as draw
-from .panel import LAYERS, Panel
+from .panel import LAYERS
 from .robot_view import VERDICTS
-from .words import escaped
-from .work import Latest
-
-if TYPE_CHECKING:
-    from viser import SceneApi
-
-    from .robot_view import RobotView
+from .state import PageState
+from .words import answer_text, escaped
+from .work import LatestWorker
 
 ROOT = "/layers"
-BESIDE = 0.4
-"""The arm's reach is asked for so much farther from the base than the arm is long [m]."""
+REACH_MARGIN = 0.4
+"""The reachability layer extends this much farther from the base than the arm is long [m]."""
 CELL = 0.06
-"""Edge of a cell of the pictures on the floor [m]."""
-DEAR = ("tolerance", "opening")
+"""Edge of a cell of the images on the floor [m]."""
+SLOW = ("tolerance", "opening")
 """Layers that take half a second, and seconds: each has a thread of its own."""
-BASES = {"feasible": "can do it from here", "partly": "only in part", "infeasible": "not from here"}
-"""What the colors of the footprint say."""
+VERDICT_LABELS = {
+    "feasible": "feasible from here", "partly": "feasible in part", "infeasible": "infeasible",
+}  # fmt: skip
+"""Meaning of the footprint's colors."""
 VIRIDIS = ("#dde318", "#21918c", "#440f5c")
 
 
 @dataclass(frozen=True)
-class Answered:
-    """What the layers are of."""
+class LayerSource:
+    """What the layers are computed from."""
 
     scene: Scene
     answer: PlacementResult
@@ -69,53 +50,40 @@ class Answered:
 class AnswerLayers:
     """Draws the layers of one answer."""
 
-    def __init__(
-        self,
-        api: SceneApi,
-        panel: Panel,
-        robot: RobotView,
-        drawing: AbstractContextManager[Any],
-        measured: Callable[[PlacementResult, PlacementResult], None],
-    ) -> None:
-        """Draw nothing yet.
-
-        Args:
-            api: Where to draw.
-            panel: Which layers are wanted.
-            robot: From which the arm's reach hangs.
-            drawing: Is held while what is drawn is changed.
-            measured: Is told an answer, and the same with its tolerance.
-        """
-        self._api, self._panel, self._robot, self._drawing = api, panel, robot, drawing
-        self._measured = measured
+    def __init__(self, state: PageState) -> None:
+        self._state, self._panel, self._drawing = state, state.panel, state.drawing
+        self._api, self._robot = state.server.scene, state.robot
         self._roots: dict[str, Any] = {}
-        self._of: Answered | None = None
+        self._of: LayerSource | None = None
         self._kinds: tuple[str, ...] = ()
-        self.work = Latest("page layers", self._fail)
-        self._dear = {key: Latest(f"page {key}", self._fail) for key in DEAR}
-        """For layers that take long, so that the others do not wait for them."""
+        self.work = LatestWorker("page layers", self._fail)
+        self._slow = {key: LatestWorker(f"page {key}", self._fail) for key in SLOW}
+        panel = state.panel
+        for handle in panel.layers.values():
+            panel.on_change(handle, self.changed)
+        panel.on_change(panel.height, self.height_changed)
 
     @property
     def drawn(self) -> tuple[str, ...]:
-        """The layers that are drawn, seen or not."""
+        """The layers that are drawn, visible or not."""
         with self._drawing:
             return tuple(self._roots)
 
     @property
-    def _works(self) -> tuple[Latest, ...]:
-        return (self.work, *self._dear.values())
+    def _works(self) -> tuple[LatestWorker, ...]:
+        return (self.work, *self._slow.values())
 
     @property
     def busy(self) -> bool:
-        """Whether a layer is computed, or waits to be."""
+        """Whether a layer is being computed, or waits for it."""
         return any(work.busy for work in self._works)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until all are drawn; whether that came true, each kind in time [s]."""
+        """Wait until all layers are drawn; return whether each thread was done in time [s]."""
         return all(work.wait(timeout) for work in self._works)
 
     def stop(self) -> None:
-        """End what is computed; what is not drawn then is when layers are next switched."""
+        """Cancel running work; missing layers are drawn when a layer is next switched."""
         for work in self._works:
             work.stop()
 
@@ -127,11 +95,11 @@ class AnswerLayers:
     def show(self, scene: Scene, answer: PlacementResult, reach: ReachScorer) -> None:
         """Draw the layers of another answer that are switched on."""
         self.clear()
-        self._of = Answered(scene, answer, reach)
+        self._of = LayerSource(scene, answer, reach)
         self.changed()
 
     def clear(self) -> None:
-        """Draw nothing."""
+        """Remove all layers."""
         self.stop()
         with self._drawing:
             self._of = None
@@ -142,17 +110,17 @@ class AnswerLayers:
         self._panel.clicked.content = ""
 
     def changed(self) -> None:
-        """Layers were switched on or off."""
+        """Draw the layers that are switched on, and hide the others."""
         with self._drawing:
             self._robot.show_spheres(bool(self._panel.layers["spheres"].value))
-        self.work.put(lambda clock: self._update(clock, [k for k in LAYERS if k not in DEAR]))
-        for key, work in self._dear.items():
-            # What runs goes on where it is still wanted: it would begin anew.
+        self.work.put(lambda clock: self._update(clock, [k for k in LAYERS if k not in SLOW]))
+        for key, work in self._slow.items():
+            # Running work continues if it is still wanted, instead of starting again.
             wanted = bool(self._panel.layers[key].value)
             work.put(partial(self._update, keys=(key,)), stop_running=not wanted)
 
     def height_changed(self) -> None:
-        """The reach is asked for at another height."""
+        """Redraw the reachability at another height."""
         with self._drawing:
             root = self._roots.pop("reach", None)
             if root is not None:
@@ -160,10 +128,9 @@ class AnswerLayers:
         self.changed()
 
     def _fail(self, reason: str) -> None:
-        self._panel.clicked.content = f"**This layer cannot be drawn.** {escaped(reason)}"
+        self._panel.clicked.content = f"**Cannot draw this layer:** {escaped(reason)}"
 
     def _update(self, clock: Clock, keys: Sequence[str]) -> None:
-        """Draw those of some layers that are wanted, and hide the others."""
         of = self._of
         if of is None:
             return
@@ -180,8 +147,8 @@ class AnswerLayers:
             [k for k in LAYERS if self._panel.layers[k].value], self._kinds
         )
 
-    def _draw(self, key: str, of: Answered, clock: Clock) -> None:
-        """Draw a layer, and take it away again where another answer came meanwhile."""
+    def _draw(self, key: str, of: LayerSource, clock: Clock) -> None:
+        """Draw a layer; remove it again if the answer has changed meanwhile."""
         name = f"{self._robot.name if key == 'reach' else ROOT}/{key}"
         root, drawn = self._api.add_frame(name, show_axes=False), False
         try:
@@ -194,30 +161,46 @@ class AnswerLayers:
                 elif self._api.get_handle_by_name(name) is not None:  # not gone with the robot
                     self._api.remove_by_name(name)
 
-    # ------------------------------------------------------------------------------- one a layer
+    def use_tolerance(self, before: PlacementResult, answer: PlacementResult) -> None:
+        """Show an answer with its tolerance, if the one without it is still shown.
 
-    def _way(self, name: str, of: Answered, _: Clock) -> None:
-        draw.draw_way(self._api, name, of.answer)
+        Args:
+            before: The answer without its tolerance.
+            answer: The same answer with its tolerance.
+        """
+        state = self._state
+        with state.drawing:
+            if state.shown.answer is not before:
+                return
+            state.shown.answer = answer
+            shown, words = state.panel.result.content, answer_text(before)
+            if shown.startswith(words):
+                state.show_text(answer_text(answer) + shown.removeprefix(words))
 
-    def _waypoints(self, name: str, of: Answered, _: Clock) -> None:
+    # ------------------------------------------------------------------------- one for each layer
+
+    def _path(self, name: str, of: LayerSource, _: Clock) -> None:
+        draw.draw_start_and_path(self._api, name, of.answer)
+
+    def _waypoints(self, name: str, of: LayerSource, _: Clock) -> None:
         draw.draw_waypoints(self._api, name, of.answer)
 
-    def _candidates(self, name: str, of: Answered, _: Clock) -> None:
+    def _candidates(self, name: str, of: LayerSource, _: Clock) -> None:
         self._kinds = draw.draw_candidates(self._api, f"{name}/all", of.answer, self._clicked)
 
-    def _potential(self, name: str, of: Answered, _: Clock) -> None:
-        heat = potential_map(of.answer.prepared.geometry, of.reach, cell=CELL)
-        if heat is not None and heat.value.size:
+    def _potential(self, name: str, of: LayerSource, _: Clock) -> None:
+        found = plots.potential_map(of.answer.prepared.geometry, of.reach, cell=CELL)
+        if found is not None and found.value.size:
             draw.floor_image(
-                self._api, f"{name}/map", draw.potential_pixels(heat), heat.extent, height=0.004
+                self._api, f"{name}/map", draw.potential_pixels(found), found.extent, height=0.004
             )
 
-    def _free(self, name: str, of: Answered, _: Clock) -> None:
-        bounds = draw.whole_floor(of.scene)
+    def _free(self, name: str, of: LayerSource, _: Clock) -> None:
+        bounds = draw.floor_bounds(of.scene)
         share, extent = draw.free_area(of.answer.prepared.geometry, bounds, cell=CELL)
         draw.floor_image(self._api, f"{name}/map", draw.free_pixels(share), extent, height=0.002)
 
-    def _opening(self, name: str, of: Answered, clock: Clock) -> None:
+    def _opening(self, name: str, of: LayerSource, clock: Clock) -> None:
         if of.answer.plan.task.joint is None:
             return
 
@@ -235,25 +218,25 @@ class AnswerLayers:
                 self._api, f"{name}/map", draw.opening_pixels(found), found.extent, height=0.006
             )
 
-    def _tolerance(self, name: str, of: Answered, clock: Clock) -> None:
+    def _tolerance(self, name: str, of: LayerSource, clock: Clock) -> None:
         answer = with_tolerance(of.answer, clock=clock)
-        self._measured(of.answer, answer)
+        self.use_tolerance(of.answer, answer)
         plan, found = answer.plan, answer.plan.tolerance
         if found is not None and found.radius and plan.base_pose is not None:
             footprint = answer.prepared.robot.footprint
             draw.draw_tolerance(self._api, name, footprint, np.array(plan.base_pose), found)
 
-    def _reach(self, name: str, of: Answered, _: Clock) -> None:
+    def _reach(self, name: str, of: LayerSource, _: Clock) -> None:
         height = float(self._panel.height.value)
         robot = of.answer.prepared.robot
-        axes = tool_axes(robot.approach_axis, robot.closing_axis)
-        share, half = reach_slice(of.reach, axes, robot.reach + BESIDE, height)
+        axes = plots.tool_axes(robot.approach_axis, robot.closing_axis)
+        share, half = plots.reach_slice(of.reach, axes, robot.reach + REACH_MARGIN, height)
         draw.floor_image(
             self._api, f"{name}/map", draw.reach_pixels(share), (-half, half, -half, half),
             height=height,
         )  # fmt: skip
 
-    def _importance(self, name: str, of: Answered, _: Clock) -> None:
+    def _importance(self, name: str, of: LayerSource, _: Clock) -> None:
         task = of.answer.plan.task
         path = hand_path(of.scene, task.object, task.joint, task.to)
         ranked = rank(of.scene, task.object, path=path, seed=of.answer.plan.seed)
@@ -264,7 +247,7 @@ class AnswerLayers:
 
 
 DRAW = {
-    "way": AnswerLayers._way, "waypoints": AnswerLayers._waypoints,
+    "path": AnswerLayers._path, "waypoints": AnswerLayers._waypoints,
     "candidates": AnswerLayers._candidates, "potential": AnswerLayers._potential,
     "free": AnswerLayers._free, "opening": AnswerLayers._opening, "reach": AnswerLayers._reach,
     "importance": AnswerLayers._importance, "tolerance": AnswerLayers._tolerance,
@@ -272,31 +255,31 @@ DRAW = {
 
 
 def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
-    """What the colors of the layers that are shown mean, as HTML."""
-    rows = [(_box(TARGET), "asked about"), (_box(PART), "what moves of it"),
-            (_box(BAD), "in the way")]  # fmt: skip
-    rows += [(_box(VERDICTS[key]), f"base: {words}") for key, words in BASES.items()]
-    if "way" in shown:
-        rows += [(_box(SOFT_INK), "start"), (_box(INK), "driven path")]
+    """Return the legend of the layers that are shown, as HTML."""
+    rows = [(_box(plots.TARGET), "target object"), (_box(plots.PART), "moving part"),
+            (_box(plots.BAD), "obstacle")]  # fmt: skip
+    rows += [(_box(VERDICTS[key]), f"base: {words}") for key, words in VERDICT_LABELS.items()]
+    if "path" in shown:
+        rows += [(_box(plots.SOFT_INK), "start"), (_box(plots.INK), "base path")]
     if "waypoints" in shown:
-        rows += [(_box(WAYPOINT), "way of the tool"), (_box(HANDLE), "grasps")]
+        rows += [(_box(plots.WAYPOINT), "tool path"), (_box(plots.HANDLE), "grasps")]
     if "tolerance" in shown:
-        rows.append((_box(GOOD), "tolerance: base, and what it may cover"))
+        rows.append((_box(plots.GOOD), "tolerance: base positions, swept footprint"))
     if "potential" in shown:
-        rows.append((_ramp(POTENTIAL), "potential, low to high"))
+        rows.append((_ramp(plots.POTENTIAL), "potential, low to high"))
     if "free" in shown:
-        rows.append((_box(SELECTED), "free area: the stronger, the more yaws"))
+        rows.append((_box(plots.SELECTED), "free area, stronger for more yaws"))
     if "opening" in shown:
-        rows.append((_ramp(VIRIDIS), "opens a little, to the end"))
+        rows.append((_ramp(VIRIDIS), "opens a little to fully"))
     if "reach" in shown:
-        rows.append((_ramp(VIRIDIS), "reached from few, from all directions"))
+        rows.append((_ramp(VIRIDIS), "reachable from few to all directions"))
     if "importance" in shown:
-        rows.append((_ramp(("#c3cad0", SELECTED)), "importance 0 to 1"))
-        rows += [(_box(look.color), kind) for kind, look in RELATIONS.items()]
+        rows.append((_ramp(("#c3cad0", plots.SELECTED)), "importance, 0 to 1"))
+        rows += [(_box(look.color), kind) for kind, look in plots.RELATIONS.items()]
     if "spheres" in shown:
-        rows.append((_box(PART), "collision spheres"))
+        rows.append((_box(plots.PART), "collision spheres"))
     if "candidates" in shown:
-        rows += [(_box(kind.color), kind.name) for kind in KINDS if kind.name in kinds]
+        rows += [(_box(kind.color), kind.name) for kind in plots.KINDS if kind.name in kinds]
     items = "".join(f"<div>{mark} {words}</div>" for mark, words in rows)
     return f'<div style="font-size:0.8em;line-height:1.5;padding:0 0.8em">{items}</div>'
 
@@ -310,6 +293,6 @@ def _ramp(colors: tuple[str, ...]) -> str:
 
 
 def _mark(style: str) -> str:
-    # The border sets dark colors off from a dark page, and pale ones from a light one.
+    # The border separates dark colors from a dark page, and pale ones from a light page.
     shape = "display:inline-block;height:0.9em;vertical-align:-0.1em;border:1px solid #888"
     return f'<span style="{shape};{style}"></span>'

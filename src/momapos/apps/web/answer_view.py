@@ -1,4 +1,4 @@
-"""What is drawn of a question, and of its answer: room, robot, motion, layers."""
+"""Drawing a question and its answer: room, robot, motion, layers."""
 
 from __future__ import annotations
 
@@ -11,139 +11,112 @@ from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
 from momapos.planning.grasps import in_front_of_parts
 
+from .answer_layers import AnswerLayers
 from .cameras import look_at
+from .light import Light
+from .motion_view import MotionView
 from .panel import joint_ranges
 from .playback import Story
-from .question import Machine, Question
+from .question import Question, RobotArms
 from .robot_view import home_values, joint_values
-from .words import answer_words, escaped
+from .state import PageState
+from .words import answer_text, escaped
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-    from .page import Page
 
 READY = "Press **Place**, or drag the base."
 
 
 class AnswerView:
-    """Draws what is asked, then what is answered, in place of what was drawn before."""
+    """Draws a question and then its answer, in place of the last ones."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
+    def __init__(
+        self, state: PageState, motion: MotionView, layers: AnswerLayers, light: Light
+    ) -> None:
+        self._state, self._motion, self._layers, self._light = state, motion, layers, light
 
-    def ask(self, scene: Scene, machine: Machine, question: Question, *, fresh: bool) -> None:
-        """Draw what is asked, before there is an answer.
+    def ask(self, scene: Scene, arms: RobotArms, question: Question, *, fresh: bool) -> None:
+        """Draw a question before its answer is known.
 
         Args:
             scene: The room.
-            machine: The robot.
-            question: What is asked.
-            fresh: Whether the room or the robot is another one than is drawn.
+            arms: The robot.
+            question: The question.
+            fresh: Whether the room or the robot differs from the one that is drawn.
         """
-        page = self._page
-        with page.drawing:
-            shown, robot = page.shown, machine.arms[0]
+        state = self._state
+        with state.drawing:
+            shown, robot = state.shown, arms.robots[0]
             shown.question, shown.answer, shown.probe = question, None, None
             shown.joints = {}
-            page.motion.load(None)
-            page.layers.clear()  # before the robot, from which one of them hangs
-            if fresh and page.room.scene is not scene:
-                look_at(page.server, scene)
-                page.light.of_room(scene)
-            self.show_room()
-            page.room.rest()
-            page.panel.show_joints(joint_ranges(scene, self.asked_object))
-            page.panel.to.disabled = question.verb not in ("open", "close")
-            begin = begin_of(scene, question)
-            if page.robot.robot is not robot or fresh:
-                page.robot.show(robot, begin)
+            self._motion.load(None)
+            self._layers.clear()  # before the robot, which is the parent node of one of them
+            if fresh and state.room.scene is not scene:
+                look_at(state.server, scene)
+                self._light.of_room(scene)
+            state.show_room()
+            state.room.rest()
+            state.panel.show_joints(joint_ranges(scene, shown.target), self._motion.move_joints)
+            state.panel.to.disabled = question.verb not in ("open", "close")
+            start = start_of(scene, question)
+            if state.robot.robot is not robot or fresh:
+                state.robot.show(robot, start)
             else:
-                page.robot.move(begin, home_values(robot))
-            page.robot.verdict("")
+                state.robot.move(start, home_values(robot))
+            state.robot.verdict("")
             warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
-            page.tell(f"{READY}{warnings}")
+            state.show_text(f"{READY}{warnings}")
 
-    def show(self, answer: PlacementResult, machine: Machine) -> None:
+    def show(self, answer: PlacementResult, arms: RobotArms) -> None:
         """Draw an answer.
 
         Args:
-            answer: It is about the scene that is shown.
-            machine: The robot that it is of.
+            answer: An answer for the scene that is shown.
+            arms: The robot of the answer.
         """
-        with self._page.drawing:
-            self._show(answer, machine)
+        with self._state.drawing:
+            self._show(answer, arms)
 
-    def _show(self, answer: PlacementResult, machine: Machine) -> None:
-        page, plan, robot = self._page, answer.plan, answer.prepared.robot
-        shown = page.shown
+    def _show(self, answer: PlacementResult, arms: RobotArms) -> None:
+        state, plan, robot = self._state, answer.plan, answer.prepared.robot
+        shown = state.shown
         assert shown.scene is not None
         shown.answer = answer
-        page.layers.clear()
-        self.show_room()
-        if page.robot.robot is not robot:
-            page.robot.show(robot, page.robot.base)
+        self._layers.clear()
+        state.show_room()
+        if state.robot.robot is not robot:
+            state.robot.show(robot, state.robot.base)
             shown.probe = None
-        page.room.mark(())
-        story, words = None, answer_words(answer)
+        state.room.mark(())
+        story, words = None, answer_text(answer)
         if plan.motion is not None and plan.base_pose is not None:
             try:
                 story = Story.of(plan, robot, shown.scene)
             except InputError as error:
                 words += f"\n- no motion to show: {escaped(str(error))}"
-            page.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
+            state.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
             if plan.task.joint is not None:
-                page.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
+                state.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
         shown_base = plan.base_pose or plan.feasible_from
         if plan.motion is None and shown_base is not None:
-            page.robot.move(np.array(shown_base), home_values(robot))
-        page.robot.verdict("feasible" if plan.motion is not None else "infeasible")
-        page.motion.load(story)
-        page.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
-        page.tell(words)
-
-    def measured(self, before: PlacementResult, answer: PlacementResult) -> None:
-        """The tolerance of an answer is known: take it instead, and say it where that is said.
-
-        Args:
-            before: The answer that may be shown still.
-            answer: The same with its tolerance.
-        """
-        page = self._page
-        with page.drawing:
-            if page.shown.answer is not before:
-                return
-            page.shown.answer = answer
-            said, known = page.panel.result.content, answer_words(before)
-            if said.startswith(known):
-                page.tell(answer_words(answer) + said.removeprefix(known))
+            state.robot.move(np.array(shown_base), home_values(robot))
+        state.robot.verdict("feasible" if plan.motion is not None else "infeasible")
+        self._motion.load(story)
+        self._layers.show(shown.scene, answer, arms.reach_of(robot.arm))
+        state.show_text(words)
 
     def change_look(self) -> None:
-        """Things are drawn as what is checked, or as what they look like."""
-        room = self._page.room
+        """Draw objects by their collision shapes, or by their visual ones again."""
+        room = self._state.room
         if room.scene is not None:
-            with self._page.drawing:
-                room.show(room.scene, room.active, collision=self._collision)
-
-    def show_room(self) -> None:
-        """Draw the room that is asked about, where another moment of a tour is shown."""
-        scene = self._page.shown.scene
-        if scene is not None:
-            self._page.room.show(scene, self.asked_object, collision=self._collision)
-
-    @property
-    def asked_object(self) -> str:
-        """The object that is asked about; "" where nothing is."""
-        question = self._page.shown.question
-        return "" if question is None else question.target.partition("/")[0]
-
-    @property
-    def _collision(self) -> bool:
-        return bool(self._page.panel.layers["collision"].value)
+            with self._state.drawing:
+                collision = bool(self._state.panel.layers["collision"].value)
+                room.show(room.scene, room.active, collision=collision)
 
 
-def begin_of(scene: Scene, question: Question) -> Float[np.ndarray, "3"]:
-    """Where the robot is drawn before there is an answer: x [m], y [m], yaw [rad]."""
+def start_of(scene: Scene, question: Question) -> Float[np.ndarray, "3"]:
+    """Return where the robot is drawn before there is an answer: x [m], y [m], yaw [rad]."""
     if question.start is not None:
         return np.array(question.start)
     if scene.start is not None:

@@ -1,4 +1,4 @@
-"""What things look like: triangles of the links of a model, in each link's frame."""
+"""Triangles of the links of a model, in each link's frame."""
 
 from __future__ import annotations
 
@@ -15,48 +15,43 @@ from momapos.model.scene import SceneObject
 from momapos.model.urdf import Articulated, Geometry, Hull, mesh_triangles
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Float32, Int, UInt32
 
-MOST_TRIANGLES = 60_000
+MAX_TRIANGLES = 60_000
 """A shape with more triangles is drawn as its convex hull [-]."""
 HANDLE = "handle"
-"""Shapes and links with this in their names are set off by their color."""
+"""Shapes and links with this in their names get another color."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles that are seen from their counterclockwise side."""
+    """Triangles that are visible from their counterclockwise side."""
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
 
     def moved(self, T: Float[np.ndarray, "4 4"]) -> Surface:
-        """The same surface somewhere else."""
+        """Transform the surface."""
         return Surface(apply(T, self.vertices), self.faces)
 
-    def only(self, faces: Bool[np.ndarray, " f"]) -> Surface:
-        """Some of its triangles."""
-        return Surface(self.vertices, self.faces[faces])
-
     @property
-    def normals(self) -> Float[np.ndarray, "f 3"]:
-        """Of each triangle, as long as twice its area [m^2]."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return np.cross(b - a, c - a)
+    def arrays(self) -> tuple[Float32[np.ndarray, "v 3"], UInt32[np.ndarray, "f 3"]]:
+        """Vertices and faces in the types that viser sends."""
+        return self.vertices.astype(np.float32), self.faces.astype(np.uint32)
 
 
 @dataclass(frozen=True)
-class LinkLook:
-    """What one link looks like."""
+class LinkSurfaces:
+    """The surfaces of one link."""
 
     link: str
     body: Surface
     handle: Surface
-    """What a hand may take hold of, by its name; without triangles where there is none."""
+    """Shapes with "handle" in their names; no triangles where there is none."""
 
 
 def joined(surfaces: Iterable[Surface]) -> Surface:
-    """Many surfaces as one."""
+    """Join surfaces into one."""
     parts = [one for one in surfaces if len(one.faces)]
     if not parts:
         return Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
@@ -65,29 +60,28 @@ def joined(surfaces: Iterable[Surface]) -> Surface:
     return Surface(np.concatenate([one.vertices for one in parts]), np.concatenate(faces))
 
 
-def hull_surface(hull: Hull) -> Surface:
-    """The surface of a convex hull."""
+def _hull_surface(hull: Hull) -> Surface:
     return Surface(hull.vertices, hull.faces)
 
 
 @lru_cache(maxsize=1024)
-def looks(model: Articulated, *, collision: bool = False) -> tuple[LinkLook, ...]:
-    """What the links of a model look like, those without shapes left out.
+def link_surfaces(model: Articulated, *, collision: bool = False) -> tuple[LinkSurfaces, ...]:
+    """Return the surfaces of a model's links, without links that have no shapes.
 
     Args:
         model: The model.
-        collision: Whether to take the hulls that are checked, even where there are visuals.
+        collision: Whether to use the collision hulls even where there are visuals.
     """
     found = []
     for name, link in model.urdf.links.items():
         if collision or not link.visuals:
-            pairs = [(hull.name or name, hull_surface(hull)) for hull in model.hulls[name]]
+            pairs = [(hull.name or name, _hull_surface(hull)) for hull in model.hulls[name]]
         else:
             pairs = [(shape.name or name, _surface(model, name, shape)) for shape in link.visuals]
         body = joined(surface for word, surface in pairs if not _is_handle(name, word))
         handle = joined(surface for word, surface in pairs if _is_handle(name, word))
         if len(body.faces) or len(handle.faces):
-            found.append(LinkLook(name, body, handle))
+            found.append(LinkSurfaces(name, body, handle))
     return tuple(found)
 
 
@@ -96,48 +90,48 @@ def _is_handle(link: str, shape: str) -> bool:
 
 
 def _surface(model: Articulated, link: str, shape: Geometry) -> Surface:
-    """A shape of a link; of a mesh its own triangles where they can be read."""
+    """Return the surface of a shape: the triangles of a mesh if they are readable, else a hull."""
     if shape.kind == "mesh" and shape.mesh is not None:
         try:
             triangles = mesh_triangles(shape.mesh) * np.array(shape.size)
-        except UrdfError:  # the points of a mesh without readable faces have a hull
+        except UrdfError:  # a mesh without readable faces still has a hull
             triangles = np.zeros((0, 3, 3))
-        if 0 < len(triangles) <= MOST_TRIANGLES:
-            if np.prod(shape.size) < 0:  # mirrored: what was outside is inside
+        if 0 < len(triangles) <= MAX_TRIANGLES:
+            if np.prod(shape.size) < 0:  # mirrored: inside out
                 triangles = triangles[:, ::-1]
-            return _sharing_corners(apply(shape.T_link_geometry, triangles.reshape(-1, 3)))
-    return hull_surface(model.hull(link, shape))
+            return _merged(apply(shape.T_link_geometry, triangles.reshape(-1, 3)))
+    return _hull_surface(model.hull(link, shape))
 
 
-def _sharing_corners(corners: Float[np.ndarray, "c 3"]) -> Surface:
-    """Triangles by their corners, three each; those at one place are one vertex.
+def _merged(corners: Float[np.ndarray, "c 3"]) -> Surface:
+    """Build a surface from three corners per triangle, and merge equal ones.
 
-    A browser gets, and moves, a tenth of the vertices; each triangle is lit by itself anyway.
+    A browser then gets about a tenth of the vertices; shading is flat anyway.
     """
     points, at = np.unique(corners, axis=0, return_inverse=True)
     return Surface(points, at.reshape(-1, 3))
 
 
-def standing(
-    item: SceneObject, part: Callable[[LinkLook], Surface], *, collision: bool = False
+def world_surface(
+    item: SceneObject, part: Callable[[LinkSurfaces], Surface], *, collision: bool = False
 ) -> Surface:
-    """One part of all links of an object, in the world.
+    """Return the bodies or the handles of all links of an object, in the world.
 
     Args:
         item: The object.
-        part: The body or the handle of a link.
-        collision: As for `looks`.
+        part: Selects the body or the handle of a link.
+        collision: As for `link_surfaces`.
     """
     poses = item.link_poses()
-    return joined(
-        part(look).moved(poses[look.link]) for look in looks(item.model, collision=collision)
-    )
+    links = link_surfaces(item.model, collision=collision)
+    return joined(part(link).moved(poses[link.link]) for link in links)
 
 
 def facing(surface: Surface, point: Float[np.ndarray, "3"]) -> Surface:
-    """The triangles of a surface that a point lies in front of.
+    """Select the triangles whose front faces a point.
 
-    Walls of which only these are drawn hide nothing of the room from without.
+    Walls drawn this way hide nothing of the room from outside.
     """
-    corner = surface.vertices[surface.faces[:, 0]]
-    return surface.only(np.einsum("fk,fk->f", surface.normals, point - corner) > 0)
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    front = np.einsum("fk,fk->f", np.cross(b - a, c - a), point - a) > 0
+    return Surface(surface.vertices, surface.faces[front])

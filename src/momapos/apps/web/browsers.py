@@ -1,4 +1,4 @@
-"""Who looks at the page: work for nobody ends."""
+"""Counting the connected browsers, so that work stops without any."""
 
 from __future__ import annotations
 
@@ -9,55 +9,48 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from viser import ViserServer
 
-GRACE = 5.0
-"""Work goes on for so long after the last browser has gone, as one that is reloaded does [s]."""
+GRACE_PERIOD = 5.0
+"""Time after the last browser disconnects until work stops; a reload takes less [s]."""
 
 
 class Browsers:
-    """Counts the browsers, and says when none is left."""
+    """Counts the connected browsers, and reports when none is left."""
 
-    def __init__(
-        self, server: ViserServer, alone: Callable[[], None], *, grace: float = GRACE
-    ) -> None:
+    def __init__(self, server: ViserServer, on_empty: Callable[[], None]) -> None:
         """Start to count.
 
         Args:
-            server: Serves the page.
-            alone: Is called when the last browser has been gone for a while.
-            grace: For how long [s].
+            server: The server of the page.
+            on_empty: Called after the grace period without any browser.
         """
-        self._alone, self._grace = alone, grace
+        self._on_empty = on_empty
         self._lock = threading.Lock()
-        self._there: set[int] = set()
+        self._connected: set[int] = set()
         self._timer: threading.Timer | None = None
-        server.on_client_connect(self._came)
-        server.on_client_disconnect(self._went)
-
-    @property
-    def count(self) -> int:
-        """How many there are."""
-        with self._lock:
-            return len(self._there)
+        server.on_client_connect(self._add)
+        server.on_client_disconnect(self._remove)
 
     def close(self) -> None:
-        """Wait for nobody any more."""
+        """Cancel the timer."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
 
-    def _came(self, client: Any) -> None:
+    def _add(self, client: Any) -> None:
         with self._lock:
-            self._there.add(client.client_id)
+            self._connected.add(client.client_id)
 
-    def _went(self, client: Any) -> None:
+    def _remove(self, client: Any) -> None:
         with self._lock:
-            self._there.discard(client.client_id)
+            self._connected.discard(client.client_id)
             if self._timer is not None:
                 self._timer.cancel()
-            self._timer = threading.Timer(self._grace, self._if_alone)
+            self._timer = threading.Timer(GRACE_PERIOD, self._report)
             self._timer.daemon = True
             self._timer.start()
 
-    def _if_alone(self) -> None:
-        if not self.count:
-            self._alone()
+    def _report(self) -> None:
+        with self._lock:
+            empty = not self._connected
+        if empty:
+            self._on_empty()

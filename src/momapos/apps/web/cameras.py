@@ -1,4 +1,4 @@
-"""Where browsers look from."""
+"""Poses of the browsers' cameras."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 def look_at(
     server: ViserServer, scene: Scene, shifts: Sequence[Float[np.ndarray, "3"]] = ()
 ) -> None:
-    """Turn the cameras of all browsers to a room, and of those that come.
+    """Turn the cameras of all browsers, also of later ones, to a room.
 
     Args:
-        server: Whose browsers.
+        server: The server of the page.
         scene: The room.
-        shifts: How far aside it stands as well [m].
+        shifts: Offsets of copies of the room [m].
     """
     eye, target = viewpoint(scene, shifts)
     camera = server.initial_camera
@@ -36,7 +36,7 @@ def look_at(
 def viewpoint(
     scene: Scene, shifts: Sequence[Float[np.ndarray, "3"]] = ()
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Where to look from at first, and at what: from the side to which doors open [m]."""
+    """Return the camera's position and target, seen from the side to which doors open [m]."""
     corners = room_bounds(scene)
     every = np.concatenate([corners, *(corners + np.asarray(shift)[:2] for shift in shifts)])
     low, high = every.min(0), every.max(0)
@@ -50,7 +50,7 @@ def viewpoint(
             ahead = front / np.linalg.norm(front) + 0.35 * np.array([-front[1], front[0]])
     ahead /= np.linalg.norm(ahead)
     eye = np.append(0.6 * ahead, 0.48) * size
-    # The controls are at the right; the room is in the middle of what they leave.
+    # The controls cover the right; the room is in the middle of the rest.
     aside = 0.1 * size * np.array([-ahead[1], ahead[0], 0.0])
     target = np.append(middle, 0.5) + aside
     return target + eye, target

@@ -1,4 +1,4 @@
-"""Answers that are kept to be compared: one over the other, or side by side, in step."""
+"""Comparison of answers: robots in one room, or copies of the room side by side, played in step."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from .cameras import look_at, viewpoint
 from .playback import Story
 from .robot_view import RobotView, joint_values
 from .room_view import RoomView
+from .state import PageState
 from .words import escaped
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from .page import Page
-
 COLORS = ("#0072b2", "#d55e00", "#cc79a7", "#009e73")
-"""Of the robots of answers that are kept (Okabe and Ito)."""
+"""Colors of the robots of compared answers (Okabe and Ito)."""
 NAMES = ("blue", "orange", "pink", "green")
-APART = 1.0
-"""Rooms that stand side by side are so far apart [m]."""
-CAPTION = 2.6
-"""Height of the words over a room [m]."""
-SEEN_THROUGH = 0.45
-"""How much is seen of a robot that is drawn over another [-]."""
+ROOM_GAP = 1.0
+"""Gap between rooms that stand side by side [m]."""
+CAPTION_HEIGHT = 2.6
+"""Height of the caption over a room [m]."""
+OVERLAY_OPACITY = 0.45
+"""Opacity of a robot that is drawn over another one [-]."""
+EMPTY = "No answers to compare."
 
 
 @dataclass(frozen=True)
-class Kept:
-    """An answer that is kept."""
+class ComparedAnswer:
+    """An answer, and how it is drawn."""
 
     answer: PlacementResult
     scene: Scene
@@ -43,106 +43,107 @@ class Kept:
     """None where there is no motion."""
     frame: Any
     room: RoomView
-    """Empty as long as it is drawn over the room itself."""
+    """Empty unless the answers stand side by side."""
     robot: RobotView
     color: str
 
 
 class Compare:
-    """Keeps answers."""
+    """Draws answers for comparison, up to one per color."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._kept: list[Kept] = []
+    def __init__(self, state: PageState) -> None:
+        self._state = state
+        self._answers: list[ComparedAnswer] = []
         self._captions: list[Any] = []
+        panel = state.panel
+        panel.comparison.content = EMPTY
+        panel.on_click(panel.add_answer, self.add)
+        panel.on_click(panel.clear_answers, self.clear)
+        panel.on_change(panel.side_by_side, self.arrange)
 
     @property
-    def kept(self) -> tuple[Kept, ...]:
-        """The answers that are kept."""
-        return tuple(self._kept)
+    def answers(self) -> tuple[ComparedAnswer, ...]:
+        """The compared answers."""
+        return tuple(self._answers)
 
     @property
-    def _beside(self) -> bool:
-        return bool(self._page.panel.beside.value)
+    def _side_by_side(self) -> bool:
+        return bool(self._state.panel.side_by_side.value)
 
-    def keep(self) -> None:
-        """Keep the answer that is shown, as another robot and a line of a table."""
-        with self._page.drawing:
-            self._keep()
+    def add(self) -> None:
+        """Add the answer that is shown, as another robot and a row of the table."""
+        with self._state.drawing:
+            self._add()
 
-    def _keep(self) -> None:
-        page, answer, scene = self._page, self._page.shown.answer, self._page.shown.scene
-        if answer is None or scene is None or len(self._kept) == len(COLORS):
-            words = "there is no answer yet" if answer is None else "no more than four are kept"
-            page.panel.kept.content = f"**Not kept:** {words}."
+    def _add(self) -> None:
+        state, answer, scene = self._state, self._state.shown.answer, self._state.shown.scene
+        if answer is None or scene is None or len(self._answers) == len(COLORS):
+            reason = "there is no answer yet" if answer is None else "the limit is four answers"
+            state.panel.comparison.content = f"**Not added:** {reason}."
             return
-        name, story = f"/kept{len(self._kept)}", page.motion.story
-        api = page.server.scene
-        kept = Kept(
+        name, story, api = f"/compared{len(self._answers)}", state.shown.story, state.server.scene
+        self._answers.append(ComparedAnswer(
             answer, scene, story if isinstance(story, Story) else None,
             api.add_frame(name, show_axes=False), RoomView(api, name=f"{name}/room"),
-            RobotView(api, f"{name}/robot"), COLORS[len(self._kept)],
-        )  # fmt: skip
-        self._kept.append(kept)
-        page.panel.kept.content = compared([one.answer for one in self._kept])
+            RobotView(api, f"{name}/robot"), COLORS[len(self._answers)],
+        ))  # fmt: skip
+        state.panel.comparison.content = comparison([one.answer for one in self._answers])
         self._arrange()
 
     def arrange(self) -> None:
-        """Put the answers over the room, or beside it, and turn to all of them."""
-        with self._page.drawing:
+        """Put the answers into one room or side by side, and show all of them."""
+        with self._state.drawing:
             self._arrange()
-            scene = self._page.shown.scene
-            if scene is not None and self._kept:
-                beside = self._kept if self._beside else []
-                shifts = [self._shift(kept.scene, k + 1) for k, kept in enumerate(beside)]
-                look_at(self._page.server, scene, shifts)
+            scene = self._state.shown.scene
+            if scene is not None and self._answers:
+                moved = self._answers if self._side_by_side else []
+                shifts = [self._shift(one.scene, k + 1) for k, one in enumerate(moved)]
+                look_at(self._state.server, scene, shifts)
 
     def _arrange(self) -> None:
         self._remove_captions()
-        for k, kept in enumerate(self._kept):
-            kept.frame.position = self._shift(kept.scene, k + 1) if self._beside else np.zeros(3)
-            self._draw(kept)
-            if self._beside:
-                words = f"{NAMES[k]}: {title(kept.answer)}"
-                self._caption(f"/kept{k}/caption", kept.scene, words)
-        shown = self._page.shown
-        if self._beside and self._kept and shown.scene is not None:
-            words = "now" if shown.answer is None else f"now: {title(shown.answer)}"
-            self._caption("/caption", shown.scene, words)
+        for k, one in enumerate(self._answers):
+            places = k + 1 if self._side_by_side else 0
+            one.frame.position = self._shift(one.scene, places)
+            self._draw(one)
+            if self._side_by_side:
+                caption = f"{NAMES[k]}: {title(one.answer)}"
+                self._add_caption(f"/compared{k}/caption", one.scene, caption)
+        shown = self._state.shown
+        if self._side_by_side and self._answers and shown.scene is not None:
+            caption = "now" if shown.answer is None else f"now: {title(shown.answer)}"
+            self._add_caption("/caption", shown.scene, caption)
 
     def show(self, seconds: float) -> None:
-        """Show all kept motions at a time [s]."""
-        for kept in self._kept:
-            if kept.story is not None:
-                kept.story.at(seconds).show(kept.room, kept.robot)
+        """Show all compared motions at a time [s]."""
+        for one in self._answers:
+            if one.story is not None:
+                one.story.at(seconds).show(one.room, one.robot)
 
-    def forget(self) -> None:
-        """Forget the answers that are kept."""
-        with self._page.drawing:
-            self._forget()
+    def clear(self) -> None:
+        """Remove all answers."""
+        with self._state.drawing:
+            self._remove_captions()
+            for one in self._answers:
+                one.room.remove()
+                one.robot.remove()
+                one.frame.remove()
+            self._answers = []
+            self._state.panel.comparison.content = EMPTY
 
-    def _forget(self) -> None:
-        self._remove_captions()
-        for kept in self._kept:
-            kept.room.remove()
-            kept.robot.remove()
-            kept.frame.remove()
-        self._kept = []
-        self._page.panel.kept.content = "Nothing is kept."
-
-    def _draw(self, kept: Kept) -> None:
-        plan, robot = kept.answer.plan, kept.answer.prepared.robot
-        if self._beside:
-            kept.room.show(kept.scene, plan.task.object)
+    def _draw(self, one: ComparedAnswer) -> None:
+        plan, robot = one.answer.plan, one.answer.prepared.robot
+        if self._side_by_side:
+            one.room.show(one.scene, plan.task.object)
         else:
-            kept.room.remove()
+            one.room.remove()
         if plan.motion is None or plan.base_pose is None:
             return
-        opacity = None if self._beside else SEEN_THROUGH
-        kept.robot.show(robot, np.array(plan.base_pose), opacity=opacity, color=kept.color)
-        kept.robot.move(None, joint_values(robot, plan.motion.q[-1]))
+        opacity = None if self._side_by_side else OVERLAY_OPACITY
+        one.robot.show(robot, np.array(plan.base_pose), opacity=opacity, color=one.color)
+        one.robot.move(None, joint_values(robot, plan.motion.q[-1]))
         if plan.task.joint is not None:
-            kept.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
+            one.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
 
     def _remove_captions(self) -> None:
         for caption in self._captions:
@@ -150,32 +151,31 @@ class Compare:
         self._captions = []
 
     def _shift(self, scene: Scene, places: int) -> Float[np.ndarray, "3"]:
-        """How far aside a room stands [m]: to the right of who looks at the first one."""
+        """Return the offset of a room, to the right as seen by the camera [m]."""
         eye, target = viewpoint(scene)
         ahead = (target - eye)[:2]
         axis = int(np.argmax(np.abs(ahead)))  # along the room's own edges
         right = np.zeros(3)
         right[1 - axis] = np.sign(ahead[axis]) * (1.0 if axis else -1.0)
-        wide = float(np.abs(np.ptp(room_bounds(scene), axis=0) @ right[:2]))
-        return places * (wide + APART) * right
+        width = float(np.abs(np.ptp(room_bounds(scene), axis=0) @ right[:2]))
+        return places * (width + ROOM_GAP) * right
 
-    def _caption(self, name: str, scene: Scene, words: str) -> None:
-        middle = np.append(room_bounds(scene).mean(0), CAPTION)
-        label = self._page.server.scene.add_label(
+    def _add_caption(self, name: str, scene: Scene, words: str) -> None:
+        middle = np.append(room_bounds(scene).mean(0), CAPTION_HEIGHT)
+        self._captions.append(self._state.server.scene.add_label(
             name, words, position=middle, anchor="bottom-center"
-        )
-        self._captions.append(label)
+        ))  # fmt: skip
 
 
 def title(answer: PlacementResult) -> str:
-    """An answer in a few words."""
+    """Summarize an answer in a few words."""
     plan = answer.plan
     drive = "" if plan.navigation_cost is None else f", {plan.navigation_cost:.2f} m driven"
     return f"{plan.robot_name}, {plan.method}, seed {plan.seed}: {plan.status}{drive}"
 
 
-def compared(answers: list[PlacementResult]) -> str:
-    """Answers as a table."""
+def comparison(answers: list[PlacementResult]) -> str:
+    """Format answers as a Markdown table."""
     lines = ["| | robot, method, seed | status | drive [m] | time [ms] |", "|-|-|-|-|-|"]
     for color, answer in zip(NAMES, answers, strict=False):
         plan = answer.plan

@@ -1,8 +1,8 @@
-"""The things of a large room: many in one node, and what a click means is found by its ray.
+"""Objects of a large room, drawn in few nodes; a click is resolved by its ray.
 
-A browser draws a room node by node, with a shadow for each; a thousand nodes of a few triangles
-take it far longer than a few nodes of thousands without shadows. What it would tell of the node
-that the mouse is on it cannot tell then.
+A browser draws node by node, each with a shadow. A thousand nodes of a few triangles take far
+longer than a few nodes of thousands of triangles without shadows. In return, objects are not
+highlighted under the mouse.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from viser import SceneApi
 
-MOST_TRIANGLES = 1000
-"""Of a node, unless a thing has more; where one thing changes, so many are sent again [-]."""
+MAX_TRIANGLES = 1000
+"""Triangles of a node, unless one object has more; a change sends all of its node again [-]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """What is seen of a thing in one color, in the world."""
+class ColoredSurface:
+    """The surface of an object in one color, in the world."""
 
-    thing: str
+    object: str
     surface: Surface
     color: tuple[int, int, int]
 
@@ -38,8 +38,8 @@ class Part:
         return np.stack([self.surface.vertices.min(0), self.surface.vertices.max(0)])
 
 
-class Crowd:
-    """Draws things in few nodes; of what does not change nothing is sent again."""
+class ObjectBatches:
+    """Draws objects in few nodes, and sends only the nodes that change."""
 
     def __init__(
         self, api: SceneApi, name: str, picked: Callable[[str], None] | None = None
@@ -48,27 +48,27 @@ class Crowd:
 
         Args:
             api: Where to draw.
-            name: From which the names of all nodes begin.
-            picked: Is told a thing that is clicked.
+            name: Prefix of the nodes' names.
+            picked: Called with the object that a user clicks.
         """
         self._api, self._name, self._picked = api, name, picked
-        self._parts: tuple[Part, ...] = ()
+        self._parts: tuple[ColoredSurface, ...] = ()
         self._left_out = ""
-        self._drawn: list[tuple[list[Part], Any]] = []
-        """The parts of each node, and the node; None where none of them is to be seen."""
+        self._drawn: list[tuple[list[ColoredSurface], Any]] = []
+        """The surfaces of each node, and the node; None where none of them is drawn."""
         self._listens = False
 
     @property
     def nodes(self) -> tuple[Any, ...]:
-        """What is drawn."""
+        """The nodes that are drawn."""
         return tuple(node for _, node in self._drawn if node is not None)
 
-    def show(self, parts: Sequence[Part], left_out: str = "") -> None:
-        """Draw parts of things instead of the last.
+    def show(self, parts: Sequence[ColoredSurface], left_out: str = "") -> None:
+        """Draw surfaces in place of the last ones.
 
         Args:
-            parts: The parts.
-            left_out: A thing that somebody else draws; "" for none.
+            parts: The surfaces.
+            left_out: An object that is drawn elsewhere; "" for none.
         """
         self._parts, self._left_out = tuple(parts), left_out
         batches = batched(parts)
@@ -77,7 +77,7 @@ class Crowd:
                 node.remove()
         self._drawn = self._drawn[: len(batches)]
         for k, batch in enumerate(batches):
-            wanted = [part for part in batch if part.thing != left_out]
+            wanted = [part for part in batch if part.object != left_out]
             if k == len(self._drawn):
                 self._drawn.append((wanted, self._draw(k, wanted)))
             elif self._drawn[k][0] != wanted:
@@ -86,13 +86,12 @@ class Crowd:
                 self._drawn[k] = wanted, self._draw(k, wanted)
         self._listen(bool(parts) and self._picked is not None)
 
-    def _draw(self, k: int, parts: Sequence[Part]) -> Any:
+    def _draw(self, k: int, parts: Sequence[ColoredSurface]) -> Any:
         if not parts:
             return None
         surface = joined(part.surface for part in parts)
         return self._api.add_mesh_simple(
-            f"{self._name}{k}", surface.vertices.astype(np.float32),
-            surface.faces.astype(np.uint32), color=parts[0].color, flat_shading=True,
+            f"{self._name}{k}", *surface.arrays, color=parts[0].color, flat_shading=True,
             cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
@@ -104,54 +103,55 @@ class Crowd:
         self._listens = wanted
 
     def _clicked(self, event: Any) -> None:
-        ray = np.array(event.ray_origin), np.array(event.ray_direction)
-        thing = thing_hit(self._parts, *ray)
-        if self._picked is not None and thing not in ("", self._left_out):
-            self._picked(thing)
+        name = object_hit(self._parts, np.array(event.ray_origin), np.array(event.ray_direction))
+        if self._picked is not None and name not in ("", self._left_out):
+            self._picked(name)
 
 
-def batched(parts: Sequence[Part]) -> list[list[Part]]:
-    """Parts of one color together, in their order, as many as may be drawn as one."""
-    batches: list[list[Part]] = []
+def batched(parts: Sequence[ColoredSurface]) -> list[list[ColoredSurface]]:
+    """Group surfaces of one color, in their order, as many as one node may hold."""
+    batches: list[list[ColoredSurface]] = []
     for color in dict.fromkeys(part.color for part in parts):
         left = 0
         for part in (one for one in parts if one.color == color):
             count = len(part.surface.faces)
             if count > left:
                 batches.append([])
-                left = MOST_TRIANGLES
+                left = MAX_TRIANGLES
             batches[-1].append(part)
             left -= count
     return batches
 
 
-def thing_hit(
-    parts: Sequence[Part], origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+def object_hit(
+    parts: Sequence[ColoredSurface],
+    origin: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
 ) -> str:
-    """The first thing that a ray meets; "" where it meets none.
+    """Return the first object that a ray hits; "" where it hits none.
 
     Args:
-        parts: What there is.
-        origin: Where the ray begins [m].
-        direction: Where it goes.
+        parts: The surfaces.
+        origin: Origin of the ray [m].
+        direction: Direction of the ray.
     """
     if not parts:
         return ""
     bounds = np.stack([part.bounds for part in parts])
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossed = np.sort((bounds - origin) / direction, axis=1)  # not a number: along a face
+        crossed = np.sort((bounds - origin) / direction, axis=1)  # NaN along a face
     enters, leaves = np.nanmax(crossed[:, 0], axis=1), np.nanmin(crossed[:, 1], axis=1)
     near = np.flatnonzero((enters <= leaves) & (leaves >= 0.0)).tolist()
     distances = [_distance(parts[k].surface, origin, direction) for k in near]
     if not distances or min(distances) == np.inf:
         return ""
-    return parts[near[int(np.argmin(distances))]].thing
+    return parts[near[int(np.argmin(distances))]].object
 
 
 def _distance(
     surface: Surface, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
 ) -> float:
-    """How far a ray goes to the front of a surface, in lengths of its direction; else infinity.
+    """Intersect a ray with the front of a surface: distance in lengths of its direction, or inf.
 
     By Moeller and Trumbore: Fast, minimum storage ray-triangle intersection, 1997.
     """

@@ -1,82 +1,93 @@
-"""What goes beside the question: files, pictures, films."""
+"""Saving files, images and films."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from momapos.core import Clock
 
-from .saving import save_plan, save_room, send_film, send_picture
+from .motion_view import MotionView
+from .saving import save_plan, save_room, send_film, send_image
+from .state import PageState
 from .words import escaped
-from .work import Latest, Stopped
-
-if TYPE_CHECKING:
-    from .page import Page
+from .work import LatestWorker, Stopped
 
 
-class Extras:
-    """Does what the lower controls ask for; its work has a thread of its own."""
+class FileActions:
+    """Runs the actions of the Files tab in a thread of its own."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self.work = Latest("page files", self._fail)
+    def __init__(
+        self, state: PageState, motion: MotionView, folder: Path, busy: Callable[[], bool]
+    ) -> None:
+        """Connect the controls.
+
+        Args:
+            state: The state of the page.
+            motion: The motion that is filmed.
+            folder: Where plans and scenes are saved.
+            busy: Whether a question is being answered.
+        """
+        self._state, self._motion, self.folder, self._busy = state, motion, folder, busy
+        self.work = LatestWorker("page files", self._fail)
+        panel = state.panel
+        panel.on_click(panel.save_plan, lambda: self.save_plan(panel.plan_name.value))
+        panel.on_click(panel.save_scene, lambda: self.save_scene(panel.scene_name.value))
+        panel.image.on_click(lambda event: self.send_image(event.client))
+        for ending, button in panel.films.items():
+            button.on_click(lambda event, ending=ending: self.send_film(event.client, ending))
+
+    def _show_text(self, text: str) -> None:
+        self._state.panel.files.content = text
 
     def _fail(self, reason: str) -> None:
-        self._page.panel.files.content = f"**Not done.** {escaped(reason)}"
+        self._show_text(f"**Error:** {escaped(reason)}")
 
-    def _do(self, work: Callable[[Clock], str]) -> None:
-        def tell(clock: Clock) -> None:
-            self._page.panel.files.content = work(clock)
-
-        self.work.put(tell)
+    def _put(self, work: Callable[[Clock], str]) -> None:
+        self.work.put(lambda clock: self._show_text(work(clock)))
 
     def save_plan(self, name: str) -> None:
         """Write the plan into the working folder."""
-        page = self._page
-        self._do(lambda _: _saved(save_plan(page.folder, name, page.shown.answer).name))
+        shown = self._state.shown
+        self._put(lambda _: _saved(save_plan(self.folder, name, shown.answer).name))
 
     def save_scene(self, name: str) -> None:
         """Write the scene into the working folder."""
-        page, shown = self._page, self._page.shown
-        target = "" if shown.question is None else shown.question.target.partition("/")[0]
-        joints = dict(shown.joints)
-        self._do(lambda _: _saved(save_room(page.folder, name, shown.scene, target, joints).name))
+        shown = self._state.shown
+        target, joints = shown.target, dict(shown.joints)
+        self._put(lambda _: _saved(save_room(self.folder, name, shown.scene, target, joints).name))
 
-    def picture(self, client: Any) -> None:
-        """Give a browser a picture of what it sees."""
+    def send_image(self, client: Any) -> None:
+        """Send a browser an image of its view."""
 
         def work(_: Clock) -> str:
-            send_picture(client)
-            return "The picture is in the browser's downloads."
+            send_image(client)
+            return "The image is in the browser's downloads."
 
         if client is not None:
-            self._do(work)
+            self._put(work)
 
-    def film(self, client: Any, ending: str) -> None:
-        """Give a browser a film of the motion from where it looks."""
-        page = self._page
+    def send_film(self, client: Any, ending: str) -> None:
+        """Send a browser a film of the motion, from its view."""
+        panel = self._state.panel
 
         def work(clock: Clock) -> str:
-            page.panel.files.content = "Filming. *Stop* (key X) ends it."
-            page.panel.show_busy(True)
-            player = page.motion.player
+            self._show_text("Recording. *Stop* (key X) cancels.")
+            panel.show_busy(True)
+            player = self._motion.player
             try:
-                faster = send_film(client, ending, player.duration, player.seek, clock)
+                speed = send_film(client, ending, player.duration, player.seek, clock)
             except Stopped:
-                page.panel.files.content = "The film was stopped."
+                self._show_text("Recording canceled.")
                 raise
             finally:
-                page.panel.show_busy(page.work.busy)
-            return f"The film is in the browser's downloads; it plays {faster:.1f} times as fast."
+                panel.show_busy(self._busy())
+            return f"The film is in the browser's downloads. It plays at {speed:.1f}x speed."
 
-        page.motion.pause()
+        self._motion.pause()
         if client is not None:
-            self._do(work)
-
-    def close(self) -> None:
-        """End all work."""
-        self.work.close()
+            self._put(work)
 
 
 def _saved(name: str) -> str:

@@ -1,4 +1,4 @@
-"""The base that is dragged by hand: what is known of where it is follows it."""
+"""Dragging the base: the page checks the pose under the mouse and shows what it finds."""
 
 from __future__ import annotations
 
@@ -8,86 +8,84 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from viser.transforms import SO3
 
-from momapos.apps.export import Carried
+from momapos.apps.export import CarriedObject
 from momapos.core import Clock
 
+from .motion_view import MotionView
+from .moving import DetailControl
 from .probe import Finding, Probe
 from .robot_view import home_values, joint_values
-from .words import finding_words, verdict_of
-from .work import Latest
+from .state import PageState
+from .words import finding_text, verdict_of
+from .work import LatestWorker
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from .page import Page
-
-FOLLOW = 0.08
-"""While the base is dragged no further way of holding is tried after this time [s]."""
+DRAG_TIME_LIMIT = 0.08
+"""While the base is dragged, no further grasp is tried after this time [s]."""
 
 
-class Follow:
-    """Asks about where the base is dragged, and about nothing that came before."""
+class DragFollower:
+    """Checks the newest pose to which the base is dragged."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self.work = Latest("page drag", page.fail)
+    def __init__(self, state: PageState, motion: MotionView, detail: DetailControl) -> None:
+        self._state, self._motion, self._detail = state, motion, detail
+        self.work = LatestWorker("page drag", state.fail)
 
     def dragged(self, event: Any) -> None:
-        """The base is dragged."""
+        """Handle a drag of the base."""
         gizmo = event.target
         yaw = float(SO3(np.asarray(gizmo.wxyz)).compute_yaw_radians())
         base = np.array([gizmo.position[0], gizmo.position[1], yaw])
-        self._page.motion.pause()
-        self._page.moving.stirred()
-        self._page.robot.base = base
-        self._page.settled.node(gizmo)
-        asked = time.perf_counter()
-        self.work.put(lambda clock: self._ask(base, asked, clock))
+        self._motion.pause()
+        self._detail.scene_moved()
+        self._state.robot.base = base
+        self._state.panel.resender.node(gizmo)
+        began = time.perf_counter()
+        self.work.put(lambda clock: self._check(base, began, clock))
 
-    def _ask(self, base: Float[np.ndarray, "3"], asked: float, clock: Clock) -> None:
+    def _check(self, base: Float[np.ndarray, "3"], began: float, clock: Clock) -> None:
         probe = self._probe()
         if probe is None:
             return
-        finding = probe.at(base, clock, within=FOLLOW)
-        self._show(finding, probe, time.perf_counter() - asked)
-        if not finding.sure and not self.work.waiting:
+        finding = probe.at(base, clock, within=DRAG_TIME_LIMIT)
+        self._show(finding, probe, time.perf_counter() - began)
+        if not finding.complete and not self.work.waiting:
             finding = probe.at(base, clock)
-            self._show(finding, probe, time.perf_counter() - asked)
+            self._show(finding, probe, time.perf_counter() - began)
 
     def _probe(self) -> Probe | None:
-        """The question made ready for many base poses; made anew when it has changed."""
-        shown = self._page.shown
-        if shown.scene is None or shown.machine is None or shown.question is None:
+        """Return the prepared checks of the question, which are rebuilt after it changes."""
+        shown = self._state.shown
+        if shown.scene is None or shown.arms is None or shown.question is None:
             return None
         if shown.probe is None:
-            robot, question = self._page.arm_of(shown.machine), shown.question
+            robot, question = self._state.arm_of(shown.arms), shown.question
             shown.probe = Probe(
-                shown.scene, robot, question.task(shown.scene), shown.machine.reach_of(robot.arm),
+                shown.scene, robot, question.task(shown.scene), shown.arms.reach_of(robot.arm),
                 question.config, question.seed,
             )  # fmt: skip
         return shown.probe
 
     def _show(self, finding: Finding, probe: Probe, seconds: float) -> None:
-        page, robot, joint = self._page, probe.robot, probe.task.joint
-        with page.drawing, page.server.atomic():
-            if page.shown.probe is not probe:  # something else is asked by now
+        state, robot, joint, motion = self._state, probe.robot, probe.task.joint, finding.motion
+        with state.drawing, state.server.atomic():
+            if state.shown.probe is not probe:  # the question has changed
                 return
-            page.answer.show_room()
-            if finding.motion is None:
-                page.robot.move(None, home_values(robot))
-                page.room.rest()
-                page.panel.show_joint_values({})
+            state.show_room()
+            if motion is None:
+                state.robot.move(None, home_values(robot))
+                state.room.rest()
+                state.panel.show_joint_values({})
             else:
-                motion, carried = (
-                    finding.motion,
-                    Carried.of(probe.scene, probe.task, finding.motion),
-                )
-                page.robot.move(None, joint_values(robot, motion.q[-1]))
+                state.robot.move(None, joint_values(robot, motion.q[-1]))
                 values = {} if joint is None else {joint: float(motion.object_q[-1])}
-                page.room.move(values)
-                page.panel.show_joint_values(values)
+                state.room.move(values)
+                state.panel.show_joint_values(values)
+                carried = CarriedObject.of(probe.scene, probe.task, motion)
                 if carried is not None:
-                    page.room.carry(carried.at_end(probe.task, motion))
-            page.robot.verdict(verdict_of(finding))
-            page.room.mark(finding.in_the_way)
-            page.tell(finding_words(finding, probe, seconds))
+                    state.room.carry(carried.at_end(probe.task, motion))
+            state.robot.verdict(verdict_of(finding))
+            state.room.mark(finding.in_the_way)
+            state.show_text(finding_text(finding, probe, seconds))

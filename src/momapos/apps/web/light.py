@@ -1,8 +1,7 @@
-"""The light on the page: as of a room by day with shadows, or plain.
+"""The light of the page: daylight with shadows, or plain light.
 
-Without a graphics card most of the time of a picture goes by its pixels: shadows are looked up in
-three maps, and what the sky gives to a surface in a picture of it. Plain light is computed of the
-way that a surface faces alone.
+Without a graphics card most of a frame's time is spent per pixel: on three shadow maps and on the
+environment map. Plain light depends on the direction of a surface only.
 """
 
 from __future__ import annotations
@@ -11,45 +10,45 @@ from typing import TYPE_CHECKING, Any
 
 from momapos.model.scene import Scene
 
+from .panel import Panel
 from .room_view import large
 
 if TYPE_CHECKING:
     from viser import SceneApi
 
-    from .panel import Panel
-
 NAME = "/light"
 SKY, GROUND = (255, 255, 255), (150, 150, 150)
-BRIGHT = 2.4
-"""Of plain light; the room is then as bright as by day [-]."""
+PLAIN_INTENSITY = 2.4
+"""Makes the room as bright as daylight does [-]."""
 DAY = "city"
-"""The picture of a sky that pages have at first."""
+"""The environment map that viser starts with."""
 
 
 class Light:
-    """Lights the room. What is set already is not sent again."""
+    """Lights the room, and sends only changes."""
 
     def __init__(self, api: SceneApi, panel: Panel) -> None:
         self._api, self._panel = api, panel
-        self._sky: Any = None
-        """What plain light comes from; None by day."""
+        self._plain: Any = None
+        """The source of plain light; None in daylight."""
+        panel.on_change(panel.plain, self.changed)
 
     def of_room(self, scene: Scene) -> None:
-        """Light another room: a large one plainly, until a person says otherwise."""
+        """Choose the light of another room: plain light for a large one."""
         self._panel.plain.value = large(scene)
         self.changed()
 
     def changed(self) -> None:
-        """A person, or another room, wants other light."""
+        """Apply the light that the panel selects."""
         plain = bool(self._panel.plain.value)
-        if plain == (self._sky is not None):
+        if plain == (self._plain is not None):
             return
         self._api.configure_default_lights(cast_shadow=not plain)
         self._api.configure_environment_map(None if plain else DAY)
         if plain:
-            self._sky = self._api.add_light_hemisphere(
-                NAME, sky_color=SKY, ground_color=GROUND, intensity=BRIGHT
+            self._plain = self._api.add_light_hemisphere(
+                NAME, sky_color=SKY, ground_color=GROUND, intensity=PLAIN_INTENSITY
             )
         else:
-            self._sky.remove()
-            self._sky = None
+            self._plain.remove()
+            self._plain = None

@@ -1,104 +1,108 @@
-"""The motion on the page: played, paused, at any time; the joints of the object by hand."""
+"""The motion on the page: playing it, seeking, and moving the object's joints with sliders."""
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .compare import Compare
+from .moving import DetailControl
+from .panel import NO_MOTION
 from .playback import Playable, Player
+from .state import PageState
 
-if TYPE_CHECKING:
-    from .page import Page
-
-NO_MOTION = "There is no motion yet."
-TELLS = 0.2
-"""While it plays the words change so often [s]."""
+TEXT_INTERVAL = 0.2
+"""Time between updates of the text while the motion plays [s]."""
 
 
 class MotionView:
-    """Shows a story."""
+    """Plays the motion that is shown, and those of the compared answers in step with it."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._told = 0.0
+    def __init__(self, state: PageState, compare: Compare, detail: DetailControl) -> None:
+        self._state, self._compare, self._detail = state, compare, detail
+        self._text_time = 0.0
         self.player = Player(self._show)
-        self.story: Playable | None = None
+        panel = state.panel
+        panel.on_click(panel.play, self.toggle)
+        panel.on_change(panel.time, lambda: self.player.seek(float(panel.time.value)))
+        panel.on_change(panel.speed, lambda: self.set_speed(float(panel.speed.value)))
 
     def load(self, story: Playable | None, *, at_end: bool = True) -> None:
-        """Take another story; None: there is none.
+        """Show another motion.
 
         Args:
-            story: What is to be shown.
-            at_end: Whether it stands at its end, as the answer does that is drawn.
+            story: The motion; None where there is none.
+            at_end: Whether to seek to its end, which is the state that an answer shows.
         """
-        self.story = story
-        duration = 0.0 if story is None else story.duration
+        state, duration = self._state, 0.0 if story is None else story.duration
+        state.shown.story = story
         self.player.load(duration)
-        self._page.panel.show_story(duration)
-        self._page.robot.show_force(None)
+        state.panel.show_duration(duration)
+        state.robot.show_force(None)
         if story is None:
-            self._page.panel.moment.content = NO_MOTION
+            state.panel.moment.content = NO_MOTION
         else:
             self.player.seek(duration if at_end else 0.0)
 
     def toggle(self) -> None:
         """Play the motion, or pause it."""
+        state = self._state
         if self.player.playing:
             self.pause()
             self._show(self.player.now, False)
-        elif self.story is not None:
-            with self._page.drawing:
-                self._page.room.mark(())
-                self._page.robot.verdict("feasible")
+        elif state.shown.story is not None:
+            with state.drawing:
+                state.room.mark(())
+                state.robot.verdict("feasible")
             self.player.play()
 
     def pause(self) -> None:
-        """Stand still."""
+        """Pause the motion."""
         self.player.pause()
-        self._page.panel.show_playing(False)
+        self._state.panel.show_playing(False)
 
     def seek(self, seconds: float) -> None:
         """Show the motion at a time [s]."""
         self.player.seek(seconds)
 
     def step(self, seconds: float) -> None:
-        """Go on by so long, or back [s]."""
+        """Seek forward, or backward by a negative time [s]."""
         self.player.seek(self.player.now + seconds)
 
     def set_speed(self, speed: float) -> None:
-        """How many times faster than in truth it plays [-]."""
+        """Set the playback speed, where 1 is real time [-]."""
         self.player.speed = speed
 
     def move_joints(self) -> None:
-        """Move the joints of the object to where a person has put their sliders."""
+        """Move the object's joints to the values of their sliders."""
         self.pause()
-        self._page.shown.joints = self._page.panel.joint_values
-        with self._page.drawing:
-            self._page.answer.show_room()
-            self._page.room.move(self._page.shown.joints)
+        state = self._state
+        state.shown.joints = state.panel.joint_values
+        with state.drawing:
+            state.show_room()
+            state.room.move(state.shown.joints)
 
     def _show(self, seconds: float, playing: bool) -> None:
-        page = self._page
-        with page.drawing, page.server.atomic():
-            story = self.story
+        state = self._state
+        with state.drawing, state.server.atomic():
+            story = state.shown.story
             if story is None:
                 return
             moment = story.at(seconds)
-            moment.show(page.room, page.robot)
-            page.compare.show(seconds)
+            moment.show(state.room, state.robot)
+            self._compare.show(seconds)
         if playing:
-            page.moving.stirred()
+            self._detail.scene_moved()
         now = time.perf_counter()
-        panel = page.panel
+        panel = state.panel
         panel.show_playing(self.player.playing)
-        if playing and now - self._told <= TELLS:
+        if playing and now - self._text_time <= TEXT_INTERVAL:
             return
-        self._told = now
-        words = moment.words
+        self._text_time = now
+        text = moment.phase
         if moment.force is not None and moment.force.any():
-            words += f", {np.linalg.norm(moment.force):.0f} N at the hand"
-        if page.room.active == page.answer.asked_object:
+            text += f", hand force {np.linalg.norm(moment.force):.0f} N"
+        if state.room.active == state.shown.target:
             panel.show_joint_values(moment.object_q)
-        panel.show_moment(seconds, words)
+        panel.show_moment(seconds, text)

@@ -1,10 +1,9 @@
-"""What takes long to draw is drawn coarsely while things move, at browsers that are slow.
+"""Coarse drawing while the view moves, for browsers that draw slowly.
 
-A browser tells where it looks from with each picture that it draws while its camera moves, so that
-how often it tells is how quickly it draws. One with a graphics card draws all points of a scan all
-the time; one without draws few of them until its camera rests, and until what is dragged or played
-does. Both are at the browser already: it is told by a few bytes which of them it shows, and other
-browsers are told nothing.
+While its camera moves, a browser sends its pose with each frame, so that the interval between these
+messages is the frame time. A fast browser draws all points of a scan at all times. A slow one draws
+few of them until its camera rests, and until a drag or a motion ends. It has both already: a few
+bytes tell it which ones to show.
 """
 
 from __future__ import annotations
@@ -20,98 +19,92 @@ from viser import _messages as messages
 if TYPE_CHECKING:
     from viser import CameraHandle, ClientHandle, ViserServer
 
-SLOW = 0.12
-"""Pictures that come farther apart than this are slow [s]."""
-GAPS = 2
-"""So many times between pictures are looked at, of which the shortest counts: the others may be
-pauses of the hand [-]."""
-TOGETHER, APART = 0.03, 5.0
-"""What is told within so short a time is of one picture; what is told after so long a time is of
-another movement [s]."""
-TRUST = 100.0
-"""A browser counts as slow for so many times longer than a picture took: to find it out again then
-costs few hundredths of the time [-]."""
-REST = 0.4
-"""A camera rests when nothing was told for so long, or for two pictures [s]."""
+SLOW_FRAME_TIME = 0.12
+"""A browser whose frames take longer is slow [s]."""
+FRAME_GAPS = 2
+"""Intervals of which the shortest counts as the frame time: longer ones may be pauses of the hand
+[-]."""
+SAME_FRAME_TIME, NEW_MOVEMENT_TIME = 0.03, 5.0
+"""Messages that are closer together belong to one frame; after a longer interval a new movement
+begins [s]."""
+SLOW_FRAMES = 100.0
+"""A browser counts as slow for this many frame times; measuring again then costs about 1 % of the
+time [-]."""
+REST_TIME = 0.4
+"""A camera rests when it has sent nothing for this time, or for two frames [s]."""
 
 
-class Pace:
-    """How quickly a browser draws while its camera moves."""
+class FrameTimer:
+    """Measures how fast a browser draws while its camera moves."""
 
     def __init__(self) -> None:
-        self._seen: deque[float] = deque(maxlen=GAPS + 1)
+        self._seen: deque[float] = deque(maxlen=FRAME_GAPS + 1)
         self._until = 0.0
         self.gap = 0.0
-        """Time between pictures, as it was last known [s]."""
+        """Last known frame time [s]."""
 
-    def moved(self, now: float) -> bool:
-        """Take in that the camera was told of at a time [s]; whether the browser is slow."""
-        since = now - self._seen[-1] if self._seen else APART
-        if since > APART:
+    def camera_moved(self, now: float) -> bool:
+        """Record a camera message at a time [s]; return whether the browser is slow."""
+        since = now - self._seen[-1] if self._seen else NEW_MOVEMENT_TIME
+        if since > NEW_MOVEMENT_TIME:
             self._seen.clear()
-        if since >= TOGETHER:
+        if since >= SAME_FRAME_TIME:
             self._seen.append(now)
-            if len(self._seen) > GAPS:
-                times = list(self._seen)
-                self.gap = min(b - a for a, b in itertools.pairwise(times))
-                if self.gap > SLOW:
-                    self._until = now + TRUST * self.gap
+            if len(self._seen) > FRAME_GAPS:
+                self.gap = min(b - a for a, b in itertools.pairwise(self._seen))
+                if self.gap > SLOW_FRAME_TIME:
+                    self._until = now + SLOW_FRAMES * self.gap
         return self.slow(now)
 
     def slow(self, now: float) -> bool:
-        """Whether the browser counts as slow at a time [s]."""
+        """Return whether the browser counts as slow at a time [s]."""
         return now < self._until
 
 
-class Look:
-    """One browser: whether it shows what is fine, or what is coarse.
+class BrowserDetail:
+    """Switches one browser between fine and coarse; called by the server's own thread only."""
 
-    Called by the server's own thread alone.
-    """
-
-    def __init__(self, tell: Callable[[bool], None], wanted: Callable[[], bool]) -> None:
-        """Begin with what is fine.
+    def __init__(self, switch: Callable[[bool], None], wanted: Callable[[], bool]) -> None:
+        """Begin with fine.
 
         Args:
-            tell: Has the browser show what is coarse, or what is fine.
-            wanted: Whether there is anything to be drawn coarsely.
+            switch: Makes the browser show coarse (True) or fine (False).
+            wanted: Returns whether there is anything to draw coarsely.
         """
-        self._tell, self._wanted = tell, wanted
-        self._pace = Pace()
+        self._switch, self._wanted = switch, wanted
+        self._timer = FrameTimer()
         self._rest: asyncio.TimerHandle | None = None
         self.coarse = False
 
-    def moved(self, loop: asyncio.AbstractEventLoop) -> None:
-        """The camera has moved; the loop is the one that this is called in."""
-        self._stir(loop, slow=self._pace.moved(loop.time()))
+    def camera_moved(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Handle a message of the camera in the running loop."""
+        self._moved(loop, slow=self._timer.camera_moved(loop.time()))
 
-    def stirred(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Something else has moved, of which a browser does not tell when it has drawn it."""
-        self._stir(loop, slow=self._pace.slow(loop.time()))
+    def scene_moved(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Handle a movement in the scene, after which a browser sends no message."""
+        self._moved(loop, slow=self._timer.slow(loop.time()))
 
-    def _stir(self, loop: asyncio.AbstractEventLoop, *, slow: bool) -> None:
+    def _moved(self, loop: asyncio.AbstractEventLoop, *, slow: bool) -> None:
         if slow and self._wanted():
             self._show(coarse=True)
         self.close()
         if self.coarse:
-            self._rest = loop.call_later(max(REST, 2 * self._pace.gap), self._rests)
+            rest = max(REST_TIME, 2 * self._timer.gap)
+            self._rest = loop.call_later(rest, lambda: self._show(coarse=False))
 
     def close(self) -> None:
-        """Wait for rest no more."""
+        """Cancel the timer."""
         if self._rest is not None:
             self._rest.cancel()
             self._rest = None
 
-    def _rests(self) -> None:
-        self._show(coarse=False)
-
     def _show(self, *, coarse: bool) -> None:
         if coarse != self.coarse:
             self.coarse = coarse
-            self._tell(coarse)
+            self._switch(coarse)
 
 
-class Moving:
+class DetailControl:
     """Watches the cameras of all browsers."""
 
     def __init__(
@@ -120,43 +113,42 @@ class Moving:
         """Start to watch.
 
         Args:
-            server: Whose browsers.
-            fine: The node that is shown at rest; whether it is visible nobody else says.
-            coarse: The node that is shown instead where the camera of a slow browser moves; it is
-                hidden from all at first.
-            wanted: Whether there is anything in them.
+            server: The server of the page.
+            fine: The node that is shown at rest; nothing else may set its visibility.
+            coarse: The node that replaces it in slow browsers; hidden at first.
+            wanted: Returns whether there is anything to draw coarsely.
         """
         self._fine, self._coarse, self._wanted = fine, coarse, wanted
-        self._looks: dict[int, Look] = {}
+        self._browsers: dict[int, BrowserDetail] = {}
         self._loop = server.get_event_loop()
-        server.on_client_connect(self._came)
-        server.on_client_disconnect(self._went)
+        server.on_client_connect(self._connected)
+        server.on_client_disconnect(self._disconnected)
 
-    def stirred(self) -> None:
-        """Something moves in all browsers, as the base that is dragged; any thread may say so."""
+    def scene_moved(self) -> None:
+        """Report a movement that all browsers draw, such as a dragged base; for any thread."""
         if not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._stirred)
+            self._loop.call_soon_threadsafe(self._scene_moved)
 
-    def _stirred(self) -> None:
-        for look in self._looks.values():
-            look.stirred(self._loop)
+    def _scene_moved(self) -> None:
+        for browser in self._browsers.values():
+            browser.scene_moved(self._loop)
 
-    async def _came(self, client: ClientHandle) -> None:
-        look = Look(lambda coarse: self._tell(client, coarse=coarse), self._wanted)
-        self._looks[client.client_id] = look
+    async def _connected(self, client: ClientHandle) -> None:
+        browser = BrowserDetail(lambda coarse: self._switch(client, coarse=coarse), self._wanted)
+        self._browsers[client.client_id] = browser
 
         async def moved(_: CameraHandle) -> None:
-            look.moved(asyncio.get_running_loop())
+            browser.camera_moved(asyncio.get_running_loop())
 
         client.camera.on_update(moved)
 
-    async def _went(self, client: ClientHandle) -> None:
-        look = self._looks.pop(client.client_id, None)
-        if look is not None:
-            look.close()
+    async def _disconnected(self, client: ClientHandle) -> None:
+        browser = self._browsers.pop(client.client_id, None)
+        if browser is not None:
+            browser.close()
 
-    def _tell(self, client: ClientHandle, *, coarse: bool) -> None:
-        """Show nodes of all browsers to this one, or hide them; viser has no way to say so."""
+    def _switch(self, client: ClientHandle, *, coarse: bool) -> None:
+        """Set the visibility of shared nodes in one browser, for which viser has no function."""
         with client.atomic():
             for node, visible in ((self._fine, not coarse), (self._coarse, coarse)):
                 client._websock_connection.queue_message(

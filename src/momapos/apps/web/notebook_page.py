@@ -1,4 +1,4 @@
-"""A plan that plays in a notebook, or in a browser where there is none."""
+"""Playing a plan in a notebook, or in a browser outside of one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from momapos.planning import PlacementResult
 from .static import page_of
 
 HEIGHT = 480
-"""Of the page in a notebook [px]."""
+"""Height of the page in a notebook [px]."""
 
 
 def show(answer: PlacementResult) -> None:
@@ -24,7 +24,7 @@ def show(answer: PlacementResult) -> None:
     """
     prepared = answer.prepared
     page = page_of(prepared.scene, prepared.robot, answer.plan)
-    # Whoever is in a notebook has imported IPython already.
+    # A notebook has imported IPython already.
     shell = sys.modules.get("IPython")
     if shell is not None and shell.get_ipython() is not None:
         from IPython.display import HTML, display
@@ -39,8 +39,8 @@ def show(answer: PlacementResult) -> None:
 
 
 def frame_of(page: str) -> str:
-    """A page within a page; nothing of it reaches what is around it."""
-    # Within another element: of a bare frame IPython warns, and asks for one with an address.
+    """Embed a page in a sandboxed frame."""
+    # In another element: IPython warns about a bare frame, and wants a URL instead.
     return (
         f'<div><iframe srcdoc="{html.escape(page, quote=True)}" sandbox="allow-scripts" '
         f'style="width:100%;height:{HEIGHT}px;border:0"></iframe></div>'

@@ -1,4 +1,4 @@
-"""What the page is opened with, instead of a scene: a plan, a tour, the record of a run, a scan."""
+"""Sources other than a scene with which the page opens: a plan, a tour, a run record, a scan."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .playback import Playable, Story
 from .question import METHODS, Question
 from .run_story import RunStory
 from .tour_story import TourStory
-from .words import run_words, tour_words
+from .words import run_text, target_text, tour_text
 
 if TYPE_CHECKING:
     from momapos.perception import Modeled
@@ -31,39 +31,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Opened:
-    """A plan from a file, what it is about, and what came of it."""
+    """A plan from a file, with its scene and robot, and the run or the tour it belongs to."""
 
     name: str
-    """What the scene of the plan is called on the page."""
+    """Name of the scene on the page."""
     scene: Scene
-    """As the plan left it; of a run what was really there."""
+    """The scene of the plan; for a run the true world."""
     robot: Robot
     plan: PlacementPlan
     run: RunRecord | None = None
     then: tuple[Opened, ...] = ()
-    """Of a tour the tasks after this one."""
+    """Later tasks of a tour."""
 
     @property
-    def words(self) -> str:
-        """What there is to say beside the answer; "" of a single plan."""
+    def description(self) -> str:
+        """Description of the run or the tour; "" for a single plan."""
         if self.run is not None:
-            return run_words(self.run)
-        return tour_words([self.plan, *(one.plan for one in self.then)]) if self.then else ""
+            return run_text(self.run)
+        return tour_text([self.plan, *(one.plan for one in self.then)]) if self.then else ""
 
     @property
     def question(self) -> Question:
-        """What the plan answers."""
+        """The question that the plan answers."""
         plan = self.plan
         task = plan.task
         if self.run is not None and self.run.true_task is not None:
             task = self.run.true_task
-        target = task.object if task.joint is None else f"{task.object}/{task.joint}"
-        to = "" if task.to is None else far_text(task.to, slides=slides(self.scene, task))
+        to = "" if task.to is None else quantity_text(task.to, slides=slides(self.scene, task))
         method = plan.method if plan.method in METHODS else METHODS[0]
-        return Question(task.verb, target, to, method, plan.seed, plan.start)
+        return Question(task.verb, target_text(task), to, method, plan.seed, plan.start)
 
     def answer(self) -> PlacementResult | None:
-        """The plan as an answer whose search nobody knows; None where it is for another room.
+        """Return the plan as an answer without a search; None for a run in another world.
 
         Raises:
             TaskError: The gripper cannot hold the object.
@@ -77,7 +76,7 @@ class Opened:
         return PlacementResult(plan, prepared, Search(), np.array(start))
 
     def story(self) -> Playable:
-        """The plan, the tour, or what physics made of the plan, over time.
+        """Return the motion of the plan, the tour, or the run.
 
         Raises:
             InputError: There is no motion to show.
@@ -90,8 +89,8 @@ class Opened:
         return Story.of(self.plan, self.robot, self.scene)
 
 
-def far_text(to: float, *, slides: bool) -> str:
-    """How far a part goes, as it is typed on the page: in degrees where these say it exactly."""
+def quantity_text(to: float, *, slides: bool) -> str:
+    """Format a joint value as a user types it: in degrees where these are exact."""
     if slides:
         return f"{to!r}m"
     degrees = f"{math.degrees(to):g}"
@@ -101,31 +100,31 @@ def far_text(to: float, *, slides: bool) -> str:
 
 @dataclass
 class OpenedScan:
-    """A scan, of which a scene is made when it is shown first."""
+    """A scan, from which a scene is built when it is first shown."""
 
     name: str
     scan: Scan
     folder: Path
     """Where the scene and its models are written."""
     modeled: Modeled | None = None
-    """What was seen in it; None before it was looked at."""
+    """Result of the perception pipeline; None before it has run."""
 
-    def load(self, clock: Clock, tell: Callable[[str], None]) -> Scene:
-        """The scene of the scan.
+    def load(self, clock: Clock, report: Callable[[str], None]) -> Scene:
+        """Return the scene of the scan.
 
         Args:
-            clock: What it raises ends the work.
-            tell: Is told what is done.
+            clock: Called between steps; may raise to cancel.
+            report: Called with the progress.
 
         Raises:
-            InputError: The scan holds nothing.
+            InputError: The scan contains no objects.
         """
         if self.modeled is None:
-            from momapos.workflows import scan_to_scene  # and all that looks at images
+            from momapos.workflows import scan_to_scene  # imports the whole perception pipeline
 
             def progress(what: str, share: float) -> None:
                 clock()
-                tell(f"scan, {100 * share:.0f} %: {what}")
+                report(f"Scan, {100 * share:.0f} %: {what}")
 
             out = self.folder / "scene.json"
             self.modeled = scan_to_scene(self.scan, out, progress=progress, clock=clock)

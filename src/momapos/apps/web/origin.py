@@ -1,7 +1,7 @@
-"""Who may speak to the page: a page of somebody else's in the same browser may not.
+"""Refusing connections from other websites.
 
-A browser lets every page open a websocket to any address, the loopback one too, and says in the
-request from which page it comes. viser does not look at that, and has no hook for it.
+A browser lets any website open a websocket to any address, including the loopback address. The
+request names the website as its origin. viser does not check it, and has no hook for a check.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _SCHEMES = ("http", "https")
-"""An encrypting proxy before the page keeps the name and changes the scheme."""
-_REFUSED = "this page speaks to its own server only\n"
-_SWAPPED = threading.Lock()
+"""A TLS proxy in front of the page keeps the host name and changes the scheme."""
+_REFUSED = "connections from other websites are refused\n"
+_PATCHED = threading.Lock()
 
 
 def allowed(headers: Headers, *, loopback: bool) -> bool:
-    """Whether a request comes from our own page, or from no page at all.
+    """Return whether a request comes from our own page, or from a program that is no browser.
 
     Args:
-        headers: Of the request. Programs that are no browsers name no origin.
-        loopback: Whether the page is for this machine alone. Then it is asked for by a name of the
-            loopback address; another name is one that was bent to lead here.
+        headers: Headers of the request; only browsers name an origin.
+        loopback: Whether the page listens on the loopback address. The request must then use a
+            name of it, which prevents DNS rebinding.
     """
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(hosts) != 1 or len(origins) > 1:
@@ -48,13 +48,12 @@ def allowed(headers: Headers, *, loopback: bool) -> bool:
 
 @contextmanager
 def own_pages_only(host: str) -> Iterator[None]:
-    """Servers that viser starts within the context refuse requests of other pages (403).
+    """Make servers that viser starts in the context refuse requests of other websites (403).
 
-    viser passes no options on to its websocket server; so that one's constructor is exchanged as
-    long as the context lasts.
+    viser passes no options to its websocket server, so the context replaces its constructor.
 
     Args:
-        host: The address that is listened at.
+        host: Address that the server listens on.
     """
     loopback = host in LOOPBACK
 
@@ -67,7 +66,7 @@ def own_pages_only(host: str) -> Iterator[None]:
 
         return serve(*args, process_request=check, **options)
 
-    with _SWAPPED:
+    with _PATCHED:
         serve = sockets.serve
         sockets.serve = guarded  # type: ignore[assignment,misc]
         try:

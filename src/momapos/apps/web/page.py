@@ -1,22 +1,18 @@
-"""The page: what all browsers see, and the work behind it.
+"""The page: one state for all browsers, and the threads that work on it.
 
-There is one state, and every browser shows it: what one changes the others see, and a reload shows
-where things stand. What is loaded and answered is changed by one thread, that of `work`; the base
-that is dragged, the layers and the files have threads of their own. In each the newest request
-wins, and draws what it finds itself.
+Every browser shows the same state. A change in one browser appears in the others, and a reload
+restores it. One worker thread loads scenes and answers questions; the dragged base, the layers and
+the files have threads of their own. In each thread the newest request replaces older ones.
 """
 
 from __future__ import annotations
 
-import logging
-import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from momapos.core import Cache, Clock
-from momapos.model.robots import Robot
 from momapos.model.scene import Scene, load_scene
 
 from .answer_layers import AnswerLayers
@@ -24,31 +20,31 @@ from .answer_view import READY, AnswerView
 from .browsers import Browsers
 from .cameras import look_at
 from .compare import Compare
-from .extras import Extras
-from .follow import Follow
+from .extras import FileActions
+from .follow import DragFollower
 from .light import Light
 from .motion_view import MotionView
-from .moving import Moving
+from .moving import DetailControl
 from .opened import Opened, OpenedScan
 from .panel import Panel
-from .question import Machine, Machines, Question, ask, ask_at, targets
+from .question import Question, RobotArms, RobotLoader, ask, ask_at, targets
 from .robot_view import RobotView
 from .room_view import RoomView
 from .scan_view import COARSE, FINE, ScanView
-from .settled import Settled
-from .state import Choice, Shown
-from .words import answer_words, escaped
-from .work import Latest
+from .settled import Resender
+from .state import Choice, PageState
+from .words import answer_text, escaped
+from .work import LatestWorker
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-
-LOG = logging.getLogger(__name__)
+STAGE_INTERVAL = 0.1
+"""Time between updates of the stage that is shown; a search changes it 1,000 times a second [s]."""
 
 
 class Page:
-    """One state for all browsers."""
+    """Builds the views, and loads and answers what the user chooses."""
 
     def __init__(
         self,
@@ -62,70 +58,86 @@ class Page:
         folder: Path,
         opened: Opened | OpenedScan | None = None,
     ) -> None:
-        """Build the page, and load the scene and the robot behind it.
+        """Build the page, and start to load the scene and the robot.
 
         Args:
-            server: Serves it.
-            scenes: Names or files of the scenes that may be chosen.
-            robots: Likewise of the robots.
-            scene: The one that is shown first.
-            robot: Likewise.
-            cache: Where geometry and maps are kept.
+            server: The server of the page.
+            scenes: Names or files of the scenes offered.
+            robots: Names or files of the robots offered.
+            scene: The scene shown first.
+            robot: The robot shown first.
+            cache: Cache of geometry and maps.
             folder: Where files are saved.
-            opened: A plan, run or scan that is shown first; its scene is among those that may be
-                chosen.
+            opened: A plan, run or scan shown first; its scene is among `scenes`.
         """
-        self.server, self._cache, self.folder = server, cache, folder
-        self._machines = Machines(cache)
+        self.server, self._cache, self._opened = server, cache, opened
+        self._loader = RobotLoader(cache)
         self._start: tuple[float, float, float] | None = None
-        self._opened = opened
-        self.shown = Shown()
-        self.drawing = threading.RLock()
-        """Held while what is drawn is changed, and while it is looked at whether it still should
-        be: several threads draw."""
-        self.settled = Settled()
+        self._stage_time = 0.0
+        self.panel = Panel(
+            server.gui, Resender(), scenes=scenes, robots=robots, scene=scene, robot=robot
+        )
         self.room = RoomView(server.scene, self._pick)
         self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
-        self.motion = MotionView(self)
-        self.panel = Panel(server.gui, self, scenes=scenes, robots=robots, scene=scene, robot=robot)
-        self._told = 0.0
-        self.light = Light(server.scene, self.panel)
-        self.extras = Extras(self)
-        self.compare = Compare(self)
+        self.state = PageState(server, self.panel, self.room, self.robot)
+        self.shown = self.state.shown
         self.scan = ScanView(server.scene, self.panel)
-        self.moving = Moving(
+        self.detail = DetailControl(
             server,
             fine=FINE,
             coarse=COARSE,
-            wanted=lambda: self.scan.many and not self.extras.work.busy,
+            wanted=lambda: self.scan.many and not self.files.work.busy,
         )
-        self.answer = AnswerView(self)
-        self.layers = AnswerLayers(
-            server.scene, self.panel, self.robot, self.drawing, self.answer.measured
-        )
-        self.work = Latest("page work", self.fail)
-        self.follow = Follow(self)
+        self.compare = Compare(self.state)
+        self.motion = MotionView(self.state, self.compare, self.detail)
+        self.light = Light(server.scene, self.panel)
+        self.layers = AnswerLayers(self.state)
+        self.answer = AnswerView(self.state, self.motion, self.layers, self.light)
+        self.work = LatestWorker("page work", self.state.fail)
+        self.files = FileActions(self.state, self.motion, folder, lambda: self.work.busy)
+        self.follow = DragFollower(self.state, self.motion, self.detail)
+        self._connect()
         self.browsers = Browsers(server, self._stop_if_busy)
         if isinstance(opened, Opened):
             self._open(opened)
         else:
             self.change()
 
+    def _connect(self) -> None:
+        panel, motion = self.panel, self.motion
+        for handle in panel.question:
+            panel.on_change(handle, self.change)
+        panel.on_click(panel.start_here, self.start_here)
+        panel.on_click(panel.start_of_scene, self.start_of_scene)
+        panel.on_click(panel.place, self.place)
+        panel.on_click(panel.place_here, self.place_here)
+        panel.on_click(panel.stop, self.stop)
+        panel.on_change(panel.furniture, lambda: self.room.set_visible(panel.furniture.value))
+        panel.on_change(panel.layers["collision"], self.answer.change_look)
+        panel.on_key("Place", "P", self.place)
+        panel.on_key("Stop", "X", self.stop)
+        panel.on_key("Play or pause", "space", motion.toggle)
+        # The space bar activates what has the focus, such as the tab that was clicked last.
+        panel.on_key("Play or pause (second key)", "K", motion.toggle)
+        panel.on_key("Back 1 s", "J", lambda: motion.step(-1.0))
+        panel.on_key("Forward 1 s", "L", lambda: motion.step(1.0))
+        panel.on_key("Show the whole room", "H", self.look_at_room)
+
     def close(self) -> None:
         """End all work."""
         self.browsers.close()
-        self.settled.close()
+        self.panel.resender.close()
         self.motion.pause()
         self.work.close()
         self.follow.work.close()
         self.layers.close()
-        self.extras.close()
+        self.files.work.close()
 
-    # --------------------------------------------------------------------------- what is asked
+    # ------------------------------------------------------------------------------- the question
 
     @property
     def choice(self) -> Choice:
-        """What the controls say."""
+        """What the controls are set to."""
         panel = self.panel
         question = Question(
             panel.verb.value, panel.target.value, panel.to.value, panel.method.value,
@@ -134,20 +146,19 @@ class Page:
         return Choice(panel.scene.value, panel.robot.value, panel.arm.value, question)
 
     def change(self) -> None:
-        """Something else is chosen: load and draw it; what runs is for nothing."""
+        """Load and draw what the controls are set to; cancel running work."""
 
         def work(clock: Clock) -> None:
             drawn = self.shown.question
             _, _, question = self._update(clock)
             if question == drawn and self.shown.answer is not None:
-                self.tell(answer_words(self.shown.answer))
+                self.state.show_text(answer_text(self.shown.answer))
             elif question == drawn:
-                self.tell(READY)
+                self.state.show_text(READY)
 
         self._request(work)
 
     def _open(self, opened: Opened) -> None:
-        """Show a plan from a file."""
         question = opened.question
 
         def work(clock: Clock) -> None:
@@ -157,13 +168,13 @@ class Page:
             self.panel.offer(self.panel.target, self.panel.target.options, question.target)
             self.panel.to.value = question.to
             self._start = question.start
-            _, machine, _ = self._update(clock)
+            _, arms, _ = self._update(clock)
             answer = opened.answer()
             if answer is not None:
-                self.answer.show(answer, machine)
-            if opened.words:
+                self.answer.show(answer, arms)
+            if opened.description:
                 self.motion.load(opened.story(), at_end=False)
-                self.tell(opened.words)
+                self.state.show_text(opened.description)
 
         self._request(work)
 
@@ -171,43 +182,42 @@ class Page:
         """Answer the question."""
 
         def work(clock: Clock) -> None:
-            scene, machine, question = self._update(clock)
-            self.tell("**Searching**")
-            self.answer.show(ask(scene, machine, question, clock, self._tell_stage), machine)
+            scene, arms, question = self._update(clock)
+            self.state.show_text("**Searching**")
+            self.answer.show(ask(scene, arms, question, clock, self._show_stage), arms)
 
         self._request(work)
 
     def place_here(self) -> None:
-        """Answer how it is done from where the robot stands."""
+        """Plan from the current base pose."""
         base = self.robot.base.copy()
 
         def work(clock: Clock) -> None:
-            scene, machine, question = self._update(clock)
-            robot = self.arm_of(machine)
-            self.tell("**Planning from here**")
-            self.answer.show(
-                ask_at(scene, robot, machine.reach_of(robot.arm), question, base, clock), machine
-            )
+            scene, arms, question = self._update(clock)
+            robot = self.state.arm_of(arms)
+            self.state.show_text("**Planning from here**")
+            reach = arms.reach_of(robot.arm)
+            self.answer.show(ask_at(scene, robot, reach, question, base, clock), arms)
 
         self._request(work)
 
     def stop(self) -> None:
-        """End what runs."""
+        """Stop all running work."""
         self.work.stop()
         self.follow.work.stop()
         self.layers.stop()
-        self.extras.work.stop()
+        self.files.work.stop()
         self.motion.pause()
-        self.panel.result.content = "Stopped."
+        self.state.show_text("Stopped.")
 
     def start_here(self) -> None:
-        """The robot starts where it stands now."""
+        """Use the current base pose as the start."""
         x, y, yaw = self.robot.base.tolist()
         self._start = (x, y, yaw)
         self.change()
 
     def start_of_scene(self) -> None:
-        """The robot starts where the scene says."""
+        """Use the scene's start pose."""
         self._start = None
         self.change()
 
@@ -224,27 +234,20 @@ class Page:
 
         self.work.put(then, stop_running=True)
 
-    def tell(self, words: str) -> None:
-        self.panel.result.content = words
-
-    def _tell_stage(self, stage: str) -> None:
+    def _show_stage(self, stage: str) -> None:
         now = time.perf_counter()
-        if now - self._told > 0.1:  # a search names its stages a thousand times a second
-            self._told = now
-            self.tell(f"**Searching**: {escaped(stage)}")
-
-    def fail(self, reason: str) -> None:
-        LOG.warning("momapos: %s", reason)
-        self.panel.result.content = f"**It cannot be done so.** {escaped(reason)}"
+        if now - self._stage_time > STAGE_INTERVAL:
+            self._stage_time = now
+            self.state.show_text(f"**Searching**: {escaped(stage)}")
 
     # ------------------------------------------------------------------------- what is loaded
 
-    def _update(self, clock: Clock) -> tuple[Scene, Machine, Question]:
-        """Load and draw what is chosen, where it is not shown already."""
+    def _update(self, clock: Clock) -> tuple[Scene, RobotArms, Question]:
+        """Load and draw what the controls are set to, unless it is shown already."""
         choice, shown = self.choice, self.shown
         fresh = shown.scene_name != choice.scene
         if fresh:
-            self.tell(f"Loading {escaped(choice.scene)}.")
+            self.state.show_text(f"Loading {escaped(choice.scene)} ...")
             shown.scene, shown.scene_name = self._load(choice.scene, clock), ""
             self._start = None
         scene = shown.scene
@@ -253,52 +256,46 @@ class Page:
             self.panel.target, targets(scene, choice.question.verb), choice.question.target
         )
         clock()
-        name = (choice.robot, choice.arm)
-        if shown.machine_name != name:
-            self.tell(f"Loading {escaped(choice.robot)}.")
-            machine = self._machine(choice, clock)
-            shown.machine, shown.machine_name = machine, (choice.robot, self.panel.arm.value)
+        if shown.robot_name != (choice.robot, choice.arm):
+            self.state.show_text(f"Loading {escaped(choice.robot)} ...")
+            arms = self._load_robot(choice, clock)
+            shown.arms, shown.robot_name = arms, (choice.robot, self.panel.arm.value)
             fresh = True
-        assert shown.machine is not None
+        assert shown.arms is not None
         question = Question(**{**vars(self.choice.question), "target": target})
         if fresh or shown.question != question:
-            self.answer.ask(scene, shown.machine, question, fresh=fresh)
+            self.answer.ask(scene, shown.arms, question, fresh=fresh)
             shown.scene_name = choice.scene
-        return scene, shown.machine, question
+        return scene, shown.arms, question
 
     def _load(self, name: str, clock: Clock) -> Scene:
         opened = self._opened if self._opened is not None and name == self._opened.name else None
         if isinstance(opened, OpenedScan):
-            scene = opened.load(clock, lambda words: self.tell(escaped(words)))
+            scene = opened.load(clock, lambda text: self.state.show_text(escaped(text)))
             self.scan.show(opened.modeled)
             return scene
         self.scan.show(None)
         return load_scene(name, cache=self._cache) if opened is None else opened.scene
 
-    def _machine(self, choice: Choice, clock: Clock) -> Machine:
-        """The robot that is chosen; of another robot than the last all arms are taken."""
-        other = self.shown.machine_name[0] != choice.robot
+    def _load_robot(self, choice: Choice, clock: Clock) -> RobotArms:
+        """Load the chosen robot; all its arms if it differs from the last one."""
+        other = self.shown.robot_name[0] != choice.robot
         arm = "any" if other else choice.arm
-        machine = self._machines.load(choice.robot, arm, clock, self.tell)
-        names = ("any", *machine.arms[0].arms)
+        arms = self._loader.load(choice.robot, arm, clock, self.state.show_text)
+        names = ("any", *arms.robots[0].arms)
         self.panel.offer(self.panel.arm, names, arm)
         self.panel.arm.disabled = len(names) == 1
-        return machine
-
-    def arm_of(self, machine: Machine) -> Robot:
-        """The arm that is drawn, which is the one that was last answered for."""
-        robot = self.robot.robot
-        return robot if robot in machine.arms else machine.arms[0]
+        return arms
 
     # -------------------------------------------------------------------- clicks and browsers
 
     def look_at_room(self) -> None:
-        """Turn the cameras back to the whole room."""
+        """Turn all cameras to the whole room."""
         if self.shown.scene is not None:
             look_at(self.server, self.shown.scene)
 
     def _pick(self, name: str) -> None:
-        """An object is clicked: ask about it."""
+        """Select the object that a user clicks."""
         scene = self.shown.scene
         if scene is None:
             return
@@ -309,7 +306,7 @@ class Page:
             self.change()
 
     def _stop_if_busy(self) -> None:
-        """Nobody looks any more."""
-        works = (self.work, self.follow.work, self.layers, self.extras.work)
+        """Stop all work after the last browser has disconnected."""
+        works = (self.work, self.follow.work, self.layers, self.files.work)
         if self.motion.player.playing or any(one.busy for one in works):
             self.stop()

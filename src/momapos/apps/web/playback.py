@@ -1,4 +1,4 @@
-"""A plan over time: what is where at each moment, and playing it."""
+"""Motions over time, and their playback."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from momapos.apps.export import PhaseKind, Timeline, phases_of, planned
+from momapos.apps.export import PhaseKind, Timeline, phases_of, plan_timeline
 from momapos.model.records import PlacementPlan, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 RATE = 25.0
-"""Pictures a second while it plays [1/s]."""
+"""Frame rate [1/s]."""
 SPEEDS = ("0.5", "1", "2", "4", "8")
 WORDS: dict[str, str] = {
     PhaseKind.DRIVE: "drive", PhaseKind.ARM: "move the arm", PhaseKind.CLOSE: "close the gripper",
@@ -31,17 +31,16 @@ WORDS: dict[str, str] = {
 
 
 @dataclass(frozen=True)
-class Setting:
-    """The room in which something happens."""
+class ActiveRoom:
+    """A room, and the object that moves in it."""
 
     scene: Scene
     active: str
-    """The object that is moved."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Moment:
-    """Where everything is."""
+    """The state of the robot and the object at a time."""
 
     base: Float[np.ndarray, "3"]
     """x [m], y [m], yaw [rad]."""
@@ -49,19 +48,19 @@ class Moment:
     """Values of the arm's joints [rad] or [m]."""
     object_q: dict[str, float]
     """Value of the joint that the task moves [rad] or [m]; empty where it moves none."""
-    words: str
-    """What is being done."""
+    phase: str
+    """The phase of the motion."""
     force: Float[np.ndarray, "3"] | None = None
-    """Of what is held on the hand [N]; None where nobody knows."""
+    """Force of the object on the hand [N]; None where unknown."""
     T_world_object: Float[np.ndarray, "4 4"] | None = None
-    """Pose of the root link of a loose object; None where it stays."""
-    setting: Setting | None = None
-    """Where it is; None in the room that is shown."""
+    """Pose of the root link of a movable object; None where it stays."""
+    room: ActiveRoom | None = None
+    """None for the room that is shown."""
 
     def show(self, room: RoomView, robot: RobotView) -> None:
-        """Put everything where it is."""
-        if self.setting is not None:
-            room.show(self.setting.scene, self.setting.active)
+        """Draw this moment."""
+        if self.room is not None:
+            room.show(self.room.scene, self.room.active)
         robot.move(self.base, self.joints)
         robot.show_force(self.force)
         room.move(self.object_q)
@@ -71,23 +70,24 @@ class Moment:
 
 @dataclass(frozen=True)
 class Story:
-    """A plan as moments; for people, who need neither a controller's rate nor its speeds."""
+    """The motion of a plan, sampled for viewing and not for a controller."""
 
     robot: Robot
     timeline: Timeline
 
     @classmethod
     def of(cls, plan: PlacementPlan, robot: Robot, scene: Scene) -> Story:
-        """The story of a solved plan in its room.
+        """Build the motion of a solved plan in its room.
 
         Raises:
-            InputError: The plan is not solved, or no trajectory keeps the robot's limits.
+            InputError: The plan is not solved, or no trajectory satisfies the robot's limits.
         """
-        return cls(robot, planned(plan, phases_of(plan, robot, step=1.0 / RATE), scene, robot))
+        phases = phases_of(plan, robot, step=1.0 / RATE)
+        return cls(robot, plan_timeline(plan, phases, scene, robot))
 
     @property
     def task(self) -> Task:
-        """What is done."""
+        """The task of the plan."""
         return self.timeline.task
 
     @property
@@ -96,7 +96,7 @@ class Story:
         return float(self.timeline.samples.times[-1])
 
     def at(self, seconds: float) -> Moment:
-        """The moment nearest to a time [s]; the first and the last hold before and after."""
+        """Return the sampled moment at a time [s], clipped to the duration."""
         samples, poses = self.timeline.samples, self.timeline.Ts_world_object
         times, joint = samples.times, self.task.joint
         i = int(np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 1))
@@ -110,7 +110,7 @@ class Story:
 
 
 class Playable(Protocol):
-    """What can be played."""
+    """A motion that can be played."""
 
     @property
     def duration(self) -> float:
@@ -118,41 +118,37 @@ class Playable(Protocol):
         ...
 
     def at(self, seconds: float) -> Moment:
-        """What was where at a time [s]; the first and the last hold before and after."""
+        """Return the moment at a time [s], clipped to the duration."""
         ...
 
 
 class Player:
-    """Plays a story: its thread runs only while it plays."""
+    """Plays a motion in a thread that runs only while it plays."""
 
     def __init__(self, show: Callable[[float, bool], None]) -> None:
         """Play nothing yet.
 
         Args:
-            show: Is told the time in the story [s], and whether it goes on.
+            show: Called with the time [s], and whether the motion goes on.
         """
         self._show = show
         self._lock = threading.Lock()
         self._playing: threading.Event | None = None
-        """Set to end the thread that plays."""
+        """Event that ends the thread; None while paused."""
         self.duration, self.speed, self.now = 0.0, 1.0, 0.0
 
     @property
     def playing(self) -> bool:
-        """Whether it plays now."""
+        """Whether the motion plays now."""
         return self._playing is not None
 
     def load(self, duration: float) -> None:
-        """Take another story, and stand at its beginning.
-
-        Args:
-            duration: How long it takes [s]; 0 where there is none.
-        """
+        """Stop, and go to the beginning of another motion with a duration [s]; 0 for none."""
         self.pause()
         self.duration, self.now = duration, 0.0
 
     def play(self) -> None:
-        """Play from where it stands, or from the beginning where it stands at the end."""
+        """Play from the current time, or from the beginning if it is at the end."""
         with self._lock:
             if self._playing is not None or self.duration <= 0:
                 return
@@ -162,14 +158,14 @@ class Player:
         threading.Thread(target=self._run, args=(ended,), name="page play", daemon=True).start()
 
     def pause(self) -> None:
-        """Stand still."""
+        """Pause the motion."""
         with self._lock:
             if self._playing is not None:
                 self._playing.set()
                 self._playing = None
 
     def seek(self, seconds: float) -> None:
-        """Go to a time in the story [s], and show it."""
+        """Go to a time [s], and show it."""
         self.now = min(max(seconds, 0.0), self.duration)
         self._show(self.now, self.playing)
 

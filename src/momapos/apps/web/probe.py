@@ -1,8 +1,8 @@
-"""One base pose after the other: is it feasible, how far does the part go, what is in the way?
+"""Fast checks of many base poses for one task: feasibility, farthest joint value, collisions.
 
-`check_base_pose` answers the same to a degree and makes everything ready each time. Here the room,
-the robot and the task are made ready once for each of a few values of the joint, a waypoint apart,
-so that the answer follows a hand that drags the base.
+`check_base_pose` finds the farthest value to one degree, and prepares the room, the robot and the
+task at each call. Here they are prepared once for each of a few joint values, one waypoint apart,
+so that the result keeps up with a base that is dragged.
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ if TYPE_CHECKING:
 DEFAULT = PipelineConfig()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Finding:
-    """What came of a base pose."""
+    """Result of the check of a base pose."""
 
     base: Float[np.ndarray, "3"]
     """x [m], y [m], yaw [rad]."""
     outcome: PoseOutcome
-    """Of the value that the task asks for."""
+    """Outcome for the task's own value."""
     in_the_way: tuple[str, ...]
-    """What is hit, as "object/link"; empty where nothing is."""
+    """Obstacles as "object/link"; empty without a collision."""
     value: float | None
-    """The farthest of the values a waypoint apart that works [rad] or [m]; None where none does,
-    and for rigid objects."""
+    """Farthest feasible value, one waypoint apart [rad] or [m]; None where there is none, and for
+    rigid objects."""
     motion: Motion | None
-    """To that value, or of a rigid object; None where none works."""
-    sure: bool
-    """Whether all ways of holding were tried; else the time ended before."""
+    """Motion to that value, or of a rigid object; None where infeasible."""
+    complete: bool
+    """Whether all grasps were tried; otherwise the time ran out."""
 
     @property
     def feasible(self) -> bool:
-        """Whether the task can be done from there."""
+        """Whether the task is feasible from the base pose."""
         return self.outcome.status is PoseStatus.FEASIBLE
 
 
 @dataclass(frozen=True)
 class Probe:
-    """One task in one room with one robot, made ready to be asked about many base poses."""
+    """One task in one room with one robot, prepared for the check of many base poses."""
 
     scene: Scene
     robot: Robot
@@ -73,37 +73,30 @@ class Probe:
 
     @property
     def values(self) -> tuple[float | None, ...]:
-        """Values of the joint a waypoint apart, the task's last; one None for a rigid object."""
+        """Joint values, one waypoint apart, up to the task's; a single None for a rigid object."""
         if self.task.joint is None:
             return (None,)
         return tuple(waypoint_values(self.scene, self.task, self.config).tolist())
 
     @property
     def slides(self) -> bool:
-        """Whether the part slides [m]; it turns otherwise [rad]."""
+        """Whether the part slides [m] instead of turning [rad]."""
         return slides(self.scene, self.task)
 
-    def make_ready(self, clock: Clock, report: Callable[[float], None] = lambda _: None) -> None:
-        """Make all values ready, so that the first question is as quick as the others.
-
-        Args:
-            clock: Looked at before each value; what it raises ends the work.
-            report: Is told the share that is done, in [0, 1].
-        """
-        for done, value in enumerate(self.values[::-1]):
-            clock()
-            report(done / len(self.values))
+    def prepare(self) -> None:
+        """Prepare all values, so that the first check is as fast as the others."""
+        for value in self.values[::-1]:
             self._checks(value)
 
     def at(
         self, base: Float[np.ndarray, "3"], clock: Clock, *, within: float = math.inf
     ) -> Finding:
-        """Ask about one base pose.
+        """Check one base pose.
 
         Args:
             base: x [m], y [m], yaw [rad].
-            clock: Looked at between the steps of the work; what it raises ends it.
-            within: No further way of holding is tried after this time [s].
+            clock: Called between steps; may raise to cancel.
+            within: No further grasp is tried after this time [s].
 
         Raises:
             TaskError: The gripper cannot hold the object.
@@ -120,28 +113,27 @@ class Probe:
         best, hit = self._attempt(values[-1], base, clock, out_of_time)
         outcome = best.outcome
         if best.motion is not None:
-            return Finding(base, outcome, (), values[-1], best.motion, sure=True)
+            return Finding(base, outcome, (), values[-1], best.motion, complete=True)
 
-        def ask(index: int) -> Attempt | None:
+        def check(index: int) -> Attempt | None:
             found, _ = self._attempt(values[index], base, clock, out_of_time)
             return None if found.motion is None else found
 
-        if len(values) == 1 or (first := ask(0)) is None:
-            return Finding(base, outcome, hit, None, None, sure=not cut)
-        at, farther = last_that_works(ask, 0, len(values) - 1)
+        if len(values) == 1 or (first := check(0)) is None:
+            return Finding(base, outcome, hit, None, None, complete=not cut)
+        at, farther = last_that_works(check, 0, len(values) - 1)
         motion = (farther or first).motion
-        return Finding(base, outcome, hit, values[at], motion, sure=not cut)
+        return Finding(base, outcome, hit, values[at], motion, complete=not cut)
 
     def _checks(self, value: float | None) -> BasePoseChecks:
         if value not in self._ready:
             task = replace(self.task, to=value, farthest=False)
             query = PlacementQuery(
-                self.scene, self.robot, task, self.reach, None, None, self.config, self.seed,
-                Stopwatch(lambda: 0.0),
+                self.scene, self.robot, task, self.reach, config=self.config, seed=self.seed,
+                watch=Stopwatch(lambda: 0.0),
             )  # fmt: skip
             checks = BasePoseChecks(query)
-            # What is made when it is first asked for is made now.
-            _ = checks.prepared.infeasible_reason
+            _ = checks.prepared.infeasible_reason  # computed now, not at the first check
             self._ready[value] = checks
         return self._ready[value]
 
@@ -152,10 +144,10 @@ class Probe:
         clock: Clock,
         out_of_time: Callable[[], bool],
     ) -> tuple[Attempt, tuple[str, ...]]:
-        """Check a base pose for one value; what is hit comes with it."""
+        """Check a base pose for one value; return the obstacles, too."""
         clock()
         checks = self._checks(value)
-        found = checks.in_one_hold(base, out_of_time=out_of_time)
+        found = checks.with_one_grasp(base, out_of_time=out_of_time)
         if found.motion is not None:
             return found, ()
         if found.outcome.status is PoseStatus.BASE_BLOCKED:
@@ -165,7 +157,7 @@ class Probe:
 
 
 def _blocking(ready: PreparedTask, base: Float[np.ndarray, "3"]) -> tuple[str, ...]:
-    """The name of the box that a base stands in: standing boxes first, then the part's."""
+    """Return the label of the box in which a base stands: static boxes first, then the part's."""
     box = int(base_pose_status(ready.geometry, base[None])[1][0])
     labels, standing = ready.motion.labels, len(ready.motion.static)
     moving = len(labels) - standing
@@ -173,7 +165,7 @@ def _blocking(ready: PreparedTask, base: Float[np.ndarray, "3"]) -> tuple[str, .
 
 
 def named_in(words: str, labels: tuple[str, ...]) -> tuple[str, ...]:
-    """The labels "object/link" that a reason names, the longest first where one begins another."""
+    """Find the labels "object/link" in a reason; longer ones first, as one may begin another."""
     found: list[str] = []
     for label in sorted(labels, key=len, reverse=True):
         at = words.find(label)

@@ -1,4 +1,4 @@
-"""What is asked on the page, and how it is answered."""
+"""The question that the page asks, and how it is answered."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ from momapos.planning import (
     PipelineConfig,
     PlacementQuery,
     PlacementResult,
-    answer,
-    as_far_as_possible,
     cheapest,
-    plan_at_base_pose,
+    plan_at_pose,
 )
-from momapos.planning.baselines import plan_by_method
+from momapos.planning.baselines import plan_with_method
 from momapos.planning.grasps import make_task, openable
 from momapos.planning.placement import OURS, Method
 from momapos.planning.reachability import load_reach
@@ -32,28 +30,27 @@ if TYPE_CHECKING:
 
 METHODS: tuple[str, ...] = get_args(Method)
 VERBS: tuple[Verb, ...] = get_args(Verb)
-ANY = "any"
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of a room and a robot."""
+    """A task for a robot in a room, and how to plan it."""
 
     verb: Verb
     target: str
     """The object, or "object/joint"."""
     to: str = ""
-    """How far, as 60deg, 0.3m or max; "" for what the verb takes by itself."""
+    """Joint value, as 60deg, 0.3m or max; "" for the verb's default."""
     method: str = "ours"
     seed: int = 0
     start: tuple[float, float, float] | None = None
-    """Where the robot is; None for the scene's start, or a roomy place."""
+    """Start pose x [m], y [m], yaw [rad]; None for the scene's, or a free place."""
 
     def task(self, scene: Scene) -> Task:
-        """The task in a room.
+        """Build the task in a room.
 
         Raises:
-            MomaposError: It makes no sense there.
+            MomaposError: The room has no such object or joint, or the value is out of range.
         """
         name, _, joint = self.target.partition("/")
         if self.verb in ("open", "close"):
@@ -62,60 +59,60 @@ class Question:
 
     @property
     def config(self) -> PipelineConfig:
-        """How it is answered."""
+        """Configuration of the pipeline."""
         default = PipelineConfig()
         if self.method not in METHODS:
-            raise TaskError(f"no method {self.method!r}; there are {', '.join(METHODS)}")
+            raise TaskError(f"unknown method {self.method!r}; choose from {', '.join(METHODS)}")
         return replace(default, place=replace(default.place, method=self.method))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
-class Machine:
-    """A robot, once for each of its arms, with its reachability maps."""
+class RobotArms:
+    """A robot, once for each of its arms, with the reachability maps."""
 
-    arms: tuple[Robot, ...]
+    robots: tuple[Robot, ...]
     maps: tuple[ReachScorer, ...]
 
     def reach_of(self, arm: str) -> ReachScorer:
-        """The map of one of the arms, by its name."""
-        return next(m for one, m in zip(self.arms, self.maps, strict=True) if one.arm == arm)
+        """Return the map of an arm by its name."""
+        return next(m for one, m in zip(self.robots, self.maps, strict=True) if one.arm == arm)
 
 
-class Machines:
-    """The robots that were chosen so far, each loaded once.
+class RobotLoader:
+    """Loads each robot once.
 
-    What is computed of a robot is kept with it, dozens of robots long; one that were loaded at
-    every choice anew would stay in memory as often as it was chosen.
+    Caches elsewhere hold references to robots, so a robot that was loaded at every choice would
+    stay in memory as often as it was chosen.
     """
 
     def __init__(self, cache: Cache) -> None:
-        """Load nothing yet; `cache` is where geometry and maps are kept."""
+        """Set the cache of geometry and maps."""
         self._cache = cache
-        self._loaded: dict[tuple[str, str], Machine] = {}
+        self._loaded: dict[tuple[str, str], RobotArms] = {}
 
-    def load(self, name: str, arm: str, clock: Clock, tell: Callable[[str], None]) -> Machine:
-        """A robot and its reachability maps, which are built at the first use.
+    def load(self, name: str, arm: str, clock: Clock, report: Callable[[str], None]) -> RobotArms:
+        """Return a robot and its reachability maps, which are built at the first use.
 
         Args:
             name: A library robot or a robot file.
-            arm: Which arm; any: all of them.
-            clock: What it raises ends the work.
-            tell: Is told what is done.
+            arm: Name of the arm; "any" for all of them.
+            clock: Called between steps; may raise to cancel.
+            report: Called with the progress.
         """
         if (name, arm) not in self._loaded:
             arms = load_arms(name, arm, cache=self._cache)
 
-            def report(share: float, what: str = "") -> None:
+            def progress(share: float, what: str = "") -> None:
                 clock()
-                tell(f"reachability map of {arms[0].name}: {100 * share:.0f} % {what}")
+                report(f"Reachability map of {arms[0].name}: {100 * share:.0f} % {what}")
 
-            maps = tuple(load_reach(robot, self._cache.folder, report) for robot in arms)
-            self._loaded[name, arm] = Machine(arms, maps)
+            maps = tuple(load_reach(robot, self._cache.folder, progress) for robot in arms)
+            self._loaded[name, arm] = RobotArms(arms, maps)
         return self._loaded[name, arm]
 
 
 def targets(scene: Scene, verb: Verb) -> tuple[str, ...]:
-    """What a verb may be about in a room, the likeliest first."""
+    """List the targets of a verb in a room: joints with handles first, or small objects first."""
     if verb in ("open", "close"):
         handled = [f"{name}/{joint}" for name, joint in openable(scene)]
         every = [f"{item.name}/{joint}" for item in scene.objects for joint in item.model.joints]
@@ -124,59 +121,53 @@ def targets(scene: Scene, verb: Verb) -> tuple[str, ...]:
     return tuple(o.name for o in sorted(rigid, key=lambda o: float(np.ptp(o.bounds, axis=0).max())))
 
 
-class TellingWatch(Stopwatch):
-    """A stopwatch that says which stage begins."""
+class ReportingStopwatch(Stopwatch):
+    """A stopwatch that reports each stage as it begins."""
 
-    def __init__(self, clock: Clock, tell: Callable[[str], None]) -> None:
+    def __init__(self, clock: Clock, report: Callable[[str], None]) -> None:
         super().__init__(clock)
-        self._tell, self._last = tell, ""
+        self._report, self._last = report, ""
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time of a block for a stage; stages within it are not told again."""
+        """Measure a block; the same stage again is not reported."""
         if name != self._last:
             self._last = name
-            self._tell(name)
+            self._report(name)
         with super().stage(name):
             yield
 
 
 def ask(
     scene: Scene,
-    machine: Machine,
+    arms: RobotArms,
     question: Question,
     clock: Clock,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> PlacementResult:
     """Answer where the robot must stand.
 
     Args:
         scene: The room.
-        machine: The robot; of several arms the one with the cheapest answer counts.
-        question: What is asked.
-        clock: Measures the stages; what it raises ends the search.
-        tell: Is told each stage.
+        arms: The robot; the cheapest answer of its arms is returned.
+        question: The question.
+        clock: Measures the stages; may raise to cancel the search.
+        report: Called with each stage.
 
     Raises:
-        MomaposError: The question cannot be answered as it is asked.
+        MomaposError: The task does not fit the room or the robot.
     """
     task, config = question.task(scene), question.config
     start = None if question.start is None else np.array(question.start)
     answers = []
-    for robot, reach in zip(machine.arms, machine.maps, strict=True):
-        if config.place.method in OURS:
-            watch = TellingWatch(clock, tell)
-            query = PlacementQuery(
-                scene, robot, task, reach, start, None, config, question.seed, watch
-            )
-            found = as_far_as_possible(query, answer) if task.farthest else answer(query)
-        else:
-            tell(f"search by {config.place.method}")
-            found = plan_by_method(
-                scene, robot, task, reach, start=start, config=config, seed=question.seed,
-                clock=clock,
-            )  # fmt: skip
-        answers.append(found)
+    for robot, reach in zip(arms.robots, arms.maps, strict=True):
+        if config.place.method not in OURS:
+            report(f"search with {config.place.method}")
+        query = PlacementQuery(
+            scene, robot, task, reach, start, config, seed=question.seed,
+            watch=ReportingStopwatch(clock, report),
+        )  # fmt: skip
+        answers.append(plan_with_method(query))
     return cheapest(answers, farthest=task.farthest)
 
 
@@ -188,9 +179,10 @@ def ask_at(
     base: Float[np.ndarray, "3"],
     clock: Clock,
 ) -> PlacementResult:
-    """Answer how the robot does it from one base pose; see `plan_at_base_pose`."""
+    """Plan the task from one base pose; see `plan_at_pose`."""
     start = None if question.start is None else np.array(question.start)
-    return plan_at_base_pose(
-        scene, robot, question.task(scene), base, reach, start=start, config=question.config,
-        seed=question.seed, clock=clock,
+    query = PlacementQuery(
+        scene, robot, question.task(scene), reach, start, question.config, seed=question.seed,
+        watch=Stopwatch(clock),
     )  # fmt: skip
+    return plan_at_pose(query, base)

@@ -1,4 +1,4 @@
-"""The robot on the page: a base that can be dragged, its arm, its footprint, its spheres."""
+"""Drawing the robot: a base that can be dragged, arm, footprint and collision spheres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from momapos.apps.plots import ARM, BAD, GOOD, PART, SOFT_INK, sphere_centers
 from momapos.core.geometry import invert, pose_planar
 from momapos.model.robots import Robot
 
-from .bodies import Surface, joined, looks
+from .bodies import joined, link_surfaces
 from .room_view import place, rgb, triangulated
 
 if TYPE_CHECKING:
@@ -21,36 +21,35 @@ if TYPE_CHECKING:
 
 BODY, HAND = "#7d8b98", "#0072b2"
 FORCE = "#cc146b"
-PER_NEWTON, LONGEST, LEAST_FORCE = 0.03, 0.6, 1.0
-"""Length of the arrow of a force [m/N], how long it is at most [m], and from where it is drawn
-[N]."""
-FORCE_ABOVE = 0.15
-"""It is drawn so high above the hand, for the arm often lies along the pull [m]."""
-FLOOR_GAP = 0.006
-"""The footprint lies so high above the floor [m]."""
+ARROW_PER_NEWTON, MAX_ARROW, MIN_FORCE = 0.03, 0.6, 1.0
+"""Length of a force arrow [m/N], its maximum length [m], and the smallest force drawn [N]."""
+ARROW_HEIGHT = 0.15
+"""Height of the arrow above the hand, as the arm often lies along the force [m]."""
+FOOTPRINT_HEIGHT = 0.006
+"""Height of the footprint above the floor [m]."""
 VERDICTS = {"": SOFT_INK, "feasible": GOOD, "partly": PART, "infeasible": BAD}
-"""Colors of the footprint, by what is known of the base pose."""
+"""Colors of the footprint by the verdict on the base pose."""
 
 
 def home_values(robot: Robot) -> dict[str, float]:
-    """Values of the arm's joints where it is while the base drives [rad] or [m]."""
+    """Return the arm's joint values in its home configuration, by name [rad] or [m]."""
     return joint_values(robot, robot.chain.joint_values(robot.home))
 
 
 def joint_values(robot: Robot, q: Float[np.ndarray, " m"]) -> dict[str, float]:
-    """Values of the arm's joints by name, as a plan has them [rad] or [m]."""
+    """Return a plan's joint values by name [rad] or [m]."""
     return dict(zip(robot.moved_joints, q.tolist(), strict=True))
 
 
 def tool_pose(
     robot: Robot, base: Float[np.ndarray, "3"], values: dict[str, float]
 ) -> Float[np.ndarray, "4 4"]:
-    """The tool's pose in the world.
+    """Return the tool's pose in the world.
 
     Args:
         robot: The robot.
         base: x [m], y [m], yaw [rad].
-        values: Of its joints by name [rad] or [m].
+        values: Joint values by name [rad] or [m].
     """
     poses = robot.model.link_poses(values)
     T_base_tool = invert(poses[robot.base_link]) @ poses[robot.tool_link]
@@ -58,7 +57,7 @@ def tool_pose(
 
 
 class RobotView:
-    """Draws a robot at a base pose; all of it hangs from the handle that drags the base."""
+    """Draws a robot at a base pose. The drag handle is the parent node of all others."""
 
     def __init__(
         self, api: SceneApi, name: str = "/robot", *, dragged: Callable[[Any], None] | None = None
@@ -67,8 +66,8 @@ class RobotView:
 
         Args:
             api: Where to draw.
-            name: Of the node.
-            dragged: Is told where the base is dragged; without it there is nothing to drag.
+            name: Name of the node.
+            dragged: Called when a user drags the base; None for a base without a handle.
         """
         self._api, self.name, self._dragged = api, name, dragged
         self.robot: Robot | None = None
@@ -76,7 +75,6 @@ class RobotView:
         self._values: dict[str, float] = {}
         self._links: list[tuple[str, Any]] = []
         self._frame: Any = None
-        self._footprint: Any = None
         self._spheres: Any = None
         self._force: Any = None
         self._verdict = ""
@@ -84,13 +82,13 @@ class RobotView:
 
     def show(self, robot: Robot, base: Float[np.ndarray, "3"], *, opacity: float | None = None,
              color: str | None = None) -> None:  # fmt: skip
-        """Draw a robot, its arm at home, instead of the last one.
+        """Draw a robot with its arm at home, in place of the last one.
 
         Args:
             robot: The robot.
             base: x [m], y [m], yaw [rad].
-            opacity: How much is seen of it; None: it is solid.
-            color: Of all of it; None for its own.
+            opacity: Opacity; None for a solid robot.
+            color: One color for all links; None for the usual ones.
         """
         if self._frame is not None:
             self._frame.remove()
@@ -105,21 +103,20 @@ class RobotView:
             self._frame = self._api.add_frame(self.name, show_axes=False)
         hand = set(robot.gripper_links)
         arm = {link for link, segment in robot.segments.of_link.items() if segment > 0}
-        for k, look in enumerate(looks(robot.model)):
-            own = HAND if look.link in hand else ARM if look.link in arm else BODY
-            surface = joined((look.body, look.handle))
+        for k, link in enumerate(link_surfaces(robot.model)):
+            own = HAND if link.link in hand else ARM if link.link in arm else BODY
+            surface = joined((link.body, link.handle))
             node = self._api.add_mesh_simple(
-                f"{self.name}/l{k}", surface.vertices.astype(np.float32),
-                surface.faces.astype(np.uint32), color=rgb(color or own), flat_shading=True,
+                f"{self.name}/l{k}", *surface.arrays, color=rgb(color or own), flat_shading=True,
                 opacity=opacity, cast_shadow=opacity is None,
             )  # fmt: skip
-            self._links.append((look.link, node))
+            self._links.append((link.link, node))
         self._draw_footprint()
         self._values = {}
         self.move(base, home_values(robot))
 
     def remove(self) -> None:
-        """Draw it no more."""
+        """Remove the robot."""
         if self._frame is not None:
             self._frame.remove()
         if self._force is not None:
@@ -135,7 +132,7 @@ class RobotView:
 
         Args:
             base: x [m], y [m], yaw [rad].
-            values: Of the joints [rad] or [m]; others rest.
+            values: Joint values by name [rad] or [m]; other joints are at rest.
         """
         if self.robot is None:
             return
@@ -153,14 +150,14 @@ class RobotView:
                 self._draw_spheres()
 
     def show_force(self, force: Float[np.ndarray, "3"] | None) -> None:
-        """Draw the force of the hand on what it holds, against what is felt, as an arrow [N]."""
+        """Draw an arrow for the force that the hand exerts, opposite to the one on the hand [N]."""
         size = 0.0 if force is None else float(np.linalg.norm(force))
-        if self.robot is None or force is None or size < LEAST_FORCE:
+        if self.robot is None or force is None or size < MIN_FORCE:
             if self._force is not None:
                 self._force.visible = False
             return
-        hand = tool_pose(self.robot, self.base, self._values)[:3, 3] + [0.0, 0.0, FORCE_ABOVE]
-        arrow = np.stack([hand, hand - force * min(PER_NEWTON, LONGEST / size)])[None]
+        hand = tool_pose(self.robot, self.base, self._values)[:3, 3] + [0.0, 0.0, ARROW_HEIGHT]
+        arrow = np.stack([hand, hand - force * min(ARROW_PER_NEWTON, MAX_ARROW / size)])[None]
         if self._force is None:
             self._force = self._api.add_arrows(
                 f"{self.name}_force", arrow, rgb(FORCE), shaft_radius=0.015, head_radius=0.04,
@@ -170,19 +167,19 @@ class RobotView:
         self._force.visible = True
 
     def show_handle(self, shown: bool) -> None:
-        """Draw what the base is dragged by, or leave it out of a picture."""
+        """Show or hide the handle that drags the base."""
         if self._frame is not None and self._dragged is not None:
             for part in ("axes", "sliders", "rotations"):
                 setattr(self._frame, f"disable_{part}", not shown)
 
     def verdict(self, word: str) -> None:
-        """Color the footprint: "feasible", "partly", "infeasible", or "" where it is not known."""
+        """Color the footprint: "feasible", "partly", "infeasible", or "" for unknown."""
         if word != self._verdict:
             self._verdict = word
             self._draw_footprint()
 
     def show_spheres(self, shown: bool) -> None:
-        """Draw the spheres that are checked for collision, or do not."""
+        """Show or hide the collision spheres."""
         self._spheres_shown = shown
         if shown:
             self._draw_spheres()
@@ -198,19 +195,18 @@ class RobotView:
         tip = np.array([[front + 0.16, 0.0], [front + 0.03, 0.07], [front + 0.03, -0.07]])
         points = np.concatenate([xy, tip])
         faces = np.concatenate([triangulated(xy), [[len(xy), len(xy) + 1, len(xy) + 2]]])
-        corners = np.column_stack([points, np.full(len(points), FLOOR_GAP)])
-        surface = Surface(corners, faces)
-        self._footprint = self._api.add_mesh_simple(
-            f"{self.name}/footprint", surface.vertices.astype(np.float32),
-            surface.faces.astype(np.uint32), color=rgb(VERDICTS[self._verdict]), opacity=0.8,
-            side="double", cast_shadow=False, receive_shadow=False,
+        corners = np.column_stack([points, np.full(len(points), FOOTPRINT_HEIGHT)])
+        self._api.add_mesh_simple(
+            f"{self.name}/footprint", corners.astype(np.float32), faces.astype(np.uint32),
+            color=rgb(VERDICTS[self._verdict]), opacity=0.8, side="double", cast_shadow=False,
+            receive_shadow=False,
         )  # fmt: skip
 
     def _draw_spheres(self) -> None:
         assert self.robot is not None
         q = np.array([self._values.get(n, 0.0) for n in self.robot.chain.joints])
         centers, _ = sphere_centers(self.robot, self.robot.chain.freedom_values(q))
-        if self._spheres is not None:  # where they are is all that changes
+        if self._spheres is not None:  # only their positions change
             self._spheres.batched_positions = centers.astype(np.float32)
             return
         import trimesh

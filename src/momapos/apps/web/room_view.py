@@ -1,4 +1,4 @@
-"""The room on the page: floor, walls that hide nothing, furniture whose doors move."""
+"""Drawing the room: floor, walls that hide nothing, furniture whose doors move."""
 
 from __future__ import annotations
 
@@ -8,22 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from viser.transforms import SO3
 
-from momapos.apps.plots import (
-    BAD,
-    FLOOR,
-    FURNITURE,
-    FURNITURE_EDGE,
-    PART,
-    TARGET,
-    TARGET_EDGE,
-    WALL,
-    room_bounds,
-)
+from momapos.apps import plots
 from momapos.core.geometry import invert, signed_area
 from momapos.model.scene import Scene, SceneObject
 
-from .bodies import Surface, facing, joined, looks, standing
-from .crowd import Crowd, Part
+from .bodies import Surface, facing, joined, link_surfaces, world_surface
+from .crowd import ColoredSurface, ObjectBatches
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,35 +21,36 @@ if TYPE_CHECKING:
 
 ROOT = "/room"
 _FLOOR = " floor"
-"""No object is called so."""
-MOST_NODES = 200
-"""A room of more objects is drawn as a crowd; else each is marked when the mouse is on it [-]."""
-MOST_OF_ONE = 500
-"""In a large room, a thing of more triangles is drawn as its hulls, or as a box about it [-]."""
-BEYOND = 1.0
-"""The floor of a room without an outline goes on for so long beyond its things [m]."""
-SMALL_THING = 0.02
-"""Things of less than this are set off by their color: cups, fruit [m^3]."""
-THING = "#c8b28a"
-SWELL = 0.004
-"""What is marked is drawn so much larger than it is [m]."""
+"""Key of the floor; no object has this name."""
+MAX_SEPARATE_OBJECTS = 200
+"""Rooms with more objects share nodes between them; in others an object is highlighted under the
+mouse [-]."""
+MAX_TRIANGLES = 500
+"""In a large room, an object with more triangles is drawn as its hulls, or as its box [-]."""
+FLOOR_MARGIN = 1.0
+"""Margin of the floor around the objects of a room without an outline [m]."""
+SMALL_VOLUME = 0.02
+"""Objects with a smaller bounding box get another color: cups, fruit [m^3]."""
+SMALL_OBJECT = "#c8b28a"
+MARK_MARGIN = 0.004
+"""A marked shape is drawn larger by this on each side [m]."""
 
 Color = tuple[int, int, int]
 
 
 def rgb(color: str) -> Color:
-    """A color "#rrggbb" as three numbers up to 255."""
+    """Convert a color "#rrggbb" to three numbers up to 255."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
 def place(handle: Any, T: Float[np.ndarray, "4 4"]) -> None:
-    """Put a node where a transform says."""
+    """Set the pose of a node."""
     handle.position = T[:3, 3]
     handle.wxyz = SO3.from_matrix(T[:3, :3]).wxyz
 
 
-def swollen(surface: Surface, by: float) -> Surface:
-    """A surface moved outwards, away from its middle [m]."""
+def enlarged(surface: Surface, by: float) -> Surface:
+    """Scale a surface about its middle, so that each side moves outward by a length [m]."""
     low, high = surface.vertices.min(0), surface.vertices.max(0)
     grown = (high - low + 2 * by) / np.maximum(high - low, 1e-6)
     middle = (low + high) / 2
@@ -67,7 +58,7 @@ def swollen(surface: Surface, by: float) -> Surface:
 
 
 class RoomView:
-    """Draws a scene; of what does not change nothing is sent again."""
+    """Draws a scene, and sends only changes."""
 
     def __init__(
         self, api: SceneApi, picked: Callable[[str], None] | None = None, *, name: str = ROOT
@@ -76,47 +67,47 @@ class RoomView:
 
         Args:
             api: Where to draw.
-            picked: Is told the name of an object that is clicked.
-            name: Of the node from which all others hang.
+            picked: Called with the name of an object that a user clicks.
+            name: Name of the parent node.
         """
         self._api, self._picked, self.name = api, picked, name
-        self._crowd = Crowd(api, f"{name}/crowd", picked)
-        self._standing: dict[str, list[Part]] = {}
-        """In a large room, the objects as the crowd draws them."""
+        self._batches = ObjectBatches(api, f"{name}/batch", picked)
+        self._batched: dict[str, list[ColoredSurface]] = {}
+        """In a large room, the surfaces of each object in the batches."""
         self._nodes: dict[str, list[Any]] = {}
-        """The nodes of objects that are drawn by themselves."""
+        """The nodes of objects that have their own."""
         self._drawn = 0
         self._links: dict[str, Any] = {}
         self._marks: list[Any] = []
-        self._marked: set[tuple[str, str]] = set()
-        """Labels and colors of what is marked."""
+        self._marked: set[str] = set()
+        """Labels of the marked links."""
         self._moved: dict[str, float] = {}
         self._carried: np.ndarray | None = None
         self._collision = False
         self._root: Any = None
         self.scene: Scene | None = None
         self.active = ""
-        """The object whose parts may move."""
+        """The object that may move."""
 
     def set_visible(self, visible: bool) -> None:
-        """Show all of the room, or nothing of it."""
+        """Show or hide the room."""
         if self._root is None:
             self._root = self._api.add_frame(self.name, show_axes=False)
         self._root.visible = visible
 
     def remove(self) -> None:
-        """Draw it no more."""
+        """Remove the room."""
         self.mark(())
         for name in [*self._nodes]:
             self._remove(name)
-        self._crowd.show(())
+        self._batches.show(())
         self.scene, self.active, self._links = None, "", {}
         if self._root is not None:
             self._root.remove()
             self._root = None
 
     def carry(self, T_world_root: Float[np.ndarray, "4 4"]) -> None:
-        """Move the active object, which is loose, as a whole: the pose of its root link."""
+        """Move the active object, which has no joints, by the pose of its root link."""
         if self.scene is None or not self.active:
             return
         self._carried = T_world_root
@@ -126,7 +117,7 @@ class RoomView:
             place(node, T)
 
     def rest(self) -> None:
-        """Put the active object back to where the scene has it."""
+        """Reset the active object to its pose in the scene."""
         if self.scene is None or not self.active:
             return
         item = self.scene.object(self.active)
@@ -136,13 +127,12 @@ class RoomView:
             self.carry(item.link_poses()[item.model.urdf.root])
 
     def show(self, scene: Scene, active: str = "", *, collision: bool | None = None) -> None:
-        """Draw a scene instead of the last; what is the same in both is not drawn again.
+        """Draw a scene in place of the last one; equal objects are not drawn again.
 
         Args:
             scene: The room.
-            active: The object whose parts may move; it is set off by its color.
-            collision: Whether to draw the hulls that are checked instead of what things look like;
-                None: as before.
+            active: The object that may move; it gets another color.
+            collision: Whether to draw collision hulls in place of visuals; None for no change.
         """
         collision = self._collision if collision is None else collision
         same_look, same_active = self._collision == collision, self.active == active
@@ -167,21 +157,17 @@ class RoomView:
         for item in scene.objects:
             if item.name in changed:
                 self._draw(item)
-        parts = [one for item in scene.objects for one in self._standing.get(item.name, ())]
-        self._crowd.show(parts, left_out=active)
-        if still:
-            self._as_it_was()
-        else:
+        parts = [one for item in scene.objects for one in self._batched.get(item.name, ())]
+        self._batches.show(parts, left_out=active)
+        if not still:
             self._moved, self._carried = {}, None
-
-    def _as_it_was(self) -> None:
-        """Put the active object to where it was moved before it was drawn anew."""
-        if self._carried is not None:
+            return
+        if self._carried is not None:  # the active object keeps its pose when it is redrawn
             self.carry(self._carried)
         self.move(self._moved)
 
     def move(self, values: Mapping[str, float]) -> None:
-        """Move joints of the active object [rad] or [m]; all others are as the scene has them."""
+        """Move joints of the active object [rad] or [m]; other joints get the scene's value."""
         if self.scene is None or not self.active:
             return
         self._moved = dict(values)
@@ -189,12 +175,11 @@ class RoomView:
         for key, handle in self._links.items():
             place(handle, poses[key.rpartition("|")[0]])
 
-    def mark(self, labels: Collection[str], color: str = BAD) -> None:
-        """Mark what labels "object/link" name, and nothing else."""
-        wanted = {(label, color) for label in labels}
-        if wanted == self._marked:
+    def mark(self, labels: Collection[str]) -> None:
+        """Mark the links with labels "object/link", and no others."""
+        if set(labels) == self._marked:
             return
-        self._marked = wanted
+        self._marked = set(labels)
         for node in self._marks:
             node.remove()
         self._marks = []
@@ -205,42 +190,38 @@ class RoomView:
             if item is None:
                 continue
             poses = item.link_poses()
-            surfaces = [
-                joined((look.body, look.handle)).moved(poses[look.link])
-                for look in looks(item.model, collision=True)
-                if look.link == link or link not in poses
-            ]
-            for surface in surfaces:
-                name = f"{self.name}/mark{len(self._marks)}"
-                self._marks.append(
-                    self._mesh(name, swollen(surface, SWELL), rgb(color), opacity=0.75)
-                )
+            for own in link_surfaces(item.model, collision=True):
+                if own.link == link or link not in poses:
+                    surface = joined((own.body, own.handle)).moved(poses[own.link])
+                    self._marks.append(self._mesh(
+                        f"{self.name}/mark{len(self._marks)}", enlarged(surface, MARK_MARGIN),
+                        rgb(plots.BAD), opacity=0.75,
+                    ))  # fmt: skip
 
     # ------------------------------------------------------------------------------------ parts
 
     def _remove(self, name: str) -> None:
         for node in self._nodes.pop(name, []):
             node.remove()
-        self._standing.pop(name, None)
+        self._batched.pop(name, None)
 
     def _draw_floor(self, scene: Scene) -> None:
         polygon = scene.floor_polygon
         if polygon is None:
-            low, high = room_bounds(scene) + np.array([[-BEYOND], [BEYOND]])
+            low, high = plots.room_bounds(scene) + np.array([[-FLOOR_MARGIN], [FLOOR_MARGIN]])
             polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
         surface = Surface(corners, triangulated(polygon))
-        floor = self._mesh(f"{self.name}/floor", surface, rgb(FLOOR), shaded=not large(scene))
+        floor = self._mesh(f"{self.name}/floor", surface, rgb(plots.FLOOR), shaded=not large(scene))
         self._nodes[_FLOOR] = [floor]
 
     def _draw(self, item: SceneObject) -> None:
-        """Draw an object; what was drawn of it is gone."""
         assert self.scene is not None
         self._drawn += 1
         root, active = f"{self.name}/o{self._drawn}", item.name == self.active
         self._nodes[item.name] = []
         if large(self.scene):
-            self._standing[item.name] = self._one_of_many(item)
+            self._batched[item.name] = self._simple_parts(item)
             if not active:
                 return
         if active and item.model.joints:
@@ -254,35 +235,34 @@ class RoomView:
             self._listen(node, item.name)
 
     def _draw_links(self, item: SceneObject, root: str) -> None:
-        """Draw each link as a node that can be moved."""
         poses, moving = item.link_poses(), _moving(item)
         color, dark = _colors(item, active=True)
-        for k, look in enumerate(looks(item.model, collision=self._collision)):
-            body = PART if look.link in moving else color
-            for part, surface, own in (("body", look.body, body), ("h", look.handle, dark)):
+        for k, link in enumerate(link_surfaces(item.model, collision=self._collision)):
+            body = plots.PART if link.link in moving else color
+            for part, surface, own in (("body", link.body, body), ("h", link.handle, dark)):
                 if len(surface.faces):
                     node = self._mesh(f"{root}/l{k}{part}", surface, rgb(own))
-                    place(node, poses[look.link])
-                    self._links[f"{look.link}|{part}"] = node
+                    place(node, poses[link.link])
+                    self._links[f"{link.link}|{part}"] = node
                     self._nodes[item.name].append(node)
 
-    def _one_of_many(self, item: SceneObject) -> list[Part]:
-        """An object by the finest of its looks that has few triangles."""
+    def _simple_parts(self, item: SceneObject) -> list[ColoredSurface]:
+        """Return the most detailed surfaces of an object that have few triangles."""
         for collision in (self._collision, True):
             parts = self._parts(item, active=False, collision=collision)
-            if self._collision or sum(len(one.surface.faces) for one in parts) <= MOST_OF_ONE:
+            if self._collision or sum(len(one.surface.faces) for one in parts) <= MAX_TRIANGLES:
                 return parts
         return self._parts(item.box_proxy, active=False, collision=False)
 
-    def _parts(self, item: SceneObject, *, active: bool, collision: bool) -> list[Part]:
-        """An object as it stands, of a wall those sides that look into the room."""
-        body = standing(item, lambda look: look.body, collision=collision)
-        handles = standing(item, lambda look: look.handle, collision=collision)
+    def _parts(self, item: SceneObject, *, active: bool, collision: bool) -> list[ColoredSurface]:
+        """Return the surfaces of an object; of a wall only those that face the room."""
+        body = world_surface(item, lambda link: link.body, collision=collision)
+        handles = world_surface(item, lambda link: link.handle, collision=collision)
         if item.category == "wall" and self.scene is not None:
-            middle = room_bounds(self.scene).mean(0)
+            middle = plots.room_bounds(self.scene).mean(0)
             body = facing(body, np.append(middle, 1.0))
         both = zip((body, handles), _colors(item, active=active), strict=True)
-        return [Part(item.name, one, rgb(color)) for one, color in both if len(one.faces)]
+        return [ColoredSurface(item.name, one, rgb(color)) for one, color in both if len(one.faces)]
 
     def _listen(self, node: Any, name: str) -> None:
         picked = self._picked
@@ -293,17 +273,16 @@ class RoomView:
         self, name: str, surface: Surface, color: Color, *, opacity: float | None = None,
         shaded: bool = True,
     ) -> Any:  # fmt: skip
-        """Draw triangles; where they are shaded, shadows are seen on them."""
+        """Draw a surface; `shaded` ones receive shadows."""
         return self._api.add_mesh_simple(
-            name, surface.vertices.astype(np.float32), surface.faces.astype(np.uint32),
-            color=color, flat_shading=True, opacity=opacity, cast_shadow=opacity is None,
-            receive_shadow=shaded,
+            name, *surface.arrays, color=color, flat_shading=True, opacity=opacity,
+            cast_shadow=opacity is None, receive_shadow=shaded,
         )  # fmt: skip
 
 
 def large(scene: Scene) -> bool:
-    """Whether a room has so many things that it is drawn as a crowd."""
-    return len(scene.objects) > MOST_NODES
+    """Return whether a room has so many objects that they share nodes."""
+    return len(scene.objects) > MAX_SEPARATE_OBJECTS
 
 
 def _moving(item: SceneObject) -> set[str]:
@@ -311,17 +290,16 @@ def _moving(item: SceneObject) -> set[str]:
 
 
 def _colors(item: SceneObject, *, active: bool) -> tuple[str, str]:
-    """Of the body of an object, and of its handles."""
-    if active:  # of a loose thing all moves
-        return (TARGET if item.model.joints else PART), TARGET_EDGE
+    if active:  # an object without joints moves as a whole
+        return (plots.TARGET if item.model.joints else plots.PART), plots.TARGET_EDGE
     if item.category == "wall":
-        return WALL, WALL
-    small = np.prod(np.ptp(item.bounds, axis=0)) < SMALL_THING
-    return (THING if small else FURNITURE), FURNITURE_EDGE
+        return plots.WALL, plots.WALL
+    small = np.prod(np.ptp(item.bounds, axis=0)) < SMALL_VOLUME
+    return (SMALL_OBJECT if small else plots.FURNITURE), plots.FURNITURE_EDGE
 
 
 def triangulated(polygon: Float[np.ndarray, "k 2"]) -> np.ndarray:
-    """Triangles of a simple polygon, counterclockwise, by cutting ears off."""
+    """Triangulate a simple polygon by ear clipping; the triangles are counterclockwise."""
     left, triangles = list(range(len(polygon))), []
     if signed_area(polygon) < 0:
         left.reverse()
@@ -334,7 +312,7 @@ def triangulated(polygon: Float[np.ndarray, "k 2"]) -> np.ndarray:
                 triangles.append((i, j, m))
                 left.pop(k)
                 break
-        else:  # nothing can be cut off: corners in one line
+        else:  # no ear is left: the corners are collinear
             break
     triangles.append((left[0], left[1], left[2]))
     return np.array(triangles)

@@ -1,4 +1,4 @@
-"""Files: plans and scenes into the working folder, pictures and films to the browser."""
+"""Files: plans and scenes are saved in the working folder, images and films by the browser."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from momapos.model import with_times
 from momapos.model.plan_files import write_plan
 from momapos.model.scene import Scene, copied, save_scene
 from momapos.planning import PlacementResult
-from momapos.simulation import GIF, MP4, encoded
+from momapos.simulation import GIF, MP4, encode_film
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}\.json")
-PICTURE = (1280, 720)
+IMAGE_SIZE = (1280, 720)
 """Width and height [px]."""
-PATIENCE = 30.0
-"""A browser sends a picture within this time, however slowly it draws [s]."""
-BEHIND = 255.0
-"""White behind all that is drawn."""
+RENDER_TIMEOUT = 30.0
+"""Time within which even a slow browser sends an image [s]."""
+BACKGROUND = 255.0
+"""White."""
 
 
 @dataclass(frozen=True)
-class FilmLook:
-    """A kind of film."""
+class FilmFormat:
+    """Size and length of a film."""
 
     size: tuple[int, int]
     """Width and height [px]."""
     rate: float
-    """Pictures a second [1/s]."""
-    most: int
-    """Pictures at most [-]."""
+    """Frame rate [1/s]."""
+    max_frames: int
+    """Maximum number of frames [-]."""
 
 
-FILMS = {GIF: FilmLook((640, 360), 12.0, 72), MP4: FilmLook((1280, 720), 25.0, 250)}
-"""A browser sends each picture by itself, which takes most of the time."""
+FILMS = {GIF: FilmFormat((640, 360), 12.0, 72), MP4: FilmFormat((1280, 720), 25.0, 250)}
+"""Formats by file ending. The browser sends frame by frame, which takes most of the time."""
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """A new file of a name that was typed on the page.
+    """Return the path of a new file with a name typed on the page.
 
     Raises:
-        InputError: It is no plain name that ends in .json, or there is such a file.
+        InputError: The name is not a plain one that ends in .json, or the file exists.
     """
     if not NAME.fullmatch(name):
         raise InputError(
-            f"{name[:80]!r} cannot be the name of a file here; give letters, digits, '-', '_' and "
-            "'.', with .json at the end, and no folder"
+            f"{name[:80]!r}: invalid file name; use letters, digits, '-', '_' and '.', no folder, "
+            "and .json at the end"
         )
     path = folder / name
     if path.exists() or path.is_symlink():
-        raise InputError(f"{name}: exists already; give another name")
+        raise InputError(f"{name}: file exists; choose another name")
     return path
 
 
@@ -67,7 +67,7 @@ def save_plan(folder: Path, name: str, answer: PlacementResult | None) -> Path:
     """Write the plan that is shown.
 
     Raises:
-        InputError: There is none, or it cannot be written.
+        InputError: There is no answer, or the file cannot be written.
     """
     if answer is None:
         raise InputError("there is no answer yet; press Place first")
@@ -79,20 +79,20 @@ def save_plan(folder: Path, name: str, answer: PlacementResult | None) -> Path:
 def save_room(
     folder: Path, name: str, scene: Scene | None, target: str, joints: dict[str, float]
 ) -> Path:
-    """Write the scene, and its models into a folder beside it, as it stands on the page.
+    """Write the scene as the page shows it, with its models in a folder next to it.
 
     Args:
         folder: The working folder.
-        name: Of the scene file.
+        name: Name of the scene file.
         scene: The scene.
-        target: The object whose joints were moved by hand.
-        joints: Where they are [rad] or [m].
+        target: The object whose joints a user has moved.
+        joints: Values of these joints [rad] or [m].
 
     Raises:
-        InputError: There is none, or it cannot be written.
+        InputError: There is no scene, or the file cannot be written.
     """
     if scene is None:
-        raise InputError("there is no scene")
+        raise InputError("there is no scene yet")
     path = file_in(folder, name)
     moved = scene.with_joints({target: joints}) if joints else scene
     with copied(moved, path) as whole:
@@ -101,66 +101,71 @@ def save_room(
 
 
 def render(
-    client: Any, size: tuple[int, int], *, patience: float = PATIENCE
+    client: Any, size: tuple[int, int], *, timeout: float = RENDER_TIMEOUT
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """What a browser sees, as a picture of a size [px]; it is waited for so long at most [s].
+    """Return an image of a browser's view.
+
+    Args:
+        client: The browser.
+        size: Width and height [px].
+        timeout: Maximum time to wait [s].
 
     Raises:
-        InputError: It sends none, as one that has gone or is hidden.
+        InputError: The browser sends no image, as it is disconnected or hidden.
     """
     width, height = size
     try:
-        picture: np.ndarray = client.get_render(
-            height=height, width=width, transport_format="png", timeout=patience
+        image: np.ndarray = client.get_render(
+            height=height, width=width, transport_format="png", timeout=timeout
         )
     except (RuntimeError, TimeoutError) as error:
         raise InputError(
-            "the browser sent no picture; keep its page open and in front until it is done"
+            "the browser sent no image; keep the page open and in front until it is done"
         ) from error
-    # Where nothing is drawn a browser leaves it open what is behind, and says black.
-    opacity = picture[..., 3:] / 255.0
-    return (picture[..., :3] * opacity + BEHIND * (1.0 - opacity)).astype(np.uint8)
+    # A browser sends transparent black where nothing is drawn.
+    opacity = image[..., 3:] / 255.0
+    return (image[..., :3] * opacity + BACKGROUND * (1.0 - opacity)).astype(np.uint8)
 
 
-def send_picture(client: Any) -> None:
-    """Give a browser what it sees as a PNG."""
+def send_image(client: Any) -> None:
+    """Send a browser a PNG of its view."""
     from PIL import Image
 
     content = io.BytesIO()
-    Image.fromarray(render(client, PICTURE)).save(content, "PNG")
+    Image.fromarray(render(client, IMAGE_SIZE)).save(content, "PNG")
     client.send_file_download("momapos.png", content.getvalue(), save_immediately=True)
 
 
 def send_film(
     client: Any, ending: str, duration: float, show: Callable[[float], None], clock: Clock
 ) -> float:
-    """Give a browser what it sees of a motion as a film.
+    """Send a browser a film of the motion in its view.
 
     Args:
         client: The browser.
         ending: `GIF` or `MP4`.
-        duration: How long the motion takes [s].
-        show: Shows a moment [s].
-        clock: Looked at before each picture; what it raises ends the work.
+        duration: Duration of the motion [s].
+        show: Shows the motion at a time [s].
+        clock: Called before each frame; may raise to cancel.
 
     Returns:
-        How many times faster than in truth it plays [-].
+        Playback speed of the film, where 1 is real time [-].
 
     Raises:
-        InputError: There is no motion, or the browser has gone.
-        MissingExtraError: What writes such a film is not installed.
+        InputError: There is no motion, or the browser has disconnected.
+        MissingExtraError: The encoder of the film is not installed.
     """
     if duration <= 0:
         raise InputError("there is no motion to film; press Place first")
-    look = FILMS[ending]
-    count = int(np.clip(duration * look.rate, 2, look.most))
+    film = FILMS[ending]
+    count = int(np.clip(duration * film.rate, 2, film.max_frames))
 
-    def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    def frames() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         for seconds in np.linspace(0.0, duration, count).tolist():
             clock()
             show(seconds)
-            yield render(client, look.size)
+            yield render(client, film.size)
 
-    film = encoded(pictures(), ending, look.rate)
-    client.send_file_download(f"momapos{ending}", film, save_immediately=True)
-    return duration * look.rate / count
+    content = encode_film(frames(), ending, film.rate)
+    client.send_file_download(f"momapos{ending}", content, save_immediately=True)
+    return duration * film.rate / count

@@ -1,4 +1,4 @@
-"""A scan on the page: its points, by thing or as they were seen, boxes and names."""
+"""Drawing a scan: its points by object or in their original colors, boxes and names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from momapos.core.geometry import rotation
 from momapos.model.urdf import Boxes
 
 from .map_layers import box_edges
-from .panel import POINTS, Panel
+from .panel import CLOUDS, POINTS, Panel
 from .point_order import spread_order
 from .room_view import rgb
 
@@ -26,46 +26,49 @@ if TYPE_CHECKING:
 
 ROOT = "/scan"
 FINE, COARSE = f"{ROOT}/fine", f"{ROOT}/coarse"
-"""Nodes of what is asked for: points, boxes and names; and of few points that stand for all of it,
-see `Moving`."""
-THINGS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c7ae6", "#5a3a00")
-"""Colors of things, one after the other (Okabe and Ito, and two more)."""
-ROOM = "#c9ced3"
-"""Of points that are in no thing."""
-NAME = 0.08
+"""Nodes of all that is selected (points, boxes, names), and of the few points that replace it while
+a slow browser's camera moves; see `DetailControl`."""
+OBJECT_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c7ae6",
+                 "#5a3a00")  # fmt: skip
+"""Colors of successive objects (Okabe and Ito, and two more)."""
+BACKGROUND = "#c9ced3"
+"""Color of points that belong to no object."""
+NAME_HEIGHT = 0.08
 """Height of the letters of a name [m]."""
-FEW = 8_000
-"""Points that stand for all of them while a camera moves [-]."""
-SIZE, LARGEST = 0.012, 0.024
-"""Size of a point where all are shown; and at most, where fewer are to cover as much [m]."""
-LARGEST_OF_FEW = 0.05
-"""The same of a point that stands for many while a camera moves [m]."""
-Part: TypeAlias = tuple[str, str, int]
-"""Of the points: under which node it hangs, how it is colored, and its number."""
+COARSE_POINTS = 8_000
+"""Points that are drawn while a slow browser's camera moves [-]."""
+POINT_SIZE, MAX_POINT_SIZE = 0.012, 0.024
+"""Size of a point if all are shown; larger ones cover the same area if fewer are shown [m]."""
+MAX_COARSE_POINT_SIZE = 0.05
+"""Maximum size of the coarse points [m]."""
+PartKey: TypeAlias = tuple[str, str, int]
+"""Key of a part of the points: parent node, coloring, number."""
 
 
 class ScanView:
-    """Draws a scan. Points are sent in parts, each only when it is asked for."""
+    """Draws a scan. Points are sent in parts, each when it is first needed."""
 
     def __init__(self, api: SceneApi, panel: Panel) -> None:
         self._api, self._panel = api, panel
         self._modeled: Modeled | None = None
-        self._parts: dict[Part, Any] = {}
+        self._parts: dict[PartKey, Any] = {}
         self._boxes: list[Any] = []
         self._rooted = False
+        for handle in (panel.cloud, panel.points, panel.boxes):
+            panel.on_change(handle, self.changed)
 
     @property
     def sent(self) -> int:
-        """How many points are at the browsers [-]."""
+        """Number of points that the browsers have [-]."""
         return sum(len(part.points) for part in self._parts.values())
 
     @property
     def many(self) -> bool:
-        """Whether more points are shown than stand for them while a camera moves."""
-        return self._shown > FEW
+        """Whether more points are shown than the coarse ones."""
+        return self._shown > COARSE_POINTS
 
     def show(self, modeled: Modeled | None) -> None:
-        """Draw another scan; None: there is none."""
+        """Draw another scan; None draws none."""
         if modeled is self._modeled:
             return
         for node in (*self._parts.values(), *self._boxes):
@@ -74,17 +77,17 @@ class ScanView:
         self._panel.scan_folder.visible = modeled is not None
         if modeled is None:
             return
-        if not self._rooted:  # kept from then on, for browsers may show the one or the other
+        if not self._rooted:  # never removed: each browser has its own visibility of them
             self._api.add_frame(FINE, show_axes=False)
             self._api.add_frame(COARSE, show_axes=False, visible=False)
             self._rooted = True
-        # The same points for every number, so that more of them are sent and none again.
+        # One order for every number of points, so that no point is sent twice.
         self._order = spread_order(modeled.cloud.points, np.random.default_rng(0))
         self._draw_boxes([decision.detection for decision in modeled.decisions])
         self.changed()
 
     def changed(self) -> None:
-        """Something else is to be seen of it."""
+        """Draw what the panel selects."""
         if self._modeled is None:
             return
         count, shown = len(self._modeled.cloud.points), self._shown
@@ -95,21 +98,21 @@ class ScanView:
             if part not in self._parts:
                 self._parts[part] = self._draw(part, taken)
         for (root, *_), node in self._parts.items():
-            node.point_size = edge(count, shown) if root == FINE else edge_of_few(count)
-        self._panel.points_shown.content = f"{shown:,} of {count:,} points are drawn."
+            node.point_size = point_size(count, shown) if root == FINE else coarse_point_size(count)
+        self._panel.points_shown.content = f"{shown:,} of {count:,} points drawn."
         for node in self._boxes:
             node.visible = bool(self._panel.boxes.value)
 
     @property
     def _shown(self) -> int:
-        """How many points are asked for."""
+        """Number of points that the panel selects."""
         if self._modeled is None or self._panel.cloud.value == "none":
             return 0
-        count, most = len(self._modeled.cloud.points), POINTS[self._panel.points.value]
-        return min(count, most or count)
+        count, limit = len(self._modeled.cloud.points), POINTS[self._panel.points.value]
+        return min(count, limit or count)
 
-    def _wanted(self, shown: int) -> dict[Part, slice]:
-        """The parts that so many points are in, and which they are in the order of the points."""
+    def _wanted(self, shown: int) -> dict[PartKey, slice]:
+        """Return the parts that contain so many points, and their slices of the order."""
         assert self._modeled is not None
         coloring, count = self._panel.cloud.value, len(self._modeled.cloud.points)
         ends = [end for end in POINTS.values() if end is not None and end < count] + [count]
@@ -118,48 +121,49 @@ class ScanView:
             for level, (begin, end) in enumerate(zip([0, *ends], ends, strict=False))
             if begin < shown
         }
-        return parts | ({(COARSE, coloring, 0): slice(0, FEW)} if shown else {})
+        return parts | ({(COARSE, coloring, 0): slice(0, COARSE_POINTS)} if shown else {})
 
-    def _draw(self, part: Part, taken: slice) -> Any:
+    def _draw(self, part: PartKey, taken: slice) -> Any:
         assert self._modeled is not None
         root, coloring, level = part
         cloud, picked = self._modeled.cloud, self._order[taken]
-        colors = cloud.colors if coloring == "as seen" else thing_colors(self._modeled)
-        # Half the bytes in 16 bits, which are fine enough about the middle.
+        colors = object_colors(self._modeled) if coloring == CLOUDS[0] else cloud.colors
+        # 16 bits are half the bytes, and fine enough relative to the middle.
         middle = cloud.points.mean(0)
         return self._api.add_point_cloud(
             f"{root}/{coloring.replace(' ', '_')}{level}", cloud.points[picked] - middle,
-            colors[picked], point_size=SIZE, point_shape="square", precision="float16",
+            colors[picked], point_size=POINT_SIZE, point_shape="square", precision="float16",
             position=middle,
         )  # fmt: skip
 
-    def _draw_boxes(self, things: list[Detection]) -> None:
-        if not things:
+    def _draw_boxes(self, detections: list[Detection]) -> None:
+        if not detections:
             return
-        edges = box_edges(boxes_of([one.box for one in things])).reshape(-1, 2, 3)
+        edges = box_edges(oriented_boxes([one.box for one in detections])).reshape(-1, 2, 3)
         self._boxes.append(
             self._api.add_line_segments(f"{FINE}/boxes", edges, rgb(INK), thickness=0.008)
         )
-        for k, one in enumerate(things):
+        for k, one in enumerate(detections):
             top = one.box.center + np.array([0.0, 0.0, one.box.size[2] / 2])
             self._boxes.append(self._api.add_label(
                 f"{FINE}/name{k}", one.name, position=top, font_size_mode="scene",
-                font_scene_height=NAME, anchor="bottom-center",
+                font_scene_height=NAME_HEIGHT, anchor="bottom-center",
             ))  # fmt: skip
 
 
-def edge(count: int, shown: int) -> float:
-    """Size of points of which so many are shown of so many [m]: they cover as much as all do."""
-    return min(SIZE * float(np.sqrt(count / max(shown, 1))), LARGEST)
+def point_size(count: int, shown: int) -> float:
+    """Return the size of points if so many of `count` are shown: they cover the same area [m]."""
+    return min(POINT_SIZE * float(np.sqrt(count / max(shown, 1))), MAX_POINT_SIZE)
 
 
-def edge_of_few(count: int) -> float:
-    """Size of the few that stand for all of so many points [m]."""
-    return min(SIZE * float(np.sqrt(max(count / FEW, 1.0))), LARGEST_OF_FEW)
+def coarse_point_size(count: int) -> float:
+    """Return the size of the coarse points of a cloud of `count` points [m]."""
+    size = POINT_SIZE * float(np.sqrt(max(count / COARSE_POINTS, 1.0)))
+    return min(size, MAX_COARSE_POINT_SIZE)
 
 
-def boxes_of(upright: Sequence[UprightBox]) -> Boxes:
-    """Upright boxes as oriented ones."""
+def oriented_boxes(upright: Sequence[UprightBox]) -> Boxes:
+    """Convert upright boxes to oriented ones."""
     yaw = np.array([box.yaw for box in upright])
     turned = np.zeros((len(upright), 3, 3))
     turned[:, :2, :2], turned[:, 2, 2] = rotation(yaw), 1.0
@@ -167,9 +171,9 @@ def boxes_of(upright: Sequence[UprightBox]) -> Boxes:
     return Boxes(center, turned, np.array([box.size for box in upright]) / 2)
 
 
-def thing_colors(modeled: Modeled) -> UInt8[np.ndarray, "n 3"]:
-    """A color for each point: that of the thing it is in."""
-    colors = np.tile(np.array(rgb(ROOM), np.uint8), (len(modeled.cloud.points), 1))
+def object_colors(modeled: Modeled) -> UInt8[np.ndarray, "n 3"]:
+    """Color each point by the object it belongs to."""
+    colors = np.tile(np.array(rgb(BACKGROUND), np.uint8), (len(modeled.cloud.points), 1))
     for k, decision in enumerate(modeled.decisions):
-        colors[decision.detection.members] = rgb(THINGS[k % len(THINGS)])
+        colors[decision.detection.members] = rgb(OBJECT_COLORS[k % len(OBJECT_COLORS)])
     return colors

@@ -1,4 +1,4 @@
-"""Serving the page, on this machine alone unless somebody says otherwise."""
+"""Serving the page, by default on the loopback address only."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from .panel import set_theme
 
 
 class Server(viser.ViserServer):  # type: ignore[misc]  # mypy does not read viser
-    """A server that never opens a tunnel to the outside, whoever asks."""
+    """A server that never opens a tunnel to the outside."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Refuse: a page would otherwise be reachable by everybody."""
+        """Refuse to make the page public."""
         del verbose
         return None
 
@@ -41,18 +41,18 @@ def served(
     folder: Path,
     opened: Opened | OpenedScan | None = None,
 ) -> Iterator[tuple[Page, str]]:
-    """Serve the page as long as the context lasts.
+    """Serve the page while the context lasts.
 
     Args:
-        host: The address on which it listens.
-        port: Its port; 0 for any that is free.
+        host: Address to listen on.
+        port: Port; 0 for a free one.
         scenes, robots, scene, robot, cache, folder, opened: As for `Page`.
 
     Yields:
-        The page, and its address.
+        The page, and its URL.
 
     Raises:
-        InputError: The port is in use, or the address is none of this machine.
+        InputError: The port is in use, or the address does not belong to this machine.
     """
     server = open_server(host, port)
     page = Page(
@@ -68,15 +68,15 @@ def served(
 
 
 def open_server(host: str, port: int) -> Server:
-    """Listen at an address and a port, and nowhere else; pages of others are refused.
+    """Start a server on exactly this address and port; other websites cannot connect to it.
 
     Raises:
-        InputError: The port is in use, or the address is none of this machine.
+        InputError: The port is in use, or the address does not belong to this machine.
     """
     check_free(host, port)
     with quiet(), own_pages_only(host):
         server = Server(host=host, port=port, label="momapos", verbose=False)
-    if port and server.get_port() != port:  # somebody took it meanwhile; viser tries others
+    if port and server.get_port() != port:  # taken meanwhile; viser then uses another port
         with quiet():
             server.stop()
         raise _in_use(port)
@@ -87,42 +87,42 @@ def open_server(host: str, port: int) -> Server:
 
 
 def refuse_files(server: viser.ViserServer) -> None:
-    """Take no files: viser keeps what is sent, of any size, though no control asks for any."""
+    """Refuse uploads: viser stores files of any size, even without an upload control."""
     for kind in (messages.FileTransferStartUpload, messages.FileTransferPart):
         server.gui._websock_interface.unregister_handler(kind)
 
 
 def check_free(host: str, port: int) -> None:
-    """Make sure that a port can be listened at.
+    """Check that a port is free.
 
     Raises:
-        InputError: It cannot.
+        InputError: The port is in use or not permitted, or the address is not usable.
     """
     if not 0 <= port <= 65535:
-        raise InputError(f"--port {port} is none; ports go from 1 to 65535, 0 takes a free one")
+        raise InputError(f"port must be 1 to 65535, or 0 for a free one, not {port}")
     try:
         address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(address[0], address[1]) as tried:
             tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             tried.bind(address[4])
     except socket.gaierror as error:
-        raise InputError(f"--host {host}: no such address ({error.strerror})") from error
+        raise InputError(f"host {host}: unknown address ({error.strerror})") from error
     except PermissionError as error:
-        raise InputError(f"--port {port}: may not be used ({error.strerror})") from error
+        raise InputError(f"port {port}: not permitted ({error.strerror})") from error
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
-            raise InputError(f"--host {host}: is no address of this machine") from error
+            raise InputError(f"host {host}: not an address of this machine") from error
         raise _in_use(port) from error
 
 
 def _in_use(port: int) -> InputError:
-    return InputError(f"--port {port} is in use; give another one, or 0 for any that is free")
+    return InputError(f"port {port} is in use; choose another one, or 0 for a free one")
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep a server's own remarks off the terminal and out of notebooks; ours say what matters."""
-    from rich import get_console  # what viser speaks by
+    """Suppress viser's own messages in terminals and notebooks."""
+    from rich import get_console  # viser prints with it
 
     console = get_console()
     before, console.quiet = console.quiet, True

@@ -1,8 +1,8 @@
-"""What people set is told to all pages once more when it is quiet.
+"""Sending what a user has set to all browsers once more, after the last change.
 
-viser tells a change to all pages but the one that made it. Where two change the same control at
-once, the page of the later one hears of the earlier change after its own, and would show it for
-good. viser has no way to tell a page what the server knows already; here is one.
+viser sends a change to all browsers except the one that made it. If two browsers change one control
+at the same time, the later one receives the earlier change after its own, and would keep showing
+it. viser has no function that sends a value the server has already.
 """
 
 from __future__ import annotations
@@ -15,55 +15,55 @@ from typing import Any
 from viser import _messages as messages
 
 WAIT = 1.0
-"""A control is quiet when nobody has changed it for so long [s]."""
+"""Time after the last change of a control until its value is sent again [s]."""
 
 
-class Settled:
-    """Waits until it is quiet, for each thing apart."""
+class Resender:
+    """Sends values again, with a timer for each control and node."""
 
     def __init__(self, *, wait: float = WAIT) -> None:
-        """Wait for nothing yet; each time for so long [s]."""
+        """Set the time to wait after the last change [s]."""
         self._wait = wait
         self._lock = threading.Lock()
         self._timers: dict[str, threading.Timer] = {}
         self._closed = False
 
     def control(self, handle: Any) -> None:
-        """A control was changed on a page."""
-        self._soon(handle._impl.uuid, partial(tell_value, handle))
+        """Send a control again that a user has changed."""
+        self._soon(handle._impl.uuid, partial(send_value, handle))
 
     def node(self, node: Any) -> None:
-        """A node was dragged on a page."""
-        self._soon(node.name, partial(tell_pose, node))
+        """Send a node again that a user has dragged."""
+        self._soon(node.name, partial(send_pose, node))
 
     def close(self) -> None:
-        """Tell nothing any more."""
+        """Cancel all timers."""
         with self._lock:
             self._closed = True
             for timer in self._timers.values():
                 timer.cancel()
 
-    def _soon(self, key: str, tell: Callable[[], None]) -> None:
+    def _soon(self, key: str, send: Callable[[], None]) -> None:
         with self._lock:
             if self._closed:
                 return
             before = self._timers.pop(key, None)
             if before is not None:
                 before.cancel()
-            timer = self._timers[key] = threading.Timer(self._wait, self._now, (key, tell))
+            timer = self._timers[key] = threading.Timer(self._wait, self._now, (key, send))
             timer.daemon = True
             timer.start()
 
-    def _now(self, key: str, tell: Callable[[], None]) -> None:
+    def _now(self, key: str, send: Callable[[], None]) -> None:
         with self._lock:
             if self._closed or self._timers.get(key) is not threading.current_thread():
-                return  # it was changed again
+                return  # it has changed again
             del self._timers[key]
-        tell()
+        send()
 
 
-def tell_value(handle: Any) -> None:
-    """Tell all pages what a control says, unless it is gone."""
+def send_value(handle: Any) -> None:
+    """Send the value of a control to all browsers, unless it was removed."""
     own = handle._impl
     if not own.removed:
         own.gui_api._websock_interface.queue_message(
@@ -71,8 +71,8 @@ def tell_value(handle: Any) -> None:
         )
 
 
-def tell_pose(node: Any) -> None:
-    """Tell all pages where a node is, unless it is gone."""
+def send_pose(node: Any) -> None:
+    """Send the pose of a node to all browsers, unless it was removed."""
     own = node._impl
     if not own.removed:
         x, y, z = (float(v) for v in own.position)

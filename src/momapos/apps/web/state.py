@@ -1,19 +1,34 @@
-"""What is chosen on the page, and what is shown on it."""
+"""What the user has chosen, what the page shows, and what all views share."""
 
 from __future__ import annotations
 
+import logging
+import threading
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
+from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
 
+from .panel import Panel
+from .playback import Playable
 from .probe import Probe
-from .question import Machine, Question
+from .question import Question, RobotArms
+from .robot_view import RobotView
+from .room_view import RoomView
+from .words import escaped
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is chosen on the page."""
+    """What the controls of a task are set to."""
 
     scene: str
     robot: str
@@ -23,15 +38,57 @@ class Choice:
 
 @dataclass
 class Shown:
-    """What is loaded and drawn; the thread that answers changes it, and what is measured of an
-    answer afterward is added to it."""
+    """What is loaded and drawn.
+
+    The thread that answers questions changes it. Layers add what they measure of an answer later.
+    """
 
     scene_name: str = ""
     scene: Scene | None = None
-    machine_name: tuple[str, str] = ("", "")
-    machine: Machine | None = None
+    robot_name: tuple[str, str] = ("", "")
+    """Robot and arm."""
+    arms: RobotArms | None = None
     question: Question | None = None
     answer: PlacementResult | None = None
+    story: Playable | None = None
     probe: Probe | None = None
     joints: dict[str, float] = field(default_factory=dict)
-    """Joints of the object that were moved by hand, and how the others stood then [rad] or [m]."""
+    """Joints of the object that a user has moved, and the others at that time [rad] or [m]."""
+
+    @property
+    def target(self) -> str:
+        """The object of the question; "" without a question."""
+        return "" if self.question is None else self.question.target.partition("/")[0]
+
+
+@dataclass(frozen=True)
+class PageState:
+    """The server, the controls, the drawings and what is shown; each view depends on this only."""
+
+    server: ViserServer
+    panel: Panel
+    room: RoomView
+    robot: RobotView
+    shown: Shown = field(default_factory=Shown)
+    drawing: AbstractContextManager[Any] = field(default_factory=threading.RLock)
+    """Held by a thread while it checks that its request is still current, and draws."""
+
+    def show_text(self, text: str) -> None:
+        """Show a result as Markdown."""
+        self.panel.result.content = text
+
+    def fail(self, reason: str) -> None:
+        """Show and log an error."""
+        LOG.warning("momapos: %s", reason)
+        self.show_text(f"**Error:** {escaped(reason)}")
+
+    def show_room(self) -> None:
+        """Draw the room of the question, which differs from the one of a later task of a tour."""
+        if self.shown.scene is not None:
+            collision = bool(self.panel.layers["collision"].value)
+            self.room.show(self.shown.scene, self.shown.target, collision=collision)
+
+    def arm_of(self, arms: RobotArms) -> Robot:
+        """Return the arm that is drawn, which is the one of the last answer; else the first."""
+        robot = self.robot.robot
+        return robot if robot in arms.robots else arms.robots[0]

@@ -1,4 +1,4 @@
-"""A plan as one file that any browser plays, without a server and without a network."""
+"""A plan as one HTML file that plays in any browser, without a server or network."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 ENDINGS = (".html", ".htm")
-REST = 1.5
-"""The last moment stays for so long before it begins again [s]."""
+PAUSE_AT_END = 1.5
+"""Time for which the last moment stays before the motion repeats [s]."""
 SPEED = 2.0
-"""How many times faster than in truth it plays [-]."""
+"""Playback speed, where 1 is real time [-]."""
 
 
 def check_page(path: Path) -> None:
-    """Make sure before the work that a page can be written there.
+    """Check, before the work, that a page can be written to a path.
 
     Raises:
-        InputError: Its ending is none of a page, or it is a folder.
+        InputError: The file ending is not that of a page, or the path is a folder.
     """
     if path.suffix.lower() not in ENDINGS:
-        raise InputError(f"{path}: a page ends in {' or '.join(ENDINGS)}; name it so")
+        raise InputError(f"{path}: unsupported page format; use {' or '.join(ENDINGS)}")
     if path.is_dir():
         raise InputError(f"{path}: cannot be written (it is a folder)")
 
@@ -51,15 +51,15 @@ def write_page(
     story: Playable | None = None,
     active: str | None = None,
 ) -> None:
-    """Write a solved plan as a page that plays it over and over.
+    """Write a solved plan as a page that plays it in a loop.
 
     Args:
-        scene: The room as it is before the task.
+        scene: The room before the task.
         robot: The robot of the plan.
         plan: The plan.
-        path: An HTML file; its folder is made if it does not exist.
-        story: What came of it, where that is to be shown instead.
-        active: What moves then; by default the object of the plan.
+        path: An HTML file; its folder is created if needed.
+        story: The motion to play; by default that of the plan.
+        active: The object that moves; by default that of the plan.
 
     Raises:
         InputError: The plan is not solved, or the file cannot be written.
@@ -79,23 +79,22 @@ def page_of(
     story: Playable | None = None,
     active: str | None = None,
 ) -> str:
-    """The page as HTML; see `write_page`."""
+    """Return the page as HTML; see `write_page`."""
     story = story or Story.of(plan, robot, scene)
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
         look_at(server, scene)
-        room, machine = RoomView(server.scene), RobotView(server.scene)
+        room, robot_view = RoomView(server.scene), RobotView(server.scene)
         room.show(scene, active or plan.task.object)
-        first = story.at(0.0)
-        machine.show(robot, first.base)
-        machine.verdict("feasible")
+        robot_view.show(robot, story.at(0.0).base)
+        robot_view.verdict("feasible")
         if plan.base_path is not None:
-            draw_path(server.scene, "/way", plan.base_path)
+            draw_path(server.scene, "/path", plan.base_path)
         recording = server.get_scene_serializer()
         for seconds in _times(story.duration):
-            story.at(seconds).show(room, machine)
+            story.at(seconds).show(room, robot_view)
             recording.insert_sleep(1.0 / RATE)
-        recording.insert_sleep(REST)
+        recording.insert_sleep(PAUSE_AT_END)
         html: str = recording.as_html()
     finally:
         with quiet():
@@ -104,6 +103,5 @@ def page_of(
 
 
 def _times(duration: float) -> Sequence[float]:
-    """The moments that are recorded [s]."""
     times: Float[np.ndarray, " t"] = np.arange(0.0, duration, SPEED / RATE)
     return [*times.tolist(), duration]

@@ -1,142 +1,147 @@
-"""Answers and findings in words, as Markdown."""
+"""Answers and findings as Markdown."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from momapos.apps.plots import question, value_text
-from momapos.model.records import PlacementPlan
+from momapos.apps.plots import task_text, value_text
+from momapos.model.records import PlacementPlan, Task
 from momapos.planning import PlacementResult
 from momapos.simulation import RunRecord
 
 from .probe import Finding, Probe
 
-MOST_REASONS = 6
+MAX_ROWS = 6
+"""Rejection reasons, or collisions of an attempt, that are listed [-]."""
 STATUS = {"solved": "Solved", "infeasible": "No feasible base pose", "timeout": "Out of time"}
 
 
 def escaped(text: str) -> str:
-    """Words from a file, so that Markdown shows them as they are."""
+    """Escape text, such as names from a file, for Markdown."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-.!|" else c for c in text)
 
 
 def pose_text(pose: tuple[float, float, float]) -> str:
-    """A base pose with its units."""
+    """Format a base pose with its units."""
     return f"x {pose[0]:.3f} m, y {pose[1]:.3f} m, yaw {math.degrees(pose[2]):.1f}°"
 
 
-def answer_words(answer: PlacementResult) -> str:
-    """An answer: where to stand and how it moves, or why there is no way."""
+def answer_text(answer: PlacementResult) -> str:
+    """Describe an answer: the base pose and the motion, or why there is none."""
     plan = answer.plan
-    what, how = question(answer)
+    what, how = task_text(answer)
     status = STATUS[plan.status]
     if plan.status == "infeasible" and plan.base_pose is not None:
         status = "Not feasible from here"
     lines = [f"**{status}**", f"{escaped(what)} {escaped(how)}", ""]
     if plan.motion is not None and plan.base_pose is not None:
-        lines.append(f"- stand at {pose_text(plan.base_pose)}")
+        lines.append(f"- base pose: {pose_text(plan.base_pose)}")
         if plan.navigation_cost is not None:
-            lines.append(f"- drive {plan.navigation_cost:.2f} m")
-        lines += [f"- hold: {escaped(words)}" for words in answer.holds]
-        lines.append("- checked: base, arm and moving part over the whole motion")
-        lines += tolerance_words(plan)
+            lines.append(f"- driving length: {plan.navigation_cost:.2f} m")
+        lines += [f"- grasp: {escaped(words)}" for words in answer.holds]
+        lines.append("- collision-free: base, arm and moving part along the whole motion")
+        lines += tolerance_lines(plan)
     elif plan.feasible_to is not None and plan.feasible_from is not None:
         to = value_text(answer, plan.feasible_to)
-        lines.append(f"- to {to} from {pose_text(plan.feasible_from)}")
+        lines.append(f"- feasible to {to} from {pose_text(plan.feasible_from)}")
     total = plan.timing.get("total", 0.0)
-    beside = ("total", "tolerance")
     stages = sorted(
-        ((t, name) for name, t in plan.timing.items() if name not in beside), reverse=True
+        ((t, name) for name, t in plan.timing.items() if name not in ("total", "tolerance")),
+        reverse=True,
     )
     slowest = ", ".join(f"{name} {1000 * t:.0f}" for t, name in stages[:3])
-    lines.append(f"- time {1000 * total:.0f} ms ({slowest})")
+    lines.append(f"- time: {1000 * total:.0f} ms ({slowest})")
     counts = plan.candidates
-    lines.append(f"- {counts.sampled} candidates, {counts.checked} checked in full")
+    lines.append(f"- candidates: {counts.sampled} sampled, {counts.checked} fully checked")
     ranked = sorted(counts.rejections.items(), key=lambda item: -item[1])
-    lines += [f"  - {count} {escaped(reason)}" for reason, count in ranked[:MOST_REASONS]]
-    if len(ranked) > MOST_REASONS:
-        rest = sum(count for _, count in ranked[MOST_REASONS:])
-        lines.append(f"  - {rest} for {len(ranked) - MOST_REASONS} other reasons")
+    lines += [f"  - {count} {escaped(reason)}" for reason, count in ranked[:MAX_ROWS]]
+    if len(ranked) > MAX_ROWS:
+        rest = sum(count for _, count in ranked[MAX_ROWS:])
+        lines.append(f"  - {rest} for {len(ranked) - MAX_ROWS} other reasons")
     return "\n".join(lines)
 
 
-def tolerance_words(plan: PlacementPlan) -> list[str]:
-    """How far beside its base pose the robot may stand; nothing where that is not known."""
+def tolerance_lines(plan: PlacementPlan) -> list[str]:
+    """Describe the tolerance of the base pose; nothing where it is not measured."""
     found, spent = plan.tolerance, plan.timing.get("tolerance")
     if found is None:
         return []
     took = "" if spent is None else f", {1000 * spent:.0f} ms"
     if found.radius == 0.0:
-        return [f"- tolerance: none, the motion is not found anew from all around{took}"]
-    room = f"{100 * found.radius:g} cm beside, {math.degrees(found.turn):.1f}° turned"
-    return [f"- tolerance: {room} ({found.samples} poses tried{took})"]
+        return [f"- tolerance: none, replanning failed from a pose nearby{took}"]
+    offset = f"±{100 * found.radius:g} cm, ±{math.degrees(found.turn):.1f}°"
+    return [f"- tolerance: {offset} (replanned from {found.samples} sampled poses{took})"]
 
 
-def run_words(record: RunRecord) -> str:
-    """What came of a run."""
+def target_text(task: Task) -> str:
+    """Return the target of a task as "object" or "object/joint"."""
+    return task.object if task.joint is None else f"{task.object}/{task.joint}"
+
+
+def run_text(record: RunRecord) -> str:
+    """Describe a run in simulation."""
     task = record.true_task or record.task
-    what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-    lines = [f"**{'Done' if record.success else 'Failed'}**, in physics",
-             f"{task.verb} {escaped(what)} with {escaped(record.robot)}", ""]  # fmt: skip
+    outcome = "Succeeded" if record.success else "Failed"
+    what = f"{task.verb} {target_text(task)} with {record.robot}"
+    lines = [f"**{outcome}** in simulation", escaped(what), ""]
     if record.reason:
-        lines.append(f"- because {escaped(record.reason)}")
-    lines.append(f"- driven {record.driven:.2f} m")
-    tries = (*record.failed, *((record.execution,) if record.execution else ()))
-    for k, one in enumerate(tries, 1):
+        lines.append(f"- reason: {escaped(record.reason)}")
+    lines.append(f"- driven: {record.driven:.2f} m")
+    attempts = (*record.failed, *((record.execution,) if record.execution else ()))
+    for k, one in enumerate(attempts, 1):
+        number = f"attempt {k}: " if len(attempts) > 1 else ""
         lines += [
-            f"- try {k}: {escaped(one.ending)}" if len(tries) > 1 else f"- {escaped(one.ending)}",
-            f"  - reached {one.reached:.3f} of {one.asked:.3f}, from {one.start:.3f}",
-            f"  - hold by {escaped(one.hold)}, {one.load.force:.0f} N at most, slipped "
+            f"- {number}{escaped(one.ending)}",
+            f"  - moved from {one.start:.3f} to {one.reached:.3f}, goal {one.asked:.3f}",
+            f"  - grip: {escaped(one.hold)}, at most {one.load.force:.0f} N, slip "
             f"{1000 * one.slip.position:.1f} mm",
         ]
         lines += [
-            f"  - touched: {escaped(hit.one)} and {escaped(hit.other)}, {hit.force:.0f} N"
-            for hit in one.collisions[:MOST_REASONS]
+            f"  - collision: {escaped(hit.one)} and {escaped(hit.other)}, {hit.force:.0f} N"
+            for hit in one.collisions[:MAX_ROWS]
         ]
     return "\n".join(lines)
 
 
-def tour_words(plans: Sequence[PlacementPlan]) -> str:
-    """The tasks of a tour, and where each is done."""
+def tour_text(plans: Sequence[PlacementPlan]) -> str:
+    """List the tasks of a tour and their base poses."""
     driven = sum(plan.navigation_cost or 0.0 for plan in plans)
     lines = [f"**Solved**: {len(plans)} tasks, {driven:.2f} m driven", ""]
     for number, plan in enumerate(plans, start=1):
-        task = plan.task
-        what = task.object if task.joint is None else f"{task.object}/{task.joint}"
         at = "" if plan.base_pose is None else f" from {pose_text(plan.base_pose)}"
-        lines.append(f"{number}. {task.verb} {escaped(what)}{at}")
+        lines.append(f"{number}. {plan.task.verb} {escaped(target_text(plan.task))}{at}")
     if any(plan.task.verb == "pick" for plan in plans[:-1]):
-        lines += ["", "When the next task begins, what was picked is drawn where it was."]
+        lines += ["", "A picked object is drawn at its old place when the next task begins."]
     return "\n".join(lines)
 
 
-def finding_words(finding: Finding, probe: Probe, seconds: float) -> str:
-    """What came of a base pose that was dragged to."""
+def finding_text(finding: Finding, probe: Probe, seconds: float) -> str:
+    """Describe what the check of a dragged base found."""
     x, y, yaw = finding.base.tolist()
-    lines = [f"**{verdict_words(finding, probe)}**", "", f"- at {pose_text((x, y, yaw))}"]
+    lines = [f"**{verdict_text(finding, probe)}**", "", f"- at {pose_text((x, y, yaw))}"]
     if not finding.feasible:
         lines.append(f"- {escaped(str(finding.outcome))}")
     if finding.in_the_way:
-        lines.append(f"- in the way: {escaped(', '.join(finding.in_the_way))}")
-    if not finding.sure:
-        lines.append("- not all ways of holding were tried yet")
+        lines.append(f"- obstacles: {escaped(', '.join(finding.in_the_way))}")
+    if not finding.complete:
+        lines.append("- not all grasps tried yet")
     lines.append(f"- answered in {1000 * seconds:.0f} ms")
     return "\n".join(lines)
 
 
-def verdict_words(finding: Finding, probe: Probe) -> str:
-    """The same in a few words."""
+def verdict_text(finding: Finding, probe: Probe) -> str:
+    """Summarize a finding in a few words."""
     if finding.feasible:
         return "Feasible from here"
     if finding.value is None:
         return "Not feasible from here"
     value = f"{finding.value:.2f} m" if probe.slides else f"{math.degrees(finding.value):.0f}°"
-    return f"From here only to {value}"
+    return f"Feasible from here only to {value}"
 
 
 def verdict_of(finding: Finding) -> str:
-    """The word that colors the footprint."""
+    """Return the verdict that colors the footprint."""
     if finding.feasible:
         return "feasible"
     return "infeasible" if finding.value is None else "partly"

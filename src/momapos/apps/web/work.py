@@ -1,4 +1,4 @@
-"""Work in a thread of its own: the newest request wins, and what runs can be stopped."""
+"""A worker thread that runs the newest request and can cancel the running one."""
 
 from __future__ import annotations
 
@@ -14,85 +14,85 @@ LOG = logging.getLogger(__name__)
 
 
 class Stopped(Exception):
-    """Raised by the clock of work that nobody waits for any more."""
+    """Raised by the clock of canceled work."""
 
 
 @dataclass
-class Stop:
-    """Whether a piece of work is to stop; its clock says so wherever the work looks at it."""
+class StopSignal:
+    """Cancels work through the clock that the work calls."""
 
-    asked: threading.Event = field(default_factory=threading.Event)
+    sent: threading.Event = field(default_factory=threading.Event)
 
     def clock(self) -> float:
-        """The time [s].
+        """Return the time [s].
 
         Raises:
-            Stopped: The work is to stop.
+            Stopped: The work is canceled.
         """
-        if self.asked.is_set():
+        if self.sent.is_set():
             raise Stopped
         return time.perf_counter()
 
 
-class Latest:
-    """Runs one request at a time; of those that wait only the newest is run."""
+class LatestWorker:
+    """Runs one request at a time; of the waiting ones only the newest runs."""
 
-    def __init__(self, name: str, tell: Callable[[str], None]) -> None:
+    def __init__(self, name: str, report: Callable[[str], None]) -> None:
         """Start the thread.
 
         Args:
-            name: Of the thread.
-            tell: Is told in one line why a request failed.
+            name: Name of the thread.
+            report: Called with one line if a request fails.
         """
-        self._tell = tell
+        self._report = report
         self._changed = threading.Condition()
         self._next: Callable[[Clock], None] | None = None
-        self._running: Stop | None = None
+        self._running: StopSignal | None = None
         self._closed = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def put(self, work: Callable[[Clock], None], *, stop_running: bool = False) -> None:
-        """Run a piece of work next, instead of whatever else waits.
+        """Run a piece of work next, in place of a waiting one.
 
         Args:
-            work: Is given a clock, which it should look at now and then.
-            stop_running: Whether what runs now is stopped for it.
+            work: Gets a clock, which it should call regularly.
+            stop_running: Whether to cancel the running work.
         """
         with self._changed:
             self._next = work
             if stop_running and self._running is not None:
-                self._running.asked.set()
+                self._running.sent.set()
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Stop what runs, and forget what waits."""
+        """Cancel the running and the waiting work."""
         with self._changed:
             self._next = None
             if self._running is not None:
-                self._running.asked.set()
+                self._running.sent.set()
 
     @property
     def busy(self) -> bool:
-        """Whether anything runs or waits."""
+        """Whether work runs or waits."""
         with self._changed:
             return self._running is not None or self._next is not None
 
     @property
     def waiting(self) -> bool:
-        """Whether a newer request waits for the one that runs."""
+        """Whether a newer request waits."""
         with self._changed:
             return self._next is not None
 
     def wait(self, timeout: float) -> bool:
-        """Wait until nothing runs or waits; whether that came true in time [s]."""
+        """Wait until no work runs or waits; return whether that was in time [s]."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._running is None and self._next is None, timeout
             )
 
     def close(self, timeout: float = 5.0) -> None:
-        """Stop everything and end the thread; waits for it so long at most [s]."""
+        """Cancel all work and end the thread; wait for it at most this long [s]."""
         with self._changed:
             self._closed = True
         self.stop()
@@ -108,18 +108,18 @@ class Latest:
                 if self._closed:
                     return
                 work, self._next = self._next, None
-                self._running = Stop()
+                self._running = StopSignal()
                 clock = self._running.clock
             assert work is not None
             try:
                 work(clock)
             except Stopped:
-                LOG.debug("stopped on request")
+                LOG.debug("work canceled")
             except (MomaposError, OSError) as error:
-                self._tell(str(error))
-            except Exception as error:  # the page outlives a defect, and says that there is one
+                self._report(str(error))
+            except Exception as error:  # the page survives a bug, and reports it
                 LOG.exception("a request of the page failed")
-                self._tell(f"momapos has a defect here: {type(error).__name__}: {error}")
+                self._report(f"bug in momapos: {type(error).__name__}: {error}")
             finally:
                 with self._changed:
                     self._running = None

@@ -1,8 +1,7 @@
-"""Kernels: functions that are compiled once and then run without the compiler.
+"""Kernels: functions that numba compiles once and that then run without numba.
 
-numba compiles them, and takes half a second to import before it can even load what it compiled. So
-an entry, a kernel that Python calls, is kept as machine code with its types fixed by its
-annotations; llvmlite alone loads it.
+Importing numba takes 0.5 s, even to load compiled code. So the machine code of an entry (a kernel
+that Python calls) is stored, with argument types fixed by its annotations, and llvmlite loads it.
 """
 
 import lazy_loader

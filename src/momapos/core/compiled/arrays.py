@@ -1,6 +1,6 @@
-"""Argument types of entries, written as annotations.
+"""Argument types of entries, as annotations.
 
-A record of arrays is a NamedTuple whose fields are annotated in the same way; plain tuples are
+A record of arrays is a NamedTuple with fields annotated in the same way; plain tuples are
 `tuple[...]`, numbers `int`, `float` and `bool`.
 """
 
@@ -29,7 +29,7 @@ class Array:
     dtype: np.dtype
     ndim: int
     readonly: bool = False
-    """Whether the kernel leaves it alone, so that arrays that cannot be written will do."""
+    """Whether the kernel only reads it, so that read-only arrays are accepted."""
 
 
 F1 = Annotated[np.ndarray, Array(np.dtype("f8"), 1)]
@@ -38,7 +38,6 @@ F3 = Annotated[np.ndarray, Array(np.dtype("f8"), 3)]
 F4 = Annotated[np.ndarray, Array(np.dtype("f8"), 4)]
 I1 = Annotated[np.ndarray, Array(np.dtype("i8"), 1)]
 I2 = Annotated[np.ndarray, Array(np.dtype("i8"), 2)]
-I3 = Annotated[np.ndarray, Array(np.dtype("i8"), 3)]
 B1 = Annotated[np.ndarray, Array(np.dtype("?"), 1)]
 B2 = Annotated[np.ndarray, Array(np.dtype("?"), 2)]
 U1 = Annotated[np.ndarray, Array(np.dtype("u8"), 1)]
@@ -55,14 +54,14 @@ Fits = Callable[[Any], bool]
 
 
 def argument_types(function: Callable[..., object]) -> list[Any]:
-    """The annotations of a function's arguments, in order."""
+    """Return the annotations of a function's arguments, in order."""
     hints = typing.get_type_hints(function, include_extras=True)
     code = function.__code__
     return [hints[name] for name in code.co_varnames[: code.co_argcount]]
 
 
 def fields(hint: Any) -> list[Any] | None:
-    """Types of the members of a record or tuple; None of anything else."""
+    """Return the types of the members of a record or tuple; None for other types."""
     if typing.get_origin(hint) is tuple:
         return list(typing.get_args(hint))
     if isinstance(hint, type) and issubclass(hint, tuple):
@@ -72,7 +71,7 @@ def fields(hint: Any) -> list[Any] | None:
 
 
 def array_of(hint: Any) -> Array | None:
-    """The array that an annotation means, if it means one."""
+    """Return the array type that an annotation holds, if any."""
     for extra in getattr(hint, "__metadata__", ()):
         if isinstance(extra, Array):
             return extra
@@ -80,10 +79,10 @@ def array_of(hint: Any) -> Array | None:
 
 
 def checker(hint: Any) -> Fits:
-    """A test whether a value is of a type, to the byte: what is not would be misread.
+    """Return a function that checks whether a value has exactly the memory layout of a type.
 
     Raises:
-        TypeError: The annotation is none of an entry.
+        TypeError: Entries do not support the annotation.
     """
     array = array_of(hint)
     if array is not None:
@@ -94,7 +93,7 @@ def checker(hint: Any) -> Fits:
     if hint in _NUMBERS:
         kinds = _NUMBERS[hint]
         return lambda value: type(value) in kinds
-    raise TypeError(f"{hint!r} is no type of an entry's argument")
+    raise TypeError(f"entries do not support the argument type {hint!r}")
 
 
 def _array_checker(array: Array) -> Fits:
@@ -117,7 +116,7 @@ def _tuple_checker(hint: Any, members: list[Fits]) -> Fits:
     last: Any = None
 
     def fits(value: Any) -> bool:
-        # The same record comes again and again, and neither it nor its arrays change their type.
+        # The same record is often passed again, and its arrays do not change their type.
         nonlocal last
         if value is last:
             return True

@@ -1,4 +1,4 @@
-"""Lowering numba's instructions to LLVM's, without counting references of what is only borrowed."""
+"""Lower numba's instructions to LLVM's without reference counts for borrowed values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numba.core.typed_passes import BaseNativeLowering
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class BorrowingLowering(BaseNativeLowering):
-    """From numba's instructions to LLVM's."""
+    """The lowering pass."""
 
     _name = "borrowing_lowering"
 
@@ -23,11 +23,10 @@ class BorrowingLowering(BaseNativeLowering):
 
 
 class _Lower(Lower):
-    """Leaves out the counting of references of what is only borrowed.
+    """Omits reference counts of borrowed values: arguments, their views and their members.
 
-    Arguments, which the caller holds, and views and members of them need no count: counting is
-    atomic, LLVM removes only a part of it, and there is one for each array of a record. With it
-    `_solve_layers` takes half as long again.
+    The caller holds the arguments. Counting is atomic, LLVM removes only a part of it, and each
+    array of a record has a count. With counting, `_solve_layers` takes 1.5 times as long.
     """
 
     context: Any
@@ -48,7 +47,7 @@ class _Lower(Lower):
 
 
 def _borrowed(blocks: Mapping[int, Any], kinds: Any) -> set[str]:
-    """The variables that hold nothing but arguments, and views and members of these."""
+    """Return the variables that hold only arguments, and views and members of these."""
     values: dict[str, list[Any]] = {}
     returned = set()
     for block in blocks.values():
@@ -59,14 +58,14 @@ def _borrowed(blocks: Mapping[int, Any], kinds: Any) -> set[str]:
                 returned.add(inst.value.name)
     names = set(values) - returned
     while True:
-        kept = {n for n in names if all(_only_view(v, names, kinds) for v in values[n])}
-        if kept == names:
+        remaining = {n for n in names if all(_is_view(v, names, kinds) for v in values[n])}
+        if remaining == names:
             return names
-        names = kept
+        names = remaining
 
 
-def _only_view(value: Any, borrowed: set[str], kinds: Any) -> bool:
-    """Whether a value is an argument, or can only be a view or member of what is borrowed."""
+def _is_view(value: Any, borrowed: set[str], kinds: Any) -> bool:
+    """Return whether a value is an argument, or a view or member of a borrowed value."""
     if isinstance(value, ir.Var):
         return value.name in borrowed
     if not isinstance(value, ir.Expr):

@@ -1,9 +1,8 @@
-"""Where the machine code of entries is kept: a pack that comes with a wheel, then a cache folder.
+"""Store the machine code of entries: in a pack that comes with a wheel, or in a cache folder.
 
-Code is found by what it is made from: the entry's stamp (all functions that it calls), the exact
-versions of numba, of our compiler and of llvmlite, Python's minor version, and the processor.
-Checksums find damage, not malice: who can write the cache folder can run code as its owner, as with
-Python's own caches.
+The key of an entry's code is its stamp (all functions that it calls), the exact versions of numba,
+of our compiler and of llvmlite, Python's minor version, and the processor. Checksums detect damage,
+not malice: whoever can write the cache folder can run code as its owner, as with Python's caches.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,31 +25,26 @@ import llvmlite.binding as llvm
 
 from momapos.core.cache import Cache, content_key, default_cache_dir
 
-from .native import Code, link
+from .kernel_source import KernelSource
+from .native import Code, link, numba_folder
 
 if TYPE_CHECKING:
     import zipfile
-
-    from .entries import Kernel
 
 log = logging.getLogger(__name__)
 PACK = Path(__file__).with_name("kernels.zip")
 PACK_CPU = "x86-64-v3"
 PACK_FEATURES = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2")
-"""What the processor must have for the code of a pack."""
+"""Processor features that the code of a pack needs."""
 _NUMBA_SETTINGS = ("NUMBA_CPU_", "NUMBA_OPT", "NUMBA_LOOP_", "NUMBA_SLP_", "NUMBA_BOUNDS")
-Report = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 _COMPILER = ("borrowing.py", "compiler.py")
 
 
 def compiler_version() -> list[str]:
-    """What machine code depends on besides its source and the processor."""
-    package = find_spec("numba")
-    if package is None or package.origin is None:
-        raise ImportError("numba is not installed")
-    # numba's version, read and not imported: importing is what must not happen here, and the
-    # package's metadata takes 40 ms to look up.
-    numba = Path(package.origin).with_name("_version.py").read_bytes()
+    """Return what machine code depends on besides its source and the processor."""
+    # Read the version file: importing numba is slow, and looking up its metadata takes 40 ms.
+    numba = (numba_folder() / "_version.py").read_bytes()
     python = f"{sys.implementation.name} {sys.version_info[0]}.{sys.version_info[1]}"
     ours = [Path(__file__).with_name(name).read_bytes() for name in _COMPILER]
     versions = [f"numba {content_key(numba, *ours)}", f"llvmlite {llvmlite.__version__}"]
@@ -65,58 +58,59 @@ class Store:
         self.cache = Cache(folder)
         self.pack = pack
         self._lock = threading.RLock()
+        self._linked: dict[tuple[str, str], Callable[..., Any]] = {}
 
-    def native(self, entry: Kernel) -> Callable[..., Any]:
-        """What Python calls, compiled now if it has not been."""
+    def native(self, entry: KernelSource) -> Callable[..., Any]:
+        """Return an entry's machine code as a function, compiled now if it is not stored."""
         if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
             return entry.py_func
+        key = entry.name, entry.stamp
         with self._lock:
-            code = self.find(entry)
-            if code is None:
-                code = self._compile(entry)
-            return link(code, entry.name)
+            if key not in self._linked:
+                self._linked[key] = link(self.find(entry) or self._compile(entry), entry.name)
+            return self._linked[key]
 
-    def prepare(self, entries: Sequence[Kernel], report: Report) -> None:
-        """Compile those entries that are not stored, calling `report(done, of)` before each."""
+    def prepare(self, entries: Sequence[KernelSource], report: Progress) -> None:
+        """Compile entries that are not stored; call `report(done, total)` before each."""
         missing = [entry for entry in entries if not self._has(entry)]
-        with _no_collector():
+        with _no_garbage_collection():
             for done, entry in enumerate(missing):
                 report(done, len(missing))
-                entry.load()
+                self.native(entry)
         if missing:
             report(len(missing), len(missing))
 
-    def find(self, entry: Kernel) -> Code | None:
-        """The code of an entry, if it is stored."""
+    def find(self, entry: KernelSource) -> Code | None:
+        """Return the stored code of an entry, or None."""
         if entry.stamp == self._packed.get(entry.name):
             try:
                 return decode(self._members.read(entry.name))
-            except Exception as error:  # zipfile, zlib and json each raise their own
-                log.warning("%s: %s is damaged, ignored (%s)", self.pack, entry.name, error)
+            except Exception as error:  # zipfile, zlib and json each raises its own
+                log.warning("%s: ignoring %s, which is damaged (%s)", self.pack, entry.name, error)
         try:
             data = self.cache.get(self._key(entry))
         except OSError as error:
-            log.warning("compiled code cannot be read: %s", error)
+            log.warning("cannot read compiled code: %s", error)
             return None
         return None if data is None else decode(data)
 
-    def _has(self, entry: Kernel) -> bool:
+    def _has(self, entry: KernelSource) -> bool:
         packed = entry.stamp == self._packed.get(entry.name)
         return packed or self.cache.path(self._key(entry)).is_file()
 
-    def _compile(self, entry: Kernel) -> Code:
+    def _compile(self, entry: KernelSource) -> Code:
         from .compiler import compile_entry
 
         log.info("compiling %s", entry.name)
-        with _no_collector():
+        with _no_garbage_collection():
             code = compile_entry(entry)
         try:
             self.cache.put(self._key(entry), encode(code))
         except OSError as error:
-            log.warning("compiled code cannot be kept: %s", error)
+            log.warning("cannot store compiled code: %s", error)
         return code
 
-    def _key(self, entry: Kernel) -> str:
+    def _key(self, entry: KernelSource) -> str:
         return f"kernel-{content_key(entry.name, entry.stamp, self._host)}"
 
     @cached_property
@@ -135,14 +129,14 @@ class Store:
 
     @cached_property
     def _packed(self) -> dict[str, str]:
-        """Stamps of the entries in the pack; none where it is not for this interpreter."""
+        """Return the stamps of the pack's entries; empty if it does not fit this interpreter."""
         if not self.pack.is_file():
             return {}
         try:
             about = json.loads(self._members.read("pack.json"))
             made_by, stamps = about["made by"], dict(about["stamps"])
-        except Exception as error:  # zipfile, zlib and json each raise their own
-            log.warning("%s: damaged, ignored (%s)", self.pack, error)
+        except Exception as error:  # zipfile, zlib and json each raises its own
+            log.warning("%s: ignoring a damaged pack (%s)", self.pack, error)
             return {}
         features = llvm.get_host_cpu_features()
         fits = made_by == compiler_version() and all(
@@ -152,10 +146,11 @@ class Store:
 
 
 @contextlib.contextmanager
-def _no_collector() -> Iterator[None]:
-    """Keep Python from looking for dead cycles among numba's many objects.
+def _no_garbage_collection() -> Iterator[None]:
+    """Disable garbage collection while compiling.
 
-    It takes a tenth of the time of compiling; without it an answer's kernels take 600 MB.
+    Among numba's many objects it would take 10 % of the time. The kernels of one answer then take
+    600 MB.
     """
     enabled = gc.isenabled()
     gc.disable()
@@ -167,13 +162,13 @@ def _no_collector() -> Iterator[None]:
 
 
 def encode(code: Code) -> bytes:
-    """Code as bytes."""
+    """Serialize code."""
     head = {"symbol": code.symbol, "environments": code.environments}
     return json.dumps(head).encode() + b"\n" + code.image
 
 
 def decode(data: bytes) -> Code:
-    """Code from bytes that `encode` has made."""
+    """Deserialize the bytes of `encode`."""
     head, _, image = data.partition(b"\n")
     about = json.loads(head)
     environments = tuple((name, tuple(dtypes)) for name, dtypes in about["environments"])
@@ -181,11 +176,11 @@ def decode(data: bytes) -> Code:
 
 
 store = Store(default_cache_dir())
-"""The one store of this process: code belongs to the process, as imported modules do."""
+"""The store of this process."""
 
 
 def _after_fork() -> None:
-    """Renew the lock in a child: a thread that held it stayed in the parent."""
+    """Replace the lock in a forked child, which has no copy of the thread that may hold it."""
     store._lock = threading.RLock()
 
 

@@ -1,15 +1,15 @@
-"""numba's side: from a kernel to machine code.
+"""Compile kernels to machine code with numba; only this module and `borrowing` import numba.
 
-Only here numba is imported. All that an entry calls is compiled into its module unoptimized, and
-optimized there once, together: numba by itself optimizes every function on its own, then again in
-every function that calls it, and makes machine code of each.
+All functions that an entry calls are compiled into its module without optimization, and the module
+is optimized once. numba by itself would optimize each function, then again in each of its callers,
+and generate machine code for each.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numba
 import numpy as np
@@ -21,16 +21,14 @@ from numba.core.typed_passes import NativeLowering
 
 from . import arrays
 from .borrowing import BorrowingLowering
+from .kernel_source import KernelSource
 from .native import Code
-
-if TYPE_CHECKING:
-    from .entries import Kernel
 
 _NUMBERS = {int: types.int64, float: types.float64, bool: types.boolean, np.uint64: types.uint64}
 
 
 def numba_type(hint: Any) -> Any:
-    """numba's type of an entry's argument."""
+    """Return numba's type of an entry's argument."""
     array = arrays.array_of(hint)
     if array is not None:
         dtype = numba.from_dtype(array.dtype)
@@ -47,11 +45,10 @@ def numba_type(hint: Any) -> Any:
     return types.Tuple(inside)  # type: ignore[attr-defined]
 
 
-def dispatcher(kernel: Kernel) -> Any:
-    """A dispatcher that compiles for any arguments, with numba's own cache.
+def dispatcher(kernel: KernelSource) -> Any:
+    """Build a dispatcher that compiles for any argument types, with numba's own cache.
 
-    numba stamps its cache with the file that holds the function; this stamp holds what the
-    function calls as well.
+    numba stamps its cache with the function's file; our stamp also covers the functions it calls.
     """
     made = numba.njit(nogil=True, cache=True, **kernel.options)(kernel.py_func)
     file = getattr(made._cache, "_cache_file", None)
@@ -60,20 +57,20 @@ def dispatcher(kernel: Kernel) -> Any:
     return made
 
 
-def inner(kernel: Kernel) -> Any:
-    """A dispatcher for other kernels: without the wrapper by which Python calls it."""
+def inner(kernel: KernelSource) -> Any:
+    """Build a dispatcher for calls from other kernels, without a wrapper for Python."""
     made = _compiled(kernel, _Compiler)
     template_of = made.get_call_template
 
     def get_call_template(args: Any, kws: Any) -> Any:
-        # numba compiles anew for each constant that it is called with.
+        # numba would compile again for each constant argument.
         return template_of([types.unliteral(arg) for arg in args], kws)  # type: ignore[attr-defined]
 
     made.get_call_template = get_call_template
     return made
 
 
-def compile_entry(kernel: Kernel) -> Code:
+def compile_entry(kernel: KernelSource) -> Code:
     """Compile an entry for its annotated types."""
     outer = _compiled(kernel, _EntryCompiler)
     signature = tuple(numba_type(hint) for hint in kernel.types)
@@ -93,21 +90,21 @@ def compile_entry(kernel: Kernel) -> Code:
 
 
 def _dtypes(environment: Any) -> tuple[str, ...]:
-    """The constants of an environment, which are the types of returned arrays."""
+    """Return the constants of an environment: the types of returned arrays."""
     if not all(isinstance(const, np.dtype) for const in environment.consts):
-        raise TypeError(f"an entry returns what is neither a number nor an array: {environment}")
+        raise TypeError(f"an entry must return numbers or arrays, not {environment}")
     return tuple(const.str for const in environment.consts)
 
 
-def _compiled(kernel: Kernel, pipeline: type[CompilerBase]) -> Any:
-    """A dispatcher that compiles with a compiler below."""
-    # Entries get their wrapper later: what numba compiles for one, it keeps for callers alike.
+def _compiled(kernel: KernelSource, pipeline: type[CompilerBase]) -> Any:
+    """Build a dispatcher that compiles with one of the compilers below."""
+    # Entries get their wrapper later: numba shares what it compiles for an entry with its callers.
     options = {**kernel.options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return numba.njit(nogil=True, pipeline_class=pipeline, **options)(kernel.py_func)
 
 
 class _Compiler(CompilerBase):
-    """numba's compiler, which counts references only where there is something to free."""
+    """numba's compiler with `BorrowingLowering`."""
 
     def define_pipelines(self) -> list[Any]:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
@@ -120,26 +117,26 @@ class _Compiler(CompilerBase):
 
 
 class _EntryCompiler(_Compiler):
-    """The same, with a wrapper by which Python calls it."""
+    """The same, with a wrapper for calls from Python."""
 
     def define_pipelines(self) -> list[Any]:
         self.state.flags.no_cpython_wrapper = False
         return super().define_pipelines()
 
 
-class _Whole(JITCodeLibrary):
-    """An entry with all that it calls, which is optimized as a whole."""
+class _EntryLibrary(JITCodeLibrary):
+    """An entry with all functions that it calls, optimized as a whole."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
 
 
-class _Part(JITCodeLibrary):
-    """What is linked into an entry: code that is neither optimized nor run by itself."""
+class _CalleeLibrary(JITCodeLibrary):
+    """A function linked into an entry, neither optimized nor run by itself."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        # As numba does, but with one list of passes instead of one per function, and not for the
-        # declarations, which are most of them.
+        # Like numba, but with one list of passes for all functions, and without declarations,
+        # which are the majority.
         ll_module.data_layout = self._codegen._data_layout
         passes, builder = self._codegen._function_pass_manager()
         for function in ll_module.functions:
@@ -160,12 +157,12 @@ class _Part(JITCodeLibrary):
 
 @contextlib.contextmanager
 def _optimized_once(entry: str) -> Iterator[None]:
-    """Have numba make parts of all functions but the entry, and no wrappers by which C calls."""
+    """Make numba link all other functions into the entry, without wrappers for calls from C."""
     context = cpu_target.target_context
     codegen = context.codegen()
 
     def library(owner: Any, name: str) -> JITCodeLibrary:
-        return (_Whole if name == entry else _Part)(owner, name)
+        return (_EntryLibrary if name == entry else _CalleeLibrary)(owner, name)
 
     def set_env(name: str, environment: Any) -> None:
         if codegen._engine.is_symbol_defined(name):

@@ -1,8 +1,7 @@
-"""Machine code that numba has made, loaded without numba.
+"""Load machine code that numba has compiled, without importing numba.
 
-What numba's wrapper needs of its runtime are three extension modules that stand by themselves; the
-package around them is what takes half a second. They are loaded under their own names, so that
-numba finds and shares them when it is imported later.
+numba's wrapper needs three extension modules of numba's runtime, which do not import the package.
+They are loaded under their own names, so that numba shares them if it is imported later.
 """
 
 from __future__ import annotations
@@ -11,12 +10,12 @@ import builtins
 import ctypes
 import functools
 import importlib.util
-import os
 import pickle
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -34,11 +33,11 @@ class Code:
     symbol: str
     """The function that Python calls."""
     environments: tuple[tuple[str, tuple[str, ...]], ...]
-    """Symbols of the environments, with the array types (as numpy spells them) that each holds."""
+    """Symbols of the environments, each with its array types as numpy dtype strings."""
 
 
 def link(code: Code, name: str) -> Callable[..., Any]:
-    """Make machine code callable."""
+    """Return machine code as a Python function."""
     dynfunc = _runtime()
     engine = _engine()
     engine.add_object_file(llvm.ObjectFileRef.from_data(code.image))
@@ -62,14 +61,14 @@ def _dtype(text: str) -> Any:
 
 
 def _engine() -> llvm.ExecutionEngine:
-    """An engine of its own for each entry: equal names of two entries do not meet."""
+    """Return a new engine; one per entry, so that equal names do not collide."""
     target = llvm.Target.from_triple(llvm.get_process_triple())
     return llvm.create_mcjit_compiler(llvm.parse_assembly(""), target.create_target_machine())
 
 
 @functools.cache
 def _runtime() -> ModuleType:
-    """Tell LLVM where numba's helpers are; returns the module that makes functions."""
+    """Register numba's helpers with LLVM; return the module that makes functions."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     dynfunc = _extension("numba._dynfunc")
@@ -90,54 +89,32 @@ def _runtime() -> ModuleType:
     return dynfunc
 
 
-_MATH = frozenset(
-    [
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "atan2",
-        "sinh",
-        "cosh",
-        "tanh",
-        "asinh",
-        "acosh",
-        "atanh",
-        "exp",
-        "exp2",
-        "expm1",
-        "log",
-        "log2",
-        "log10",
-        "log1p",
-        "pow",
-        "powf",
-        "hypot",
-        "erf",
-        "erfc",
-        "gamma",
-        "lgamma",
-        "ldexp",
-        "frexp",
-        "floor",
-        "ceil",
-        "trunc",
-        "fmod",
-    ]
-)
+_MATH = frozenset({
+    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh",
+    "atanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "powf", "hypot", "erf",
+    "erfc", "gamma", "lgamma", "ldexp", "frexp", "floor", "ceil", "trunc", "fmod",
+})  # fmt: skip
+"""Functions of C's math library that numba's helpers provide under their own names."""
+
+
+def numba_folder() -> Path:
+    """Return the folder of the numba package, without importing it.
+
+    Raises:
+        ImportError: numba is not installed.
+    """
+    package = importlib.util.find_spec("numba")
+    if package is None or package.origin is None:
+        raise ImportError("numba is not installed")
+    return Path(package.origin).parent
 
 
 def _extension(name: str) -> ModuleType:
-    """An extension module of numba, without the packages it stands in."""
+    """Load an extension module of numba, without its packages."""
     if name in sys.modules:
         return sys.modules[name]
-    package = importlib.util.find_spec("numba")
-    if package is None or not package.submodule_search_locations:
-        raise ImportError("numba is not installed")
-    folder = os.path.join(package.submodule_search_locations[0], *name.split(".")[1:-1])
-    spec = PathFinder.find_spec(name, [folder])
+    folder = numba_folder().joinpath(*name.split(".")[1:-1])
+    spec = PathFinder.find_spec(name, [str(folder)])
     if spec is None or spec.loader is None:
         raise ImportError(f"{name} is missing")
     module = importlib.util.module_from_spec(spec)
@@ -148,12 +125,10 @@ def _extension(name: str) -> ModuleType:
 
 @_Unpickle
 def _unpickle(data: int, size: int, _: int) -> object:
-    """What numba's function of this name does; that one imports numba."""
-    raw = ctypes.string_at(data, size)
-    known = _unpickled.get(raw)
-    if known is None:
-        known = _unpickled[raw] = pickle.loads(raw)
-    return known
+    """Replace numba's function of this name, which imports numba."""
+    return _unpickled(ctypes.string_at(data, size))
 
 
-_unpickled: dict[bytes, Any] = {}
+@functools.cache
+def _unpickled(raw: bytes) -> object:
+    return pickle.loads(raw)

@@ -1,6 +1,6 @@
 """Compile every entry for a common processor: `python -m momapos.core.compiled.pack FILE`.
 
-The wheel's build runs it in a process of its own, since numba reads the processor's name once.
+The build of the wheel runs it in a separate process, since numba reads the processor's name once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .entries import ENTRIES, Kernel
 
 
 def every_entry() -> list[Kernel]:
-    """Import all modules that define entries; returns these by name."""
+    """Import all modules that define entries; return the entries sorted by name."""
     package = Path(__file__).parents[2]
     for path in sorted(package.rglob("*.py")):
         if "\n@entry" in path.read_text(encoding="utf-8"):

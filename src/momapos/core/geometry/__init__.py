@@ -1,4 +1,4 @@
-"""Frames, boxes, footprints and grids: geometry without robots or rooms."""
+"""Transforms, planar poses, polygons, boxes and sample points."""
 
 import lazy_loader
 

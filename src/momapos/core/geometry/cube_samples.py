@@ -1,6 +1,6 @@
-"""Points that fill a unit cube evenly.
+"""Sample the unit cube evenly.
 
-The same numbers as `scipy.stats.qmc` gives, whose import takes longer than many an answer.
+The numbers equal those of `scipy.stats.qmc`, which is slow to import.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 def latin_hypercube(
     rng: np.random.Generator, count: int, dimensions: int
 ) -> Float[np.ndarray, "count dimensions"]:
-    """Random points, of which each of `count` equal slices along every axis holds one.
+    """Draw random points, one in each of `count` equal slices along every axis.
 
     McKay, Beckman, Conover: A comparison of three methods for selecting values of input variables
     (1979).
     """
-    own = rng.spawn(1)[0]  # so that further draws do not depend on how many points these were
+    own = rng.spawn(1)[0]  # further draws of `rng` must not depend on the number of points
     within = own.uniform(size=(count, dimensions))
     slices = np.tile(np.arange(1, count + 1), (dimensions, 1))
     for row in slices:
@@ -31,9 +31,9 @@ def latin_hypercube(
 
 
 def halton(count: int, dimensions: int) -> Float[np.ndarray, "count dimensions"]:
-    """The first points of Halton's sequence, which begins at the origin and is not random.
+    """Return the first points of Halton's deterministic sequence, which starts at the origin.
 
-    Along axis k the digits of 0, 1, 2... in the base of the k-th prime are mirrored at the point.
+    Along axis k, the digits of 0, 1, 2... in the base of the k-th prime are mirrored at the point.
     """
     points = np.zeros((count, dimensions))
     for axis, base in enumerate(_primes(dimensions)):
@@ -46,7 +46,6 @@ def halton(count: int, dimensions: int) -> Float[np.ndarray, "count dimensions"]
 
 
 def _primes(count: int) -> list[int]:
-    """The smallest primes."""
     found: list[int] = []
     for number in itertools.count(2):
         if len(found) == count:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def rotation(yaw: float | Float[np.ndarray, " *batch"]) -> Float[np.ndarray, "*batch 2 2"]:
-    """Rotate points on the floor counterclockwise by angles [rad]."""
+    """Return rotation matrices for counterclockwise angles [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
 
@@ -24,21 +24,21 @@ def rotation(yaw: float | Float[np.ndarray, " *batch"]) -> Float[np.ndarray, "*b
 def place_points(
     poses: Float[np.ndarray, "n 3"], points: Float[np.ndarray, "k 2"]
 ) -> Float[np.ndarray, "n k 2"]:
-    """Map points of a frame on the floor to the world, for each pose of the frame."""
+    """Map points from a planar frame to the world, for each pose of the frame."""
     return np.einsum("nij,kj->nki", rotation(poses[:, 2]), points) + poses[:, None, :2]
 
 
 def local_points(
     pose: Float[np.ndarray, "3"], points: Float[np.ndarray, "k 2"]
 ) -> Float[np.ndarray, "k 2"]:
-    """Map points of the world to a frame on the floor: the inverse of `place_points`."""
+    """Map points from the world to a planar frame, the inverse of `place_points`."""
     return (points - pose[:2]) @ rotation(pose[2])
 
 
 def compose(
     frame: Float[np.ndarray, "*#frames 3"], poses: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Map poses of a frame on the floor, or of a frame each, to the world."""
+    """Map poses from one planar frame, or from one frame each, to the world."""
     at_x, at_y, turn = frame.T
     c, s = np.cos(turn), np.sin(turn)
     x, y, yaw = poses.T

@@ -1,4 +1,4 @@
-"""Outlines on the floor."""
+"""Polygons on the floor."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 
 
 def following(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, "*batch k 2"]:
-    """The corner after each corner; `np.roll` does the same five times as slowly."""
+    """Return the next corner of each corner, 5 times as fast as `np.roll`."""
     return np.concatenate([polygon[..., 1:, :], polygon[..., :1, :]], axis=-2)
 
 
 def contains(
     polygon: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether points lie in a simple polygon of either orientation (even-odd rule)."""
+    """Return whether points lie in a simple polygon of either orientation (even-odd rule)."""
     a, b = polygon, following(polygon)
     y = points[:, None, 1]
     crosses = (a[None, :, 1] > y) != (b[None, :, 1] > y)
@@ -30,7 +30,7 @@ def contains(
 def all_inside(
     polygon: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether whole convex outlines lie in a polygon: corners inside, no edges that cross."""
+    """Return whether convex outlines lie in a polygon: corners inside, no crossing edges."""
     n, m, _ = outlines.shape
     if _is_convex(polygon):
         edge = following(polygon) - polygon
@@ -44,7 +44,6 @@ def all_inside(
 
 
 def _is_convex(polygon: Float[np.ndarray, "k 2"]) -> bool:
-    """Whether a simple polygon is convex."""
     edge = following(polygon) - polygon
     after = following(edge)
     turn = edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]
@@ -54,7 +53,7 @@ def _is_convex(polygon: Float[np.ndarray, "k 2"]) -> bool:
 def any_overlap(
     polygon: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether convex outlines share a point with a polygon: one in the other, or edges cross."""
+    """Return whether convex outlines share a point with a polygon."""
     n, m, _ = outlines.shape
     within = contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).any(1)
     around = np.array([contains(outline, polygon[:1])[0] for outline in outlines], bool)
@@ -77,13 +76,13 @@ def _edges_cross(
 
 
 def signed_area(polygon: Float[np.ndarray, "k 2"]) -> float:
-    """Area of a simple polygon, positive when it runs counterclockwise [m^2]."""
+    """Return the area of a simple polygon, positive if it is counterclockwise [m^2]."""
     (x, y), (x_next, y_next) = polygon.T, following(polygon).T
     return float(0.5 * np.sum(x * y_next - x_next * y))
 
 
 def edge_normals(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, "*batch k 2"]:
-    """Outward unit normals of the edges of an counterclockwise polygon, each after its corner."""
+    """Return outward unit normals of a counterclockwise polygon's edges, in order of corners."""
     edge = following(polygon) - polygon
     normal = np.stack([edge[..., 1], -edge[..., 0]], -1)
     return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
@@ -92,7 +91,7 @@ def edge_normals(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, 
 def edge_distances(
     points: Float[np.ndarray, "*#batch n 2"], polygon: Float[np.ndarray, "*#batch k 2"]
 ) -> Float[np.ndarray, "*batch n"]:
-    """Distance of points from the nearest edge of a polygon, on either side of it [m]."""
+    """Return the unsigned distance of points from the nearest edge of a polygon [m]."""
     edge = following(polygon) - polygon
     toward = points[..., :, None, :] - polygon[..., None, :, :]
     squared = np.maximum((edge**2).sum(-1), 1e-18)
@@ -102,5 +101,5 @@ def edge_distances(
 
 
 def inscribed_radius(polygon: Float[np.ndarray, "k 2"]) -> float:
-    """Radius of the largest circle about the origin in a convex counterclockwise polygon [m]."""
+    """Return the radius of the largest origin-centered circle in a convex ccw polygon [m]."""
     return float(max(0.0, np.einsum("ij,ij->i", edge_normals(polygon), polygon).min()))

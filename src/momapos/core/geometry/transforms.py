@@ -1,8 +1,7 @@
 """Rigid transforms as 4x4 matrices.
 
-`T_a_b` maps coordinates in b to a; `Ts_` is a batch over leading axes. Rotations are those of
-`scipy.spatial.transform` to the last bit, without its import, which takes longer than many an
-answer.
+`T_a_b` maps coordinates in b to a; `Ts_` is a batch over leading axes. Rotations equal those of
+`scipy.spatial.transform` to the last bit; that module is slow to import.
 """
 
 from __future__ import annotations
@@ -39,12 +38,12 @@ def pose_wxyz(xyz: tuple[float, ...], wxyz: tuple[float, ...]) -> Float[np.ndarr
     w, x, y, z = map(float, wxyz)
     length = math.sqrt(x * x + y * y + z * z + w * w)
     if length == 0:
-        raise ValueError("a quaternion of length 0 is no rotation")
+        raise ValueError("wxyz must not have length 0")
     return pose(xyz, _quaternion_matrix(np.array([x, y, z, w]) / length))
 
 
 def pose_planar(base: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 4 4"]:
-    """Build the transforms of bases that stand on the floor at (x [m], y [m], yaw [rad])."""
+    """Build transforms from planar poses (x [m], y [m], yaw [rad])."""
     base = np.asarray(base, float)
     c, s = np.cos(base[..., 2]), np.sin(base[..., 2])
     T = np.zeros((*base.shape[:-1], 4, 4))
@@ -74,18 +73,18 @@ def apply(
 def rotation_about(
     axis: Float[np.ndarray, "3"], angle: float | Float[np.ndarray, " *batch"]
 ) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotate by `angle` [rad] about a unit axis (Rodrigues)."""
+    """Return rotations by `angle` [rad] about a unit axis (Rodrigues)."""
     return rotation_of(np.asarray(angle)[..., None] * np.asarray(axis))
 
 
 def rotation_of(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotate about each vector by its length [rad]."""
+    """Return rotations about vectors by their lengths [rad]."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     angle = np.sqrt(x * x + y * y + z * z)
     square = angle * angle
     with np.errstate(invalid="ignore"):
         scale = np.where(
-            angle <= 1e-3,  # where sin(a / 2) / a loses digits, or is 0 / 0
+            angle <= 1e-3,  # sin(a / 2) / a loses digits, or is 0 / 0
             0.5 - square / 48 + square * square / 3840,
             np.sin(angle / 2) / angle,
         )
@@ -95,7 +94,7 @@ def rotation_of(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*b
 
 
 def _half_turn(axis: int, angle: float) -> Float[np.ndarray, "4"]:
-    """Quaternion (w last) of a rotation about x, y or z."""
+    """Return the quaternion (w last) of a rotation about x, y or z."""
     q = np.zeros(4)
     q[axis], q[3] = math.sin(angle / 2), math.cos(angle / 2)
     return q
@@ -104,13 +103,13 @@ def _half_turn(axis: int, angle: float) -> Float[np.ndarray, "4"]:
 def _quaternion_product(
     p: Float[np.ndarray, "4"], q: Float[np.ndarray, "4"]
 ) -> Float[np.ndarray, "4"]:
-    """Rotate by q after p about fixed axes (w last)."""
+    """Return the quaternion (w last) of p followed by q about fixed axes."""
     vector = p[3] * q[:3] + q[3] * p[:3] + np.cross(q[:3], p[:3])
     return np.append(vector, p[3] * q[3] - p[:3] @ q[:3])
 
 
 def _quaternion_matrix(q: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation matrices of unit quaternions (w last)."""
+    """Return rotation matrices of unit quaternions (w last)."""
     x, y, z, w = np.moveaxis(q, -1, 0)
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     R = np.empty((*q.shape[:-1], 3, 3))
@@ -128,7 +127,7 @@ def _quaternion_matrix(q: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*
 def rotation_angle(
     A: Float[np.ndarray, "*#batch 3 3"], B: Float[np.ndarray, "*#batch 3 3"]
 ) -> np.float64 | Float[np.ndarray, " *batch"]:
-    """Angle [rad] between rotations; exact for small angles, unlike arccos of the trace."""
+    """Return angles between rotations [rad]; exact if small, unlike arccos of the trace."""
     D = np.swapaxes(A, -1, -2) @ B
     v = np.stack(
         [D[..., 2, 1] - D[..., 1, 2], D[..., 0, 2] - D[..., 2, 0], D[..., 1, 0] - D[..., 0, 1]], -1
@@ -145,19 +144,19 @@ def wrap_angle(
 ) -> np.float64 | Float[np.ndarray, " *batch"]:
     """Wrap angles [rad] into (-pi, pi]."""
     wrapped = -(np.mod(-np.asarray(angle) + np.pi, 2 * np.pi) - np.pi)
-    # Just above pi, the remainder rounds up to a full turn.
+    # For angles just above pi, the remainder rounds up to a full turn.
     return np.maximum(wrapped, np.nextafter(-np.pi, 0.0))
 
 
 def upright_frame(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation about z that follows a frame: its x axis seen from above, or else its y axis."""
+    """Return the rotation about z given by a frame's horizontal x axis, or else its y axis."""
     axis = R[:2, 0] if abs(R[2, 0]) < 0.8 else R[:2, 1]
     c, s = axis / np.linalg.norm(axis)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def orthonormal(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Return some unit vector perpendicular to `axis`, the same one for the same axis."""
+    """Return a unit vector perpendicular to `axis`, always the same for the same axis."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     v = np.cross(axis, helper)
     return v / np.linalg.norm(v)

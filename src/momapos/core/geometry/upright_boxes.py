@@ -1,4 +1,4 @@
-"""Upright boxes: their axes, corners, and points in their frames."""
+"""Boxes with vertical edges: their axes, corners, and points in their frames."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ class UprightBox:
 
     center: Float[np.ndarray, "3"]
     size: Float[np.ndarray, "3"]
-    """Along its own x, y, z [m]."""
+    """Edge lengths along its own x, y, z [m]."""
     yaw: float = 0.0
-    """Turn of its x axis about the world's z [rad]."""
+    """Angle of its x axis about the world's z [rad]."""
 
 
 def box_axes(yaw: float) -> Float[np.ndarray, "2 2"]:
-    """Rows: the x and y axes of a box in the world."""
+    """Return the x and y axes of a box in the world, as rows."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.array([[c, s], [-s, c]])
 
 
 def to_local(points: Float[np.ndarray, "n 3"], box: UprightBox) -> Float[np.ndarray, "n 3"]:
-    """World points in the frame at a box's center, along its edges."""
+    """Map world points to the frame at a box's center, along its edges."""
     return along_edges(points - box.center, box.yaw)
 
 
 def along_edges(vectors: Float[np.ndarray, "n 3"], yaw: float) -> Float[np.ndarray, "n 3"]:
-    """World vectors in axes that are turned by yaw [rad]."""
+    """Map world vectors to axes turned by yaw [rad]."""
     turned = np.array(vectors, float)
     turned[:, :2] = turned[:, :2] @ box_axes(yaw).T
     return turned
@@ -46,14 +46,14 @@ def between(
     low: Float[np.ndarray, "3"] | Sequence[float],
     high: Float[np.ndarray, "3"] | Sequence[float],
 ) -> Bool[np.ndarray, " n"]:
-    """Which points lie between two corners; one coordinate after the other, which is quicker."""
+    """Return which points lie between two corners; per coordinate, which is faster."""
     x, y, z = points.T
     inside = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
     return np.asarray(inside & (z > low[2]) & (z < high[2]))
 
 
 def corners(box: UprightBox) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Low and high corner, in axes turned as the box is about the world's origin."""
+    """Return the low and high corner, in the box's axes about the world's origin."""
     center = along_edges(np.asarray(box.center)[None], box.yaw)[0]
     return center - box.size / 2, center + box.size / 2
 
@@ -61,17 +61,17 @@ def corners(box: UprightBox) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, 
 def from_corners(
     low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], yaw: float = 0.0
 ) -> UprightBox:
-    """The box between two corners, in axes turned by yaw [rad] about the world's origin."""
+    """Return the box between two corners, in axes turned by yaw [rad] about the world's origin."""
     center = (low + high) / 2
     center[:2] = center[:2] @ box_axes(yaw)
     return UprightBox(center, high - low, yaw)
 
 
 def bottom(box: UprightBox) -> float:
-    """Height of a box's bottom [m]."""
+    """Return the height of a box's bottom [m]."""
     return float(box.center[2] - box.size[2] / 2)
 
 
 def top(box: UprightBox) -> float:
-    """Height of a box's top [m]."""
+    """Return the height of a box's top [m]."""
     return float(box.center[2] + box.size[2] / 2)

@@ -1,4 +1,4 @@
-"""Batched collision kernels: robots as spheres and hulls, against a scene and themselves."""
+"""Batched collision checks of robots (spheres and hulls) against a scene and themselves."""
 
 import lazy_loader
 

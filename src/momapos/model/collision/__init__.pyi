@@ -28,8 +28,8 @@ from .collision_world import motion_checker as motion_checker
 from .hull_overlap import moved as moved
 from .link_hulls import LinkHulls as LinkHulls
 from .self_collision import arm_spheres as arm_spheres
+from .self_collision import choose_exact_pairs as choose_exact_pairs
 from .self_collision import contacts as contacts
-from .self_collision import decided as decided
 from .self_collision import decided_by_hulls as decided_by_hulls
 from .sphere_cover import box_spheres as box_spheres
 from .spheres import Spheres as Spheres

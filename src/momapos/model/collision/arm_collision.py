@@ -1,8 +1,7 @@
-"""Batched collision kernels: robot spheres against oriented boxes, and against each other.
+"""Collision kernels of an arm: robot spheres against oriented boxes, and against each other.
 
-Whole links are culled by a bounding sphere first. Where the spheres of two links of the robot
-almost touch, or are too coarse for this pair, the links' hulls decide. The result of a check is a
-code, so that the caller can say what was hit: FREE, SELF, or the index of a box.
+Bounding spheres cull whole links first. If the spheres of two links almost touch, or are too coarse
+for this pair, the links' hulls decide. A check returns a code: FREE, SELF, FLOOR or a box index.
 """
 
 from __future__ import annotations
@@ -19,15 +18,14 @@ FREE = -1
 SELF = -2
 FLOOR = -3
 APART, NEAR, MEET = 0, 1, 2
-"""How spheres stand to each other. They may leave `MARGIN` of a shape uncovered: what is within
-that is near."""
+"""Relations of two sets of spheres; NEAR is within `MARGIN`, which spheres may leave uncovered."""
 OTHER, PALM, FINGER, KNOWN = 0, 1, 2, 3
-"""What a link is to a grasp; of one that is KNOWN the caller knows that it is free of boxes."""
+"""Role of a link in a grasp; the caller guarantees that KNOWN links hit no box."""
 
 
 @kernel
 def box_gap(c, r, center, rotation, half, b):
-    """Whether a sphere is clear of box b: squared distance to the box minus r squared."""
+    """Return the squared distance of a sphere's center from box b minus r squared; > 0 if free."""
     x, y, z = c[0] - center[b, 0], c[1] - center[b, 1], c[2] - center[b, 2]
     s = 0.0
     for k in range(3):
@@ -40,7 +38,7 @@ def box_gap(c, r, center, rotation, half, b):
 
 @kernel
 def place_bounds(R, p, spheres, bounds):
-    """Put the centers of the links' bounding spheres into bounds (groups, 3)."""
+    """Write the centers of the links' bounding spheres to bounds (groups, 3)."""
     segment, bound_center = spheres.segment, spheres.bound_center
     for g in range(len(segment)):
         bounds[g, 0], bounds[g, 1], bounds[g, 2] = moved(R, p, segment[g], bound_center[g])
@@ -48,16 +46,16 @@ def place_bounds(R, p, spheres, bounds):
 
 @kernel
 def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
-    """First box that a configuration hits, or FREE.
+    """Return the first box that a configuration hits, or FREE.
 
     Args:
-        R, p: Segment poses (n + 1, 3, 3), (n + 1, 3) as `forward` leaves them.
-        bounds: As `place_bounds` leaves them (groups, 3).
+        R, p: Segment poses (n + 1, 3, 3), (n + 1, 3) from `forward`.
+        bounds: From `place_bounds` (groups, 3).
         spheres: `Spheres.arrays`.
         boxes: `ObstacleArrays`.
-        skip_gripper: Whether the gripper holds: then its fingers may touch all these boxes (they
-            close about the handle), its palm only those marked as grasped.
-        margin: Clearance that is asked for [m].
+        skip_gripper: Whether the gripper holds something. Then its fingers may touch all these
+            boxes (they close around the handle), its palm only those marked as grasped.
+        margin: Required clearance [m].
     """
     center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius, gripper = spheres.segment, spheres.bound_radius, spheres.gripper
@@ -81,9 +79,9 @@ def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
 
 @kernel
 def hit_self(R, p, bounds, spheres):
-    """SELF when the arm touches itself or the base, else FREE.
+    """Return SELF if the arm touches itself or the base, otherwise FREE.
 
-    R, p and bounds are relative to any base pose; entry 0 of R, p is that pose.
+    R, p and bounds are relative to any base pose, which is entry 0 of R, p.
     """
     if _links_touch(R, p, bounds, spheres) or _base_touched(R, p, bounds, spheres):
         return SELF
@@ -92,7 +90,6 @@ def hit_self(R, p, bounds, spheres):
 
 @kernel
 def _links_touch(R, p, bounds, spheres):
-    """Whether links of the arm touch each other."""
     pairs, exact, hulls = spheres.pairs, spheres.exact, spheres.hulls
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -108,7 +105,7 @@ def _links_touch(R, p, bounds, spheres):
 
 @kernel
 def meeting(R, p, bounds, spheres, i, j):
-    """Whether spheres of two groups MEET, are NEAR each other, or APART."""
+    """Return whether spheres of two groups MEET, are NEAR each other, or APART."""
     center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius = spheres.segment, spheres.bound_radius
     b = (bounds[j, 0], bounds[j, 1], bounds[j, 2])
@@ -131,14 +128,12 @@ def meeting(R, p, bounds, spheres, i, j):
 
 @kernel
 def _apart(a, b, distance):
-    """Whether two points are at least so far apart."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z >= distance * distance
 
 
 @kernel
 def _base_touched(R, p, bounds, spheres):
-    """Whether a link of the arm touches the base."""
     bound_radius = spheres.bound_radius
     base_pairs, base_bounds, exact = spheres.base_pairs, spheres.base_bounds, spheres.base_exact
     for g in spheres.against_base:
@@ -162,7 +157,7 @@ def _base_touched(R, p, bounds, spheres):
 
 @kernel
 def meeting_base(R, p, bounds, spheres, g, b):
-    """Whether spheres of a group MEET box b of the base, are NEAR it, or APART."""
+    """Return whether spheres of a group MEET box b of the base, are NEAR it, or APART."""
     center, radius, start = spheres.center, spheres.radius, spheres.start
     base_center, base_rotation, base_half = (
         spheres.base_center,
@@ -186,7 +181,7 @@ def meeting_base(R, p, bounds, spheres, g, b):
 
 @kernel
 def _into_base(R, p, c):
-    """A point in the frame of segment 0."""
+    """Map a point to the frame of segment 0."""
     x, y, z = c[0] - p[0, 0], c[1] - p[0, 1], c[2] - p[0, 2]
     return (
         R[0, 0, 0] * x + R[0, 1, 0] * y + R[0, 2, 0] * z,
@@ -197,7 +192,7 @@ def _into_base(R, p, c):
 
 @kernel
 def hit_floor(R, p, bounds, spheres):
-    """FLOOR when a sphere of the arm dips below z = 0, else FREE."""
+    """Return FLOOR if a sphere of the arm extends below z = 0, otherwise FREE."""
     center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius = spheres.segment, spheres.bound_radius
     for g in range(len(segment)):
@@ -210,14 +205,8 @@ def hit_floor(R, p, bounds, spheres):
 
 
 @entry
-def place_segments(
-    q: F1,
-    base: F1,
-    chain: ChainArrays,
-    R: F3,
-    p: F2,
-) -> None:
-    """Segment poses of a configuration for a base at (x, y, yaw) on the floor."""
+def place_segments(q: F1, base: F1, chain: ChainArrays, R: F3, p: F2) -> None:
+    """Write the segment poses of a configuration for a base at (x, y, yaw)."""
     c, s = np.cos(base[2]), np.sin(base[2])
     R[0, 0, 0], R[0, 0, 1], R[0, 0, 2] = c, -s, 0.0
     R[0, 1, 0], R[0, 1, 1], R[0, 1, 2] = s, c, 0.0
@@ -228,17 +217,15 @@ def place_segments(
 
 @kernel
 def scratch_of(joints, spheres):
-    """Memory for the checks."""
+    """Allocate the scratch memory of the checks."""
     return ArmScratch(
-        np.empty((joints + 1, 3, 3)),
-        np.empty((joints + 1, 3)),
-        np.empty((len(spheres.segment), 3)),
+        np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3)), np.empty((len(spheres.segment), 3))
     )
 
 
 @kernel
 def place_arm(q, base, chain, spheres, scratch):
-    """Put a configuration, for a base at (x, y, yaw), into `scratch_of(...)`."""
+    """Write a configuration for a base at (x, y, yaw) to `scratch_of(...)`."""
     R, p, bounds = scratch
     place_segments(q, base, chain, R, p)
     place_bounds(R, p, spheres, bounds)
@@ -254,7 +241,7 @@ def check_states(
     skip_gripper: bool,
     margin: float,
 ) -> np.ndarray:
-    """First thing that each configuration (m, n) hits: FREE, FLOOR, SELF or a box's index (m,)."""
+    """Return the code of the first collision of each configuration (m, n), or FREE."""
     scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     out = np.empty(len(q), np.int64)

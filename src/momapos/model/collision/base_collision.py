@@ -1,4 +1,4 @@
-"""Where a base can stand: its boxes against the boxes of the room (separating axes)."""
+"""Check base poses: boxes of the base against boxes of the scene (separating axes)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class OrientedBox(NamedTuple):
 
 
 class BoxBetween(NamedTuple):
-    """Memory of `boxes_apart`: a box as another sees it."""
+    """Scratch memory of `boxes_apart`: a box in the frame of another."""
 
     offset: F1
     rotation: F2
@@ -34,7 +34,7 @@ class BoxBetween(NamedTuple):
 
 @kernel
 def boxes_apart(part, boxes, b, scratch):
-    """Whether an oriented box and box b are apart (Gottschalk 1996: 15 axes)."""
+    """Return whether an oriented box and box b are disjoint (Gottschalk 1996: 15 axes)."""
     ca, Ra, ha = part
     cb, Rb, hb = boxes.center[b], boxes.rotation[b], boxes.half[b]
     t, C, A = scratch
@@ -62,7 +62,7 @@ def boxes_apart(part, boxes, b, scratch):
 
 @kernel
 def _spread(rotation, half):
-    """Half edges of the upright boxes around oriented boxes (b, 3)."""
+    """Return half edges of the axis-aligned bounding boxes of oriented boxes (b, 3)."""
     out = np.zeros((len(half), 3))
     for b in range(len(half)):
         for k in range(3):
@@ -72,12 +72,7 @@ def _spread(rotation, half):
 
 
 @entry
-def _hit(
-    bases: F2,
-    base: BoxArrays,
-    boxes: BoxArrays,
-    clearance: float,
-) -> np.ndarray:
+def _hit(bases: F2, base: BoxArrays, boxes: BoxArrays, clearance: float) -> np.ndarray:
     base_center, base_rotation, base_half = base
     center, rotation, half = boxes
     out = np.full(len(bases), FREE, np.int64)
@@ -85,7 +80,7 @@ def _hit(
     radius = np.empty(len(base_center))
     reach = 0.0
     for a in range(len(base_center)):
-        # A turn about z leaves heights and this horizontal radius as they are.
+        # Heights and this horizontal radius do not depend on yaw.
         radius[a] = np.hypot(tall[a, 0], tall[a, 1]) + clearance
         reach = max(reach, np.hypot(base_center[a, 0], base_center[a, 1]) + radius[a])
     c0, R0, h0 = np.empty(3), np.empty((3, 3)), np.empty(3)
@@ -128,13 +123,13 @@ def _hit(
 def base_hits(
     bases: Float[np.ndarray, "n 3"], base: Boxes, boxes: Boxes, *, clearance: float
 ) -> Int[np.ndarray, " n"]:
-    """Index of the first box that each base pose hits, FREE where it stands clear.
+    """Return the index of the first box that each base pose hits, or FREE.
 
     Args:
         bases: Base poses (x [m], y [m], yaw [rad]).
         base: The base in its own frame.
-        boxes: The room in the world frame.
-        clearance: Distance to keep [m].
+        boxes: The scene in the world frame.
+        clearance: Required distance [m].
     """
     bases = np.ascontiguousarray(bases, float)
     near = _near(bases, base, boxes, clearance)
@@ -150,7 +145,7 @@ def base_hits(
 def _near(
     bases: Float[np.ndarray, "n 3"], base: Boxes, boxes: Boxes, clearance: float
 ) -> Int[np.ndarray, " k"]:
-    """Boxes that the base can touch from some of its poses: most hang higher or stand elsewhere."""
+    """Return the boxes that the base can touch at some of its poses."""
     if not len(bases) or not len(base):
         return np.zeros(0, np.int64)
     spread = np.einsum("bij,bj->bi", np.abs(boxes.rotation), boxes.half)

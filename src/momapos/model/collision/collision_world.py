@@ -1,8 +1,7 @@
-"""The room as boxes that the arm can hit: what stands still, and what the task moves.
+"""The obstacles of an arm as boxes: static boxes, and boxes that the task moves.
 
-Standing boxes are found through a bucket grid: each cell lists the boxes that a robot sphere
-centered in it could touch. Moving boxes are few and are tested directly, at each value of the
-object's joint that the motion passes.
+Static boxes are in a bucket grid: each cell lists the boxes that a robot sphere centered in it
+could touch. Moving boxes are few and are tested directly, at each joint value of the motion.
 """
 
 from __future__ import annotations
@@ -45,32 +44,32 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 CELL = 0.1
-"""Edge of a bucket [m]."""
+"""Edge length of a bucket [m]."""
 CheckMotion: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Float[np.ndarray, ' n']], bool]"
-"""Tell whether the straight motion between two configurations is free, ends included."""
+"""Returns whether the straight motion between two configurations is free, including its ends."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CollisionWorld:
-    """What the arm of one robot can hit during one task."""
+    """The obstacles of one robot's arm during one task."""
 
     static: Boxes
     labels: tuple[str, ...]
-    """Name of each standing box, then of each moving box."""
+    """Name of each static box, then of each moving box."""
     moving: MovingBoxes
     grasped: Bool[np.ndarray, " m"]
     """Moving boxes that the gripper may touch."""
     clearance: float
-    """Distance that robot spheres keep [m]."""
+    """Clearance of robot spheres [m]."""
     grid_origin: Float[np.ndarray, "3"]
     grid_shape: Int[np.ndarray, "3"]
     grid_start: Int[np.ndarray, " cells_plus_1"]
     grid_index: Int[np.ndarray, " entries"]
     filled: Int[np.ndarray, "x_plus_1 y_plus_1 z_plus_1"]
-    """How many of the buckets before each corner list a box: sums over any block of buckets."""
+    """Summed-area table of the buckets that list a box."""
 
     def reason(self, code: int) -> str:
-        """Say what a code of `check` means."""
+        """Describe a code of `check`."""
         if code == FREE:
             return "free"
         if code == SELF:
@@ -79,21 +78,13 @@ class CollisionWorld:
 
     @cached_property
     def arrays(self) -> WorldArrays:
-        """The world as the kernel takes it."""
+        """Return the world as an argument of kernels."""
+        static, moving = self.static, self.moving
         return WorldArrays(
-            self.static.center,
-            self.static.rotation,
-            self.static.half,
-            self.moving.center,
-            self.moving.rotation,
-            self.moving.half,
-            self.grasped,
-            self.grid_origin,
-            self.grid_shape,
-            self.grid_start,
-            self.grid_index,
-            self.filled,
-        )
+            static.center, static.rotation, static.half, moving.center, moving.rotation,
+            moving.half, self.grasped, self.grid_origin, self.grid_shape, self.grid_start,
+            self.grid_index, self.filled,
+        )  # fmt: skip
 
 
 def build_world(
@@ -105,15 +96,15 @@ def build_world(
     *,
     clearance: float,
 ) -> CollisionWorld:
-    """Sort the standing boxes into buckets for one robot.
+    """Build a world, with the static boxes sorted into buckets for one robot.
 
     Args:
-        static: Standing boxes in the world frame.
+        static: Static boxes in the world frame.
         moving: Moving boxes at every value of the joint.
         grasped: Which moving boxes the gripper may touch.
-        labels: Names of the standing boxes, then of the moving ones.
+        labels: Names of the static boxes, then of the moving ones.
         spheres: The robot.
-        clearance: Distance to keep [m].
+        clearance: Clearance of robot spheres [m].
     """
     reach = float(spheres.radius.max()) + clearance
     corners = np.einsum("bij,bj->bij", static.rotation, static.half)
@@ -135,14 +126,9 @@ def build_world(
 
 @entry
 def _fill_buckets(
-    center: F2,
-    rotation: F3,
-    half: F2,
-    low: F1,
-    shape: I1,
-    reach: float,
+    center: F2, rotation: F3, half: F2, low: F1, shape: I1, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lists of the boxes that a sphere of radius `reach` in each cell could touch (CSR)."""
+    """List the boxes that a sphere of radius `reach` in each cell could touch (CSR)."""
     cells = shape[0] * shape[1] * shape[2]
     counts = np.zeros(cells + 1, np.int64)
     index = np.empty(0, np.int64)
@@ -183,7 +169,7 @@ def _fill_buckets(
 
 @kernel
 def any_filled(c, r, low, shape, filled):
-    """Whether a bucket that the centers of a link's spheres can lie in lists a box."""
+    """Return whether any bucket that overlaps a link's bounding sphere lists a box."""
     i0 = min(max(int(np.floor((c[0] - r - low[0]) / CELL)), 0), shape[0])
     i1 = min(max(int(np.floor((c[0] + r - low[0]) / CELL)) + 1, 0), shape[0])
     j0 = min(max(int(np.floor((c[1] - r - low[1]) / CELL)), 0), shape[1])
@@ -199,7 +185,6 @@ def any_filled(c, r, low, shape, filled):
 
 @kernel
 def _hit_static(R, p, bounds, spheres, world, margin):
-    """First standing box that the arm hits, or FREE."""
     center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius = spheres.segment, spheres.bound_radius
     low, shape = world.grid_origin, world.grid_shape
@@ -227,7 +212,6 @@ def _hit_static(R, p, bounds, spheres, world, margin):
 
 @kernel
 def _hit_moving(R, p, bounds, state, room):
-    """First moving box that the arm hits, or FREE."""
     spheres, world, margin = room
     boxes = ObstacleArrays(
         world.moving_center[state.value],
@@ -240,7 +224,7 @@ def _hit_moving(R, p, bounds, state, room):
 
 @kernel
 def check_one(q, base, state, chain, room, scratch):
-    """What one configuration hits first; scratch is `scratch_of(...)`."""
+    """Return the code of the first collision of a configuration; scratch is `scratch_of(...)`."""
     R, p, bounds = scratch
     spheres, world, margin = room
     place_arm(q, base, chain, spheres, scratch)
@@ -264,7 +248,7 @@ def _first_hits(
     chain: ChainArrays,
     room: CollisionArrays,
 ) -> np.ndarray:
-    """What each straight motion hits first, or FREE; one that ends where it begins is a state."""
+    """Return the code of a collision of each straight motion, or FREE; a = b checks a state."""
     scratch = scratch_of(len(chain.slides), room.spheres)
     q, out = np.empty(a.shape[1]), np.empty(len(a), np.int64)
     for m in range(len(a)):
@@ -272,7 +256,7 @@ def _first_hits(
         for k in range(len(q)):
             longest = max(longest, abs(b[m, k] - a[m, k]))
         count = int(np.ceil(longest / step - 1e-9))
-        # The end, the start, the middle, then ever finer: what hits is found early.
+        # Check the end, the start, the middle, then ever finer steps, to find collisions early.
         stride, half, hit = 0, max(count, 1), FREE
         while hit == FREE and half > 0:
             for i in range(count // half * half, -1, -half):
@@ -289,7 +273,7 @@ def _first_hits(
 
 
 def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
-    """What an arm is checked with, as the kernels take it."""
+    """Return the arguments of an arm's collision check."""
     return CollisionArrays(spheres.arrays, world.arrays, world.clearance)
 
 
@@ -302,25 +286,19 @@ def check(
     value: Int[np.ndarray, " m"],
     holding: Bool[np.ndarray, " m"],
 ) -> Int[np.ndarray, " m"]:
-    """Say what each configuration hits first: FREE, FLOOR, SELF or an index into the labels.
+    """Return what each configuration hits first: FREE, FLOOR, SELF or an index into the labels.
 
     Args:
+        world: The obstacles.
+        chain, spheres: The arm.
         q: Arm configurations.
-        bases: Base pose (x, y, yaw) of each.
-        value: Index of the object's joint value at each.
-        holding: Whether the gripper may touch what is grasped.
+        bases: Base pose (x, y, yaw) of each configuration.
+        value: Index of the object's joint value at each configuration.
+        holding: Whether the gripper may touch the grasped part at each configuration.
     """
     q = np.ascontiguousarray(q)
-    return _first_hits(
-        q,
-        q,
-        1.0,
-        np.ascontiguousarray(bases),
-        np.ascontiguousarray(value),
-        np.ascontiguousarray(holding),
-        chain_arrays(chain),
-        collision_arrays(spheres, world),
-    )
+    rest = (np.ascontiguousarray(array) for array in (bases, value, holding))
+    return _first_hits(q, q, 1.0, *rest, chain_arrays(chain), collision_arrays(spheres, world))
 
 
 def motion_checker(
@@ -332,16 +310,18 @@ def motion_checker(
     value: int,
     holding: bool,
     step: float,
-    room: float = 0.0,
+    extra_clearance: float = 0.0,
 ) -> CheckMotion:
-    """Prepare to ask whether straight motions of the arm are free, ends included.
+    """Build a function that checks whether straight motions of the arm are free.
 
     Args:
+        world: The obstacles.
+        chain, spheres: The arm.
         base: Base pose (x, y, yaw).
         value: Index of the object's joint value.
-        holding: Whether the gripper may touch what is grasped.
-        step: Largest joint step between the states that are checked [rad] or [m].
-        room: What the arm keeps from everything, beside the clearance of the world [m].
+        holding: Whether the gripper may touch the grasped part.
+        step: Largest joint step between checked states [rad] or [m].
+        extra_clearance: Clearance in addition to that of the world, also from itself [m].
     """
     fixed = (
         step,
@@ -349,7 +329,7 @@ def motion_checker(
         np.array([value]),
         np.array([holding]),
         chain_arrays(chain),
-        collision_arrays(spheres.grown(room) if room else spheres, world),
+        collision_arrays(spheres.grown(extra_clearance) if extra_clearance else spheres, world),
     )
 
     def free(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:

@@ -1,8 +1,8 @@
-"""Whether links overlap, by their convex hulls: for pairs that spheres are too coarse for.
+"""Check whether convex hulls of links overlap, for pairs that spheres are too coarse for.
 
-GJK: a simplex of points of the difference of two hulls moves toward the origin. It ends when a
-direction separates the hulls, or when the simplex holds the origin. Where rounding keeps it from
-ending, the hulls count as overlapping: an error is on the safe side.
+GJK: a simplex of points of the difference of two hulls moves toward the origin. It ends if a
+direction separates the hulls, or if the simplex contains the origin. If rounding prevents that, the
+hulls count as overlapping, which is the safe side.
 
 Source: van den Bergen, Collision Detection in Interactive 3D Environments (2003), chapter 4.
 """
@@ -14,20 +14,20 @@ import math
 from momapos.core.compiled import kernel
 from momapos.model.kinematics import cross, dot, sub
 
-TRIES = 40
-"""Directions that are tried; 3 are enough as a rule [-]."""
-FEW = 200
-"""Vertices of which all are looked at for the one that lies farthest along a direction; those of a
-mesh may be thousands, and are climbed from neighbor to neighbor [-]."""
-CELLS = 8
-"""Cells along each side of a cube's face, which tell directions apart [-]."""
-PARTS = 6 * CELLS * CELLS
-"""Parts of space in each of which climbing begins at a vertex of its own [-]."""
+MAX_DIRECTIONS = 40
+"""Largest number of directions; usually 3 are enough [-]."""
+MAX_SCANNED_VERTICES = 200
+"""Hulls with more vertices (meshes may have thousands) are searched from neighbor to neighbor for
+the vertex farthest along a direction [-]."""
+DIRECTION_CELLS = 8
+"""Cells along each edge of a cube, whose faces divide directions into bins [-]."""
+DIRECTION_BINS = 6 * DIRECTION_CELLS * DIRECTION_CELLS
+"""Number of bins of directions, each with its own start vertex [-]."""
 
 
 @kernel
 def hulls_overlap(R, p, hulls, i, first, last):
-    """Whether a hull of a link overlaps one of the hulls first:last, or is nearer than `room`.
+    """Return whether a hull of a link overlaps a hull of first:last, or is within the margin.
 
     Args:
         R, p: Segment poses (n + 1, 3, 3), (n + 1, 3).
@@ -44,25 +44,25 @@ def hulls_overlap(R, p, hulls, i, first, last):
 
 @kernel
 def _overlap(R, p, hulls, h, k):
-    """Whether no direction is found that separates two hulls."""
+    """Return whether no direction is found that separates two hulls."""
     m, n = hulls.segment[h], hulls.segment[k]
     toward = sub(moved(R, p, n, hulls.center[k]), moved(R, p, m, hulls.center[h]))
     a = b = c = d = toward
     size = 0
-    for _ in range(TRIES):
+    for _ in range(MAX_DIRECTIONS):
         b, c, d = a, b, c
         a = sub(
-            moved(R, p, m, hulls.vertices[_outermost(R, m, hulls, h, toward, 1.0)]),
-            moved(R, p, n, hulls.vertices[_outermost(R, n, hulls, k, toward, -1.0)]),
+            moved(R, p, m, hulls.vertices[_farthest_vertex(R, m, hulls, h, toward, 1.0)]),
+            moved(R, p, n, hulls.vertices[_farthest_vertex(R, n, hulls, k, toward, -1.0)]),
         )
-        if hulls.room > 0.0:  # the sum with a ball of that radius
-            out = hulls.room / max(math.sqrt(dot(toward, toward)), 1e-12)
+        if hulls.margin > 0.0:  # Minkowski sum with a ball of that radius
+            out = hulls.margin / max(math.sqrt(dot(toward, toward)), 1e-12)
             a = (a[0] + out * toward[0], a[1] + out * toward[1], a[2] + out * toward[2])
         if dot(a, toward) < 0.0:
             return False
         size += 1
         ab, ac, ad = sub(b, a), sub(c, a), sub(d, a)
-        # From a tetrahedron to the face, to the edge, to the point that the origin is beyond.
+        # Reduce the simplex to the face, edge or point beyond which the origin is.
         if size == 4:
             if dot(cross(ab, ac), a) < 0.0:
                 size = 3
@@ -92,8 +92,8 @@ def _overlap(R, p, hulls, h, k):
 
 
 @kernel
-def _outermost(R, segment, hulls, h, toward, sign):
-    """Index of the vertex of a hull that lies farthest along a direction, or against it."""
+def _farthest_vertex(R, segment, hulls, h, toward, sign):
+    """Return the vertex of a hull that is farthest along sign times a direction."""
     T = R[segment]
     x, y, z = sign * toward[0], sign * toward[1], sign * toward[2]
     direction = (
@@ -101,8 +101,8 @@ def _outermost(R, segment, hulls, h, toward, sign):
         T[0, 1] * x + T[1, 1] * y + T[2, 1] * z,
         T[0, 2] * x + T[1, 2] * y + T[2, 2] * z,
     )
-    if hulls.first[h + 1] - hulls.first[h] > FEW:
-        return climbed(hulls, hulls.begin[h, part_of_space(direction)], direction)
+    if hulls.first[h + 1] - hulls.first[h] > MAX_SCANNED_VERTICES:
+        return climb(hulls, hulls.begin[h, direction_bin(direction)], direction)
     best, farthest = hulls.first[h], -math.inf
     for v in range(hulls.first[h], hulls.first[h + 1]):
         along = _along(hulls.vertices, v, direction)
@@ -112,14 +112,14 @@ def _outermost(R, segment, hulls, h, toward, sign):
 
 
 @kernel
-def climbed(hulls, v, direction):
-    """The farthest vertex, over neighbors from another: on a convex body each is nearer to it."""
+def climb(hulls, v, direction):
+    """Return the farthest vertex, from neighbor to neighbor, each farther than the last."""
     best, farthest = v, _along(hulls.vertices, v, direction)
     while True:
-        for e in range(hulls.beside_from[v], hulls.beside_from[v + 1]):
-            along = _along(hulls.vertices, hulls.beside[e], direction)
+        for e in range(hulls.neighbors_from[v], hulls.neighbors_from[v + 1]):
+            along = _along(hulls.vertices, hulls.neighbors[e], direction)
             if along > farthest:
-                best, farthest = hulls.beside[e], along
+                best, farthest = hulls.neighbors[e], along
         if best == v:
             return v
         v = best
@@ -135,8 +135,8 @@ def _along(vertices, v, direction):
 
 
 @kernel
-def part_of_space(direction):
-    """Which of `PARTS` parts of space a direction points to: cells of a cube's faces."""
+def direction_bin(direction):
+    """Return the bin of a direction: a cell of a cube's faces."""
     x, y, z = direction
     along, u, v, face = x, y, z, 0
     if abs(y) > abs(along):
@@ -145,15 +145,15 @@ def part_of_space(direction):
         along, u, v, face = z, x, y, 4
     if along < 0.0:
         face += 1
-    half = 0.5 * CELLS / max(abs(along), 1e-300)
-    i = min(max(int((u * half) + 0.5 * CELLS), 0), CELLS - 1)
-    j = min(max(int((v * half) + 0.5 * CELLS), 0), CELLS - 1)
-    return (face * CELLS + i) * CELLS + j
+    half = 0.5 * DIRECTION_CELLS / max(abs(along), 1e-300)
+    i = min(max(int((u * half) + 0.5 * DIRECTION_CELLS), 0), DIRECTION_CELLS - 1)
+    j = min(max(int((v * half) + 0.5 * DIRECTION_CELLS), 0), DIRECTION_CELLS - 1)
+    return (face * DIRECTION_CELLS + i) * DIRECTION_CELLS + j
 
 
 @kernel
 def moved(R, p, segment, local):
-    """A point of a segment in the frame of the chain's base pose."""
+    """Map a point of a segment to the frame of the chain's base pose."""
     return (
         p[segment, 0]
         + R[segment, 0, 0] * local[0]

@@ -1,8 +1,7 @@
-"""Which pairs of a robot's links touch, by spheres and by hulls, and which of the two decides.
+"""Check a robot for self-collision by spheres or hulls, and choose between them for each pair.
 
-Spheres are fast and keep some distance. But where two links pass a few millimeters from each other,
-as those next to a common joint do, spheres see contact in states that are free. Such pairs
-are left to the hulls.
+Spheres are fast and conservative. But where two links pass within a few millimeters, such as links
+near a common joint, spheres report contact in free states. For such pairs, hulls decide.
 """
 
 from __future__ import annotations
@@ -32,32 +31,27 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 SAMPLES = 2000
-"""States in which spheres are held against hulls [-]."""
-TOO_MANY = 0.02
-"""Share of the states that spheres may block where hulls do not [-]."""
+"""Number of states in which spheres are compared with hulls [-]."""
+MAX_FALSE_SHARE = 0.02
+"""Largest share of states that spheres may block although hulls are disjoint [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contacts:
-    """Which pairs of links touch in which states."""
+    """Contacts of pairs of links in several states."""
 
     pairs: tuple[tuple[str, str], ...]
-    """Names of the links: pairs of the arm, then the arm's with the base's."""
+    """Link names: pairs within the arm, then pairs of arm and base."""
     by_spheres: Bool[np.ndarray, "m pairs"]
-    """They meet, or their hulls do."""
+    """Whether the spheres or the hulls overlap."""
     by_hulls: Bool[np.ndarray, "m pairs"]
 
 
 @entry
 def _contacts(
-    q: F2,
-    chain: ChainArrays,
-    spheres: SphereArrays,
-    column: I2,
-    by_spheres: B2,
-    by_hulls: B2,
+    q: F2, chain: ChainArrays, spheres: SphereArrays, column: I2, by_spheres: B2, by_hulls: B2
 ) -> None:
-    """Fill the columns of `Contacts`; those of groups and boxes of the base are in `column`."""
+    """Fill the columns of `Contacts`; `column` has those of groups and boxes of the base."""
     scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     base, hulls = np.zeros(3), spheres.hulls
@@ -82,7 +76,7 @@ def _contacts(
 
 
 def contacts(chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]) -> Contacts:
-    """Say which of the robot's pairs of links touch, by spheres and by hulls."""
+    """Check which pairs of the robot's links touch, by spheres and by hulls."""
     pairs = [(spheres.links[i], spheres.links[j]) for i, j in spheres.pairs]
     against, column = _with_base(spheres)
     pairs += against
@@ -94,7 +88,7 @@ def contacts(chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]) -> Con
 
 
 def _with_base(spheres: Spheres) -> tuple[list[tuple[str, str]], np.ndarray]:
-    """Pairs of a link and one of the base's, and which pair each group and box belong to."""
+    """Return pairs of arm and base links, and the column of each group and box in `Contacts`."""
     column = np.full(spheres.base_pairs.shape, -1)
     names: dict[tuple[str, str], int] = {}
     for g, b in np.argwhere(spheres.base_pairs).tolist():
@@ -110,29 +104,29 @@ def arm_spheres(
     disabled: Collection[frozenset[str]],
     gripper_links: Sequence[str],
 ) -> Spheres:
-    """Cover a robot's arm with spheres, and leave to its hulls the pairs they are too coarse for.
+    """Cover an arm with spheres; for pairs of links that they are too coarse for, hulls decide.
 
     Args:
         model: The robot.
         chain: Its arm.
-        segments: Which link moves with which joint.
-        disabled: Pairs of links whose contact is never checked (SRDF).
-        gripper_links: Links that may touch what is grasped.
+        segments: The segment with which each link moves.
+        disabled: Pairs of links that are never checked (SRDF).
+        gripper_links: Links that may touch the grasped part.
     """
-    return decided(chain, build_spheres(model, segments, disabled, gripper_links))
+    return choose_exact_pairs(chain, build_spheres(model, segments, disabled, gripper_links))
 
 
-def decided(chain: Chain, spheres: Spheres) -> Spheres:
-    """Leave to hulls the pairs that spheres are wrong about too often in states of the arm."""
+def choose_exact_pairs(chain: Chain, spheres: Spheres) -> Spheres:
+    """Choose the pairs for which hulls decide, from random states of the arm."""
     q = np.random.default_rng(0).uniform(*one_turn(chain), (SAMPLES, chain.size))
-    return left_to_hulls(spheres, contacts(chain, spheres, q))
+    return with_exact_pairs(spheres, contacts(chain, spheres, q))
 
 
-def left_to_hulls(spheres: Spheres, found: Contacts) -> Spheres:
-    """Let hulls decide the pairs that spheres are wrong about too often.
+def with_exact_pairs(spheres: Spheres, found: Contacts) -> Spheres:
+    """Let hulls decide for the pairs whose spheres block too many free states.
 
-    Of the pairs, the one that blocks most of the free states goes first, until at most `TOO_MANY`
-    of all states are blocked without need.
+    The pair that blocks the most free states is chosen first, until spheres block at most
+    `MAX_FALSE_SHARE` of all states wrongly.
 
     Args:
         spheres: The robot.
@@ -140,17 +134,17 @@ def left_to_hulls(spheres: Spheres, found: Contacts) -> Spheres:
     """
     exact = np.zeros(len(found.pairs), bool)
     free = found.by_spheres[~found.by_hulls.any(1)]
-    while free.any(1).sum() > TOO_MANY * len(found.by_hulls):
+    while free.any(1).sum() > MAX_FALSE_SHARE * len(found.by_hulls):
         coarsest = free.sum(0).argmax()
         exact[coarsest], free[:, coarsest] = True, False
     _, column = _with_base(spheres)
-    # What is never checked has column -1, the last one.
+    # Pairs that are never checked have column -1, the last one.
     of_base = np.append(exact, False)[column]
     return replace(spheres, exact=exact[: len(spheres.pairs)], base_exact=of_base)
 
 
 def decided_by_hulls(spheres: Spheres) -> frozenset[tuple[str, str]]:
-    """The pairs of links that hulls decide, as `Contacts` names them."""
+    """Return the pairs of links for which hulls decide, as named in `Contacts`."""
     links = spheres.links
     own = ((links[i], links[j]) for i, j in spheres.pairs[spheres.exact])
     base = ((links[g], spheres.base_links[b]) for g, b in np.argwhere(spheres.base_exact))

@@ -1,8 +1,7 @@
-"""Few spheres that cover the shapes of a link.
+"""Cover the shapes of a link with few spheres.
 
-A cylinder gets spheres on its axis, or rings of them; everything else is cut into cells of
-boxes, one sphere a cell. Of these and of larger spheres farther inside, the ones that cover most
-are taken until nothing is left.
+A cylinder has spheres on its axis, or rings of them; other shapes are divided into cells of boxes,
+with one sphere per cell. Spheres that cover no point of their own are dropped.
 """
 
 from __future__ import annotations
@@ -22,28 +21,28 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 MARGIN = 0.006
-"""Parts of a shape may stay uncovered by this much [m]."""
+"""Largest distance of uncovered points of a shape from the spheres [m]."""
 GRIPPER, ARM, BODY = 0.01, 0.02, 0.035
-"""How far spheres may stick out of a gripper, which works next to handles, of an arm, and of what
-carries the arm, such as a torso [m]."""
-BULKY = 0.06
-"""Shapes whose half thickness is more than this are treated as bodies [m]."""
+"""Largest protrusion of spheres from a gripper, which works near handles, from an arm, and from the
+links that carry the arm, such as a torso [m]."""
+MIN_BULKY_HALF = 0.06
+"""Shapes with a larger half thickness may protrude as far as bodies [m]."""
 MAX_CELLS = 200
-"""Cells of one box; beyond, they grow [-]."""
+"""Largest number of cells of a box; in larger boxes, the cells grow [-]."""
 MAX_PLANES = 500
-"""Planes that stand for the surface of a hull [-]."""
-AT_ONCE = 4_000_000
-"""Distances of points to faces that are held at once [-]."""
+"""Largest number of planes that represent the surface of a hull [-]."""
+MAX_DISTANCES = 4_000_000
+"""Largest number of distances of points to faces in memory at once [-]."""
 _LAYERS = ((0, 1), (3, 0), (4, 0), (5, 0), (6, 0), *((k, 1) for k in range(5, 17)))
-"""How many spheres form a ring, and how many stand in its middle."""
+"""Numbers of spheres in a ring and at its center."""
 _SIDE = 7
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1, 1, _SIDE)] * 3, indexing="ij"), -1).reshape(-1, 3)
 _OUTER = _GRID[np.abs(_GRID).max(1) == 1]
 _DIRECTIONS = _OUTER / np.linalg.norm(_OUTER, axis=1, keepdims=True)
 
 
-class _Cover(NamedTuple):
-    """Spheres, and points of the shape that stand for all that they have to cover."""
+class _SphereCover(NamedTuple):
+    """Spheres, and sample points of the shape that they must cover."""
 
     center: Float[np.ndarray, "s 3"]
     radius: Float[np.ndarray, " s"]
@@ -56,8 +55,8 @@ def cover_shapes(
     """Cover the shapes of one link up to `MARGIN`.
 
     Args:
-        shapes: At least one.
-        stick_out: How far spheres may stick out of a shape that is not bulky [m].
+        shapes: At least one shape.
+        stick_out: Largest protrusion from a shape that is not bulky [m].
 
     Returns:
         Centers in the link frame and radii [m].
@@ -68,15 +67,15 @@ def cover_shapes(
 
 
 def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Cover boxes up to `MARGIN`: centers in the frame of the boxes, and radii [m]."""
+    """Cover boxes up to `MARGIN`; return centers in the frame of the boxes, and radii [m]."""
     rows = zip(boxes.center, boxes.rotation, boxes.half, strict=True)
     return _join([_cells(*row, GRIPPER) for row in rows])[:2]
 
 
-def _cover_shape(shape: Geometry, stick_out: float) -> _Cover:
+def _cover_shape(shape: Geometry, stick_out: float) -> _SphereCover:
     if shape.mesh is None:
-        return _covered(shape, stick_out)
-    # The same mesh is covered for each arm of a robot, and again when its file is read.
+        return _compute_cover(shape, stick_out)
+    # Cached, since the same mesh is covered for each arm, and each time the robot is loaded.
     T = shape.T_link_geometry
     stamp = os.stat(shape.mesh).st_mtime_ns
     return _mesh_cover(shape.mesh, stamp, shape.size, T.tobytes(), stick_out)
@@ -85,41 +84,41 @@ def _cover_shape(shape: Geometry, stick_out: float) -> _Cover:
 @lru_cache(maxsize=256)
 def _mesh_cover(
     mesh: Path, _stamp: int, size: tuple[float, ...], T: bytes, stick_out: float
-) -> _Cover:
+) -> _SphereCover:
     shape = Geometry("mesh", size, np.frombuffer(T).reshape(4, 4), mesh=mesh)
-    return _covered(shape, stick_out)
+    return _compute_cover(shape, stick_out)
 
 
-def _covered(shape: Geometry, stick_out: float) -> _Cover:
+def _compute_cover(shape: Geometry, stick_out: float) -> _SphereCover:
     if shape.kind == "sphere":
         center, size = shape.T_link_geometry[None, :3, 3], shape.size[0]
-        return _Cover(center, np.array([size]), center + size * _DIRECTIONS)
+        return _SphereCover(center, np.array([size]), center + size * _DIRECTIONS)
     if shape.kind == "cylinder":
         radius, length = shape.size
         found = _rings(radius, length, _allowed(min(radius, length / 2), stick_out))
         if found is not None:
             T = shape.T_link_geometry
-            return _Cover(apply(T, found.center), found.radius, apply(T, found.points))
+            return _SphereCover(apply(T, found.center), found.radius, apply(T, found.points))
     hull = hull_of(shape)
-    # Cells adapt to a cylinder, so that one box is enough; meshes have any form.
+    # For a cylinder one box is enough, since cells adapt to it; meshes have any shape.
     boxes = cover(hull, depth=0 if shape.kind == "cylinder" else 3)
     rows = zip(boxes.center, boxes.rotation, boxes.half, strict=True)
     return _join([_cells(c, R, h, _allowed(float(h.min()), stick_out), hull) for c, R, h in rows])
 
 
 def _allowed(thin: float, stick_out: float) -> float:
-    return max(stick_out, BODY) if thin > BULKY else stick_out
+    return max(stick_out, BODY) if thin > MIN_BULKY_HALF else stick_out
 
 
-def _join(covers: Sequence[_Cover]) -> _Cover:
-    return _Cover(*(np.concatenate(column) for column in zip(*covers, strict=True)))
+def _join(covers: Sequence[_SphereCover]) -> _SphereCover:
+    return _SphereCover(*(np.concatenate(column) for column in zip(*covers, strict=True)))
 
 
-def _rings(radius: float, length: float, stick_out: float) -> _Cover | None:
-    """Layers of spheres that cover a cylinder along z, or None where they would stick out.
+def _rings(radius: float, length: float, stick_out: float) -> _SphereCover | None:
+    """Cover a cylinder along z by layers of spheres, or return None if they protrude too far.
 
-    A layer is a sphere on the axis, a ring of them, or both. Farthest from a ring are points
-    halfway between two neighbors: on the rim, and on the axis or where the middle one ends.
+    A layer is a sphere on the axis, a ring of them, or both. The points farthest from a ring are
+    halfway between two neighbors: on the rim, and on the axis or at the end of the central sphere.
     """
     best, cost = None, np.inf
     for k, hub in _LAYERS:
@@ -144,11 +143,11 @@ def _rings(radius: float, length: float, stick_out: float) -> _Cover | None:
     center = np.vstack([ring, _rods(np.zeros(hub), [0.0], z)])
     angle, height = np.arange(24) * np.pi / 12, np.linspace(-length / 2, length / 2, 4 * len(z) + 1)
     points = _rods(angle, [0.0, radius / 2, radius], height)
-    return _Cover(center, np.full(len(center), r), points)
+    return _SphereCover(center, np.full(len(center), r), points)
 
 
 def _rods(angle: np.ndarray, radius: Sequence[float], z: np.ndarray) -> np.ndarray:
-    """Points at all combinations of cylinder coordinates."""
+    """Return points at all combinations of cylinder coordinates."""
     a, r, h = (x.ravel() for x in np.meshgrid(angle, radius, z, indexing="ij"))
     return np.stack([r * np.cos(a), r * np.sin(a), h], -1)
 
@@ -156,17 +155,17 @@ def _rods(angle: np.ndarray, radius: Sequence[float], z: np.ndarray) -> np.ndarr
 def _cells(
     center: np.ndarray, rotation: np.ndarray, half: np.ndarray, stick_out: float,
     hull: Hull | None = None,
-) -> _Cover:  # fmt: skip
-    """One sphere for each cell of a box, around what of the hull is in it."""
+) -> _SphereCover:  # fmt: skip
+    """Return one sphere per cell of a box, around the part of the hull in it."""
     count = _count(half, stick_out)
     cell = half / count
-    # Each grid point speaks for its surroundings, halfway to the next.
+    # Each grid point represents its surroundings, halfway to the next.
     step = float(np.linalg.norm(cell)) / (_SIDE - 1)
     index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), -1).reshape(-1, 3)
     points = center + (((2 * index + 1) * cell - half)[:, None] + _GRID * cell) @ rotation.T
     inside = np.ones(points.shape[:2], bool)
     if hull is not None:
-        moved = _into(points, hull)
+        moved = _project(points, hull)
         inside = np.linalg.norm(moved - points, axis=-1) <= step + 1e-9
         points = moved
     points, inside = points[inside.any(1)], inside[inside.any(1)]
@@ -176,11 +175,11 @@ def _cells(
     middle = (low + high) / 2
     far = np.where(inside, np.linalg.norm(local - middle[:, None], axis=-1), 0.0).max(1)
     radius = np.maximum(far - MARGIN, cell.min() / 2)
-    return _Cover(center + middle @ rotation.T, radius, points[inside])
+    return _SphereCover(center + middle @ rotation.T, radius, points[inside])
 
 
 def _count(half: np.ndarray, stick_out: float) -> np.ndarray:
-    """Fewest cells along each axis whose spheres stick out no further than allowed."""
+    """Return the smallest number of cells along each axis with an allowed protrusion."""
     most = np.ceil(half / ((stick_out + MARGIN) / (np.sqrt(3) - 1))).astype(int) + 2
     ranges = (np.arange(1, min(n, MAX_CELLS) + 1) for n in most)
     counts = np.stack(np.meshgrid(*ranges, indexing="ij"), -1).reshape(-1, 3)
@@ -192,12 +191,12 @@ def _count(half: np.ndarray, stick_out: float) -> np.ndarray:
 
 
 def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f"]]:
-    """Outward unit normals of planes that bound a hull, and their offsets.
+    """Return outward unit normals and offsets of planes that bound a hull.
 
-    Those of its faces; of a hull with very many, as many planes that touch it all around.
+    These are its faces, or evenly spread supporting planes if it has too many.
     """
     if len(hull.faces) > MAX_PLANES:
-        normal = _around(MAX_PLANES)
+        normal = _unit_vectors(MAX_PLANES)
         return normal, (hull.vertices @ normal.T).max(0)
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
@@ -208,19 +207,19 @@ def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f
     return planes[:, :3], planes[:, 3]
 
 
-def _around(count: int) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors spread evenly over the sphere, on a spiral."""
+def _unit_vectors(count: int) -> Float[np.ndarray, "count 3"]:
+    """Return unit vectors spread evenly over the sphere, on a spiral."""
     z = (2 * np.arange(count) + 1) / count - 1
     angle = np.pi * (np.sqrt(5) - 1) * np.arange(count)
     r = np.sqrt(1 - z**2)
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
 
 
-def _into(points: Float[np.ndarray, "*n 3"], hull: Hull) -> Float[np.ndarray, "*n 3"]:
-    """Move points outside of a hull to its surface, along the normals of faces."""
+def _project(points: Float[np.ndarray, "*n 3"], hull: Hull) -> Float[np.ndarray, "*n 3"]:
+    """Move points outside a hull to its surface, along the normals of faces."""
     normal, offset = _planes(hull)
     moved = points.reshape(-1, 3).copy()
-    size = max(1, AT_ONCE // len(normal))
+    size = max(1, MAX_DISTANCES // len(normal))
     for first in range(0, len(moved), size):
         part = moved[first : first + size]
         for _ in range(3):
@@ -229,13 +228,13 @@ def _into(points: Float[np.ndarray, "*n 3"], hull: Hull) -> Float[np.ndarray, "*
     return moved.reshape(points.shape)
 
 
-def _needed(cover: _Cover) -> Bool[np.ndarray, " s"]:
-    """Which spheres have a point of their own; those that cover few points are dropped first."""
+def _needed(cover: _SphereCover) -> Bool[np.ndarray, " s"]:
+    """Return which spheres to keep; those that cover few points are dropped first."""
     from scipy.spatial.distance import cdist
 
     far = cdist(cover.center, cover.points) - cover.radius[:, None]
     covers = far <= MARGIN + 1e-9
-    # A millimeter less, for what lies between the points.
+    # 1 mm less, for the surface between the points.
     well = far <= MARGIN - 1e-3
     times, keep = well.sum(0), np.ones(len(well), bool)
     for s in np.argsort(covers.sum(1)):

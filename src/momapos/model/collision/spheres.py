@@ -1,7 +1,7 @@
-"""The robot as spheres: what the batched collision kernels move around.
+"""The robot as spheres, for the batched collision kernels.
 
-Spheres stick out of a shape a little, or leave a part uncovered by at most `MARGIN`; the exact
-check at the end of planning is what decides, see `momapos.verification`.
+Spheres protrude slightly from a shape, or leave points uncovered by at most `MARGIN`. The exact
+check at the end of planning makes the final decision, see `momapos.verification`.
 """
 
 from __future__ import annotations
@@ -27,72 +27,60 @@ if TYPE_CHECKING:
 __all__ = ["MARGIN", "Spheres", "box_spheres", "build_spheres", "carry"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spheres:
     """Spheres of the links that the arm moves, in groups of one link each."""
 
     center: Float[np.ndarray, "s 3"]
-    """Relative to the joint origin of the group's segment, base-aligned at zero [m]."""
+    """Centers relative to the joint origin of the group's segment, in base axes at zero [m]."""
     radius: Float[np.ndarray, " s"]
     start: Int[np.ndarray, " groups_plus_1"]
     """Spheres of group g are start[g]:start[g + 1]."""
     segment: Int[np.ndarray, " groups"]
     bound_center: Float[np.ndarray, "groups 3"]
     bound_radius: Float[np.ndarray, " groups"]
-    """A sphere around each group, for culling."""
+    """Bounding sphere of each group, for culling."""
     links: tuple[str, ...]
     """Link of each group."""
     gripper: Int[np.ndarray, " groups"]
-    """OTHER, PALM or FINGER: what each group may touch while it holds."""
+    """Role of each group in a grasp: OTHER, PALM or FINGER."""
     pairs: Int[np.ndarray, "pairs 2"]
-    """Groups to be checked against each other."""
+    """Pairs of groups to check."""
     base: Boxes
     """The links that do not move with the arm, as boxes in the base frame."""
     base_pairs: Bool[np.ndarray, "groups b"]
-    """Which group is checked against which box of the base."""
+    """Whether to check each group against each box of the base."""
     base_links: tuple[str, ...]
     """Link of each box of the base."""
     hulls: LinkHulls
-    """The shapes themselves."""
+    """The collision shapes."""
     exact: Bool[np.ndarray, " pairs"]
-    """Which pairs their hulls decide, spheres being too coarse."""
+    """For which pairs hulls decide, since spheres are too coarse."""
     base_exact: Bool[np.ndarray, "groups b"]
     """The same for groups and boxes of the base."""
 
     @cached_property
     def arrays(self) -> SphereArrays:
-        """The spheres as the kernels take them."""
+        """Return the spheres as an argument of kernels."""
+        base = self.base
         return SphereArrays(
-            self.center,
-            self.radius,
-            self.start,
-            self.segment,
-            self.bound_center,
-            self.bound_radius,
-            self.gripper,
-            self.pairs,
-            self.base.center,
-            self.base.rotation,
-            self.base.half,
-            self.base_pairs,
-            self.base_bounds,
-            np.linalg.norm(self.base.half, axis=1),
-            self.hulls.arrays,
-            self.exact,
-            self.base_exact,
+            self.center, self.radius, self.start, self.segment, self.bound_center,
+            self.bound_radius, self.gripper, self.pairs, base.center, base.rotation, base.half,
+            self.base_pairs, self.base_bounds, np.linalg.norm(base.half, axis=1),
+            self.hulls.arrays, self.exact, self.base_exact,
             np.flatnonzero(self.base_pairs.any(1)),
-        )
+        )  # fmt: skip
 
-    def grown(self, room: float) -> Spheres:
-        """The same robot, larger on all sides by so much [m]."""
+    def grown(self, margin: float) -> Spheres:
+        """Return the robot enlarged on all sides by a margin [m]."""
         return replace(
-            self, radius=self.radius + room, bound_radius=self.bound_radius + room,
-            hulls=replace(self.hulls, room=room),
+            self, radius=self.radius + margin, bound_radius=self.bound_radius + margin,
+            hulls=replace(self.hulls, margin=margin),
         )  # fmt: skip
 
     @cached_property
     def base_bounds(self) -> Float[np.ndarray, "2 3"]:
-        """Lower and upper corner of all boxes of the base, in its frame [m]."""
+        """Return the lower and upper corner of all boxes of the base, in its frame [m]."""
         extent = np.einsum("bij,bj->bi", np.abs(self.base.rotation), self.base.half)
         low, high = self.base.center - extent, self.base.center + extent
         return np.stack([low.min(0, initial=np.inf), high.max(0, initial=-np.inf)])
@@ -108,9 +96,9 @@ def build_spheres(
 
     Args:
         model: The robot.
-        segments: Which link moves with which joint.
-        disabled: Pairs of links whose contact is never checked (SRDF).
-        gripper_links: Links that may touch what is grasped.
+        segments: The segment with which each link moves.
+        disabled: Pairs of links that are never checked (SRDF).
+        gripper_links: Links that may touch the grasped part.
     """
     moving = [link for link in model.links if segments.of_link[link] > 0 and model.hulls[link]]
     bodies = _bodies(model, segments)
@@ -159,7 +147,7 @@ def build_spheres(
 
 
 def _role(model: Articulated, link: str, gripper_links: set[str]) -> int:
-    """Fingers hang from a joint inside the gripper; what else belongs to it is its palm."""
+    """Return a link's role; links that a joint of the gripper moves are fingers."""
     if link not in gripper_links:
         return OTHER
     for joint in model.joints.values():
@@ -174,14 +162,14 @@ def carry(
     center: Float[np.ndarray, "k 3"],
     radius: Float[np.ndarray, " k"],
 ) -> Spheres:
-    """The same robot with something in its hand.
+    """Return the robot with an object in its hand.
 
-    It is checked against the robot itself, but for what moves with the hand.
+    The object is checked against the robot, except for links that move with the hand.
 
     Args:
         spheres: The robot.
-        segment: Segment that holds it: the last.
-        center: Spheres of the thing, relative to the segment's joint origin [m].
+        segment: Segment that holds the object: the last.
+        center: Spheres of the object, relative to the segment's joint origin [m].
         radius: Their radii [m].
     """
     middle, bound = _bound(center, radius)
@@ -207,7 +195,7 @@ def carry(
 
 
 def _bodies(model: Articulated, segments: Segments) -> set[int]:
-    """Segments that only slide: the base and what a lift carries."""
+    """Return the segments behind prismatic joints only: the base and links on a lift."""
     found = {0}
     for joint in model.urdf.joints:
         before, after = segments.of_link[joint.parent], segments.of_link[joint.child]
@@ -217,7 +205,7 @@ def _bodies(model: Articulated, segments: Segments) -> set[int]:
 
 
 def neighbors(model: Articulated) -> Callable[[str, str], bool]:
-    """Tell whether two links are joined by one moving joint, fixed joints being no joints."""
+    """Return a function that tells whether a single movable joint, or none, connects two links."""
     body: dict[str, str] = {model.urdf.root: model.urdf.root}
     parent: dict[str, str] = {}
     for joint in model.urdf.joints:
@@ -248,7 +236,6 @@ def _base_boxes(model: Articulated, segments: Segments) -> tuple[Boxes, list[str
 
 
 def _standing(model: Articulated, segments: Segments) -> list[str]:
-    """Links that do not move with the arm."""
     return [link for link in model.links if segments.of_link[link] == 0]
 
 

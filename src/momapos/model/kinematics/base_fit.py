@@ -1,8 +1,8 @@
-"""Base poses from which an arm takes several tool poses exactly, beside given ones.
+"""Find base poses near given ones from which an arm reaches several tool poses exactly.
 
-An arm of few degrees of freedom has such base poses on a curve or a surface only, which no sample
-meets. Levenberg-Marquardt steps move the base and the arm's states together until all tool poses
-are met. Source: Nocedal and Wright, Numerical Optimization (2006), chapter 10.
+For an arm with few degrees of freedom, such base poses form a curve or a surface, which samples
+miss. Levenberg-Marquardt steps move the base and the arm's states together until all tool poses
+are reached. Source: Nocedal and Wright, Numerical Optimization (2006), chapter 10.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from .subproblems import mul
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-STEPS = 40
-"""Steps from a base pose [-]."""
-STAND = 5
-"""Steps in which the arm comes as near as it can before the base moves [-]."""
-PATIENCE = 5
-"""Steps within which the residual must be halved, or the fit is given up [-]."""
-MET = 1e-12
-"""Squared residual of all tool poses together that counts as met [m^2 + rad^2]."""
-NEAR, NEAR_TURN = 0.15, 0.5
+MAX_STEPS = 40
+"""Largest number of steps from a base pose [-]."""
+FIXED_BASE_STEPS = 5
+"""Number of first steps in which only the arm moves [-]."""
+HALVING_STEPS = 5
+"""The fit stops if the residual does not halve within this number of steps [-]."""
+MAX_RESIDUAL = 1e-12
+"""Largest squared residual over all tool poses of a solution [m^2 + rad^2]."""
+MAX_BASE_STEP, MAX_TURN_STEP = 0.15, 0.5
 """Largest step of the base [m] and of its yaw or a joint [rad]."""
 
 
 @kernel
 def _target(base, T, R, p):
-    """A tool pose in the frame of a base, into R and p."""
+    """Write a tool pose in the frame of a base to R and p."""
     c, s = np.cos(base[2]), np.sin(base[2])
     x, y = T[0, 3] - base[0], T[1, 3] - base[1]
     p[0], p[1], p[2] = c * x + s * y, c * y - s * x, T[2, 3]
@@ -50,14 +50,14 @@ def _target(base, T, R, p):
 
 @kernel
 def _equations(base, q, poses, arm, moves, scratch):
-    """Fill the normal equations of all tool poses; returns the squared residual.
+    """Fill the normal equations of all tool poses; return the squared residual.
 
     Args:
         base: x [m], y [m], yaw [rad].
         q: A state for each of the tool poses (w, n).
         poses: (w, 4, 4).
         arm: `ArmArrays`.
-        moves: Whether the base moves too.
+        moves: Whether the base moves, too.
         scratch: `_scratch(arm, w)`.
     """
     newton, R_to, p_to, A, g, full = scratch
@@ -102,19 +102,19 @@ def _equations(base, q, poses, arm, moves, scratch):
 
 @kernel
 def _meet(base, q, poses, arm, scratch):
-    """Move a base pose and states of the arm, in place, until all poses are met; whether they are.
+    """Move a base pose and arm states in place to reach all poses; return whether they are reached.
 
-    The base stands still until the arm has come near, so that it moves no farther than it must.
+    The base does not move in the first steps, so that it moves no farther than necessary.
     """
     A, g, before = scratch[3], scratch[4], np.inf
     lower, upper = arm.limits.lower, arm.limits.upper
-    for step in range(STEPS + 1):
-        residual = _equations(base, q, poses, arm, step >= STAND, scratch)
-        if residual < MET:
+    for step in range(MAX_STEPS + 1):
+        residual = _equations(base, q, poses, arm, step >= FIXED_BASE_STEPS, scratch)
+        if residual < MAX_RESIDUAL:
             return True
-        if step == STEPS or not np.isfinite(residual):
+        if step == MAX_STEPS or not np.isfinite(residual):
             return False
-        if step >= STAND and (step - STAND) % PATIENCE == 0:
+        if step >= FIXED_BASE_STEPS and (step - FIXED_BASE_STEPS) % HALVING_STEPS == 0:
             if residual > 0.5 * before:
                 return False
             before = residual
@@ -122,11 +122,11 @@ def _meet(base, q, poses, arm, scratch):
             A[a, a] += 1e-9 + 0.01 * min(residual, 1.0)
         solve_spd(A, g)
         for k in range(3):
-            most = NEAR if k < 2 else NEAR_TURN
+            most = MAX_BASE_STEP if k < 2 else MAX_TURN_STEP
             base[k] += min(most, max(-most, g[k]))
         for m in range(len(q)):
             for k in range(q.shape[1]):
-                v = q[m, k] + min(NEAR_TURN, max(-NEAR_TURN, g[3 + m * q.shape[1] + k]))
+                v = q[m, k] + min(MAX_TURN_STEP, max(-MAX_TURN_STEP, g[3 + m * q.shape[1] + k]))
                 q[m, k] = min(max(v, lower[k]), upper[k])
     return False
 
@@ -148,7 +148,7 @@ def _fit(bases: F2, poses: F3, tries: int, arm: ArmArrays, moved: F2, met: B1) -
         for t in range(min(tries, len(ik.order))):
             for k in range(3):
                 base[k] = bases[i, k]
-            # All states begin at one, from which the steps lead them apart.
+            # All states start at the same seed.
             for m in range(w):
                 for k in range(n):
                     q[m, k] = arm.ik.seeds[ik.order[t], k]
@@ -171,16 +171,17 @@ def fit_bases(
     *,
     tries: int = 1,
 ) -> tuple[Float[np.ndarray, "k 3"], Bool[np.ndarray, " k"]]:
-    """Base poses beside given ones from which an arm takes all of some tool poses.
+    """Find base poses near given ones from which an arm reaches all of some tool poses.
 
     Args:
         chain, ik: The arm.
-        bases: x, y [m], yaw [rad] to begin at.
+        bases: x, y [m], yaw [rad] to start from.
         Ts_world_tool: The tool poses.
-        tries: States of the arm to begin at, of which the nearest base pose counts [-].
+        tries: Number of arm states to start from; the nearest resulting base pose counts [-].
 
     Returns:
-        Where each has come to, and whether all tool poses are met there; those that are not stay.
+        The new base poses, and whether all tool poses are reached; if not, the base pose is as
+        given.
     """
     moved, met = np.array(bases, float), np.zeros(len(bases), bool)
     poses = np.ascontiguousarray(Ts_world_tool, float)

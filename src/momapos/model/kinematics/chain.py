@@ -1,11 +1,11 @@
 """The arm as a product of exponentials, and its batched forward kinematics.
 
-At the zero configuration every frame is aligned with the base, so that a chain is three arrays:
-unit axes `h`, offsets `d` from joint to joint, and a joint kind. Segment 0 is the base, segment
-i moves with joint i. Source: Lynch and Park, Modern Robotics, chapter 4.
+In the zero configuration every frame is aligned with the base, so a chain is three arrays: unit
+axes `h`, offsets `d` from joint to joint, and joint types. Segment 0 is the base, segment i moves
+with joint i. Source: Lynch and Park, Modern Robotics, chapter 4.
 
-Each of the m joints moves by a ratio times one of the n degrees of freedom. Most arms have as many
-of both; a telescope is one degree of freedom in several joints.
+Each of the m joints moves by a ratio times one of the n degrees of freedom. In most arms m = n; a
+telescope has one degree of freedom in several joints.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Chain:
     """A serial chain in the base frame: m joints with n degrees of freedom."""
 
     names: tuple[str, ...]
-    """The joint that stands for each degree of freedom, base to tool."""
+    """The leading joint of each degree of freedom, base to tool."""
     joints: tuple[str, ...]
-    """All joints that move, base to tool."""
+    """All movable joints, base to tool."""
     dof: Int[np.ndarray, " m"]
-    """The degree of freedom that each joint follows."""
+    """The degree of freedom of each joint."""
     ratio: Float[np.ndarray, " m"]
-    """How far each joint moves with it [-]; 1 for the one that stands for it."""
+    """Ratio of each joint to its degree of freedom; 1 for leading joints [-]."""
     offset: Float[np.ndarray, " m"]
-    """Where each joint is when its degree of freedom is at zero [rad] or [m]."""
+    """Value of each joint if its degree of freedom is zero [rad] or [m]."""
     h: Float[np.ndarray, "m 3"]
     """Unit joint axes at zero, in the base frame."""
     d: Float[np.ndarray, "m 3"]
-    """Offset of each joint from the one before it (the base's origin for the first) [m]."""
+    """Offset of each joint from the previous one, or from the base's origin [m]."""
     slides: Bool[np.ndarray, " m"]
     """Which joints are prismatic."""
     lower: Float[np.ndarray, " n"]
@@ -54,125 +54,117 @@ class Chain:
     """Limits [rad] or [m]; infinite for continuous joints."""
     velocity: Float[np.ndarray, " n"]
     tool_offset: Float[np.ndarray, "3"]
-    """Tool origin from the last joint at zero, in the base frame [m]."""
+    """Offset of the tool from the last joint at zero, in the base frame [m]."""
     tool_rotation: Float[np.ndarray, "3 3"]
     """Tool axes at zero, in the base frame."""
 
     @property
     def size(self) -> int:
-        """Number of degrees of freedom."""
+        """Return the number of degrees of freedom."""
         return len(self.names)
 
     @property
     def last(self) -> int:
-        """The segment that the tool belongs to: the number of joints."""
+        """Return the tool's segment, which is the number of joints."""
         return len(self.joints)
 
     @cached_property
     def leads(self) -> Int[np.ndarray, " n"]:
-        """The joint that stands for each degree of freedom."""
+        """Return the leading joint of each degree of freedom."""
         return np.array([self.joints.index(name) for name in self.names], np.int64)
 
     @cached_property
     def prismatic(self) -> Bool[np.ndarray, " n"]:
-        """Which degrees of freedom slide."""
+        """Return which degrees of freedom are prismatic."""
         return self.slides[self.leads]
 
     @property
     def coupled(self) -> bool:
-        """Whether a joint follows another."""
+        """Return whether any joint follows another."""
         return self.last > self.size
 
     @property
     def ends_turning(self) -> bool:
-        """Whether the last joint turns and no other moves with it, so that the rest can stay."""
+        """Return whether the last joint is revolute and no other joint moves with it."""
         alone = np.count_nonzero(self.dof == self.dof[-1]) == 1
         return bool(alone and not self.slides[-1])
 
     @property
     def upright(self) -> bool:
-        """Whether the first turning axis, and what slides below it, are vertical."""
+        """Return whether the first revolute axis, and prismatic axes before it, are vertical."""
         first = self.first_turn
         return first < self.last and bool(np.abs(self.h[: first + 1, 2]).min() >= 1 - 1e-4)
 
     @property
     def first_turn(self) -> int:
-        """The first joint that turns; the number of joints where all slide."""
+        """Return the first revolute joint, or the number of joints if all are prismatic."""
         return int(np.argmin(np.append(self.slides, False)))
 
     @cached_property
     def middle(self) -> Float[np.ndarray, " m"]:
-        """How far each joint is from zero in the middle of its range; 0 where it is endless."""
+        """Return the middle of each joint's range, without its offset; 0 if unlimited."""
         ends = np.stack([self.lower, self.upper])
         middle = np.where(np.isfinite(ends), ends, 0.0).sum(0) / 2
         return self.ratio * middle[self.dof]
 
     @cached_property
     def half_travel(self) -> Float[np.ndarray, " m"]:
-        """Half the range of each joint [rad] or [m]."""
+        """Return half the range of each joint [rad] or [m]."""
         return np.abs(self.ratio) * (self.upper - self.lower)[self.dof] / 2
 
     def joint_values(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch m"]:
-        """Values of all joints, from those of the degrees of freedom."""
+        """Convert values of the degrees of freedom to values of all joints."""
         return np.asarray(q, float)[..., self.dof] * self.ratio + self.offset
 
     def freedom_values(
         self, values: Float[np.ndarray, "*batch m"]
     ) -> Float[np.ndarray, "*batch n"]:
-        """Values of the degrees of freedom, from those of all joints."""
+        """Convert values of all joints to values of the degrees of freedom."""
         return np.asarray(values, float)[..., self.leads]
 
     def tool_poses(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
-        """Tool poses in the base frame."""
-        q = np.ascontiguousarray(q, float)  # as the kernel is compiled for
-        flat = tool_poses(
-            q.reshape(-1, self.size),
-            chain_arrays(self),
-        )
+        """Return tool poses in the base frame."""
+        q = np.ascontiguousarray(q, float)  # the layout that the kernel is compiled for
+        flat = tool_poses(q.reshape(-1, self.size), chain_arrays(self))
         return flat.reshape(*q.shape[:-1], 4, 4)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segments:
-    """Which segment of the chain each link of the robot moves with."""
+    """The segment of the chain with which each link of the robot moves."""
 
     of_link: dict[str, int]
     T_segment_link: dict[str, Float[np.ndarray, "4 4"]]
-    """Pose of the link relative to its segment's joint origin, base-aligned at zero."""
+    """Pose of the link relative to its segment's joint, in base axes at zero."""
 
 
 def chain_arrays(chain: Chain) -> ChainArrays:
-    """The chain as the kernels take it."""
+    """Return the chain as an argument of kernels."""
     return ChainArrays(
-        chain.h,
-        chain.d,
-        chain.slides,
-        chain.dof,
-        chain.ratio,
-        chain.tool_offset,
+        chain.h, chain.d, chain.slides, chain.dof, chain.ratio, chain.tool_offset,
         chain.tool_rotation,
-    )
+    )  # fmt: skip
 
 
 def chain_limits(chain: Chain) -> JointLimits:
-    """The limits of its degrees of freedom as the kernels take them."""
+    """Return the limits of the degrees of freedom as an argument of kernels."""
     return JointLimits(chain.lower, chain.upper)
 
 
 def build_chain(
     model: Articulated, base_link: str, tool_link: str, names: Sequence[str]
 ) -> tuple[Chain, Segments]:
-    """Cut the arm out of a robot; all joints but its own and those that follow these stay at rest.
+    """Extract an arm from a robot, with all joints at rest except the arm's and their mimic joints.
 
     Args:
         model: The robot.
-        base_link: Where the chain begins.
-        tool_link: Where it ends.
-        names: The joints that stand for its degrees of freedom, base to tool.
+        base_link: First link of the chain.
+        tool_link: Last link of the chain.
+        names: The leading joint of each degree of freedom, base to tool.
 
     Raises:
-        RobotError: The joints do not form a chain from base to tool, in this order, or one of them
-            follows another.
+        RobotError: The joints do not form a chain from base to tool in this order, or one of them
+            is a mimic joint.
     """
     for link in (base_link, tool_link):
         if link not in model.urdf.links:
@@ -186,7 +178,7 @@ def build_chain(
     origins = []
     axes = []
     for joint in records:
-        # At zero a follower stands at its offset, which is what its child's frame holds.
+        # At zero a mimic joint is at its offset, which the pose of its child includes.
         T = zero[joint.parent] @ joint.T_parent_joint
         origins.append(T[:3, 3] if joint.kind != "prismatic" else zero[joint.child][:3, 3])
         axes.append(T[:3, :3] @ joint.axis)
@@ -212,7 +204,7 @@ def build_chain(
 
 
 def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upper: float) -> Chain:
-    """The chain with one more degree of freedom: a turn about an axis through the tool's origin.
+    """Return a chain with one more degree of freedom: a turn about an axis through the tool.
 
     Args:
         chain: The chain.
@@ -238,7 +230,7 @@ def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upp
 
 
 def _between(model: Articulated, tool_link: str, names: Sequence[str]) -> list[Joint]:
-    """The joints that move with the given ones, base to tool.
+    """Return the joints that move with the given ones, base to tool.
 
     Raises:
         RobotError: One of them does not carry the tool.
@@ -251,8 +243,8 @@ def _between(model: Articulated, tool_link: str, names: Sequence[str]) -> list[J
     for joint in found:
         if tool_link not in model.links_below(joint.child):
             raise RobotError(
-                f"{model.urdf.name}: joint {joint.name!r} follows one of the arm but does not "
-                f"carry {tool_link!r}; only joints between base and tool may follow the arm's"
+                f"{model.urdf.name}: joint {joint.name!r} follows an arm joint but does not carry "
+                f"{tool_link!r}; only joints between base and tool may follow arm joints"
             )
     return found
 
@@ -267,15 +259,17 @@ def _poses_at_zero(
 
 def _check_order(model: Articulated, base_link: str, tool_link: str, joints: Sequence[str]) -> None:
     if not joints:
-        raise RobotError(f"{model.urdf.name}: arm_joints is empty; name the joints base to tool")
+        raise RobotError(
+            f"{model.urdf.name}: arm_joints is empty; list the joints from base to tool"
+        )
     if len(set(joints)) != len(joints):
-        raise RobotError(f"{model.urdf.name}: arm_joints names a joint twice")
+        raise RobotError(f"{model.urdf.name}: arm_joints contains a joint twice")
     for name in joints:
         mimic = model.joint(name).mimic
         if mimic is not None:
             raise RobotError(
-                f"{model.urdf.name}: joint {name!r} follows {mimic.joint!r}; arm_joints names only "
-                "joints that move by themselves"
+                f"{model.urdf.name}: joint {name!r} follows {mimic.joint!r}; arm_joints must not "
+                "contain mimic joints"
             )
     if tool_link not in model.links_below(model.joint(joints[-1]).child):
         raise RobotError(
@@ -285,8 +279,8 @@ def _check_order(model: Articulated, base_link: str, tool_link: str, joints: Seq
     for before, after in pairwise(joints):
         if model.joint(after).child not in model.links_below(model.joint(before).child):
             raise RobotError(
-                f"{model.urdf.name}: joint {after!r} does not follow {before!r}; "
-                "arm_joints must be a chain, base first"
+                f"{model.urdf.name}: joint {after!r} does not move with {before!r}; "
+                "arm_joints must be a chain from base to tool"
             )
     if base_link in model.moved_by(joints[0]):
         raise RobotError(
@@ -331,11 +325,8 @@ def rotate_by(R: np.ndarray, axis: np.ndarray, angle: float, out: np.ndarray) ->
 
 
 @entry
-def stand_at_origin(
-    R: F3,
-    p: F2,
-) -> None:
-    """Put segment 0 at the origin; written out, as array assignment is slow to compile."""
+def stand_at_origin(R: F3, p: F2) -> None:
+    """Put segment 0 at the origin, without array assignments, which are slow to compile."""
     for i in range(3):
         p[0, i] = 0.0
         for j in range(3):
@@ -343,14 +334,11 @@ def stand_at_origin(
 
 
 @entry
-def forward(
-    q: F1,
-    chain: ChainArrays,
-    R: F3,
-    p: F2,
-) -> None:
-    """Fill rotations R (m + 1, 3, 3) and origins p (m + 1, 3) for values (n,) of the degrees of
-    freedom; entry 0 is the base's pose."""
+def forward(q: F1, chain: ChainArrays, R: F3, p: F2) -> None:
+    """Fill rotations R (m + 1, 3, 3) and origins p (m + 1, 3) of segments 1 to m.
+
+    Segment 0 must be given; q (n,) are values of the degrees of freedom.
+    """
     h, d, slides = chain.h, chain.d, chain.slides
     for i in range(len(slides)):
         value = chain.ratio[i] * q[chain.dof[i]]
@@ -371,7 +359,7 @@ def forward(
 
 @entry
 def tool_poses(q: F2, chain: ChainArrays) -> np.ndarray:
-    """Tool poses (k, 4, 4) of configurations (k, n), in the base frame."""
+    """Return tool poses (k, 4, 4) in the base frame for configurations (k, n)."""
     count, n = len(q), len(chain.slides)
     tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
     out = np.zeros((count, 4, 4))

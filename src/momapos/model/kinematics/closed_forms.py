@@ -1,4 +1,4 @@
-"""All branches of a six-joint arm in closed form, by what its axes have in common.
+"""Closed-form inverse kinematics of six-joint arms with parallel or intersecting axes.
 
 Source: Elias and Wen, IK-Geo: Unified robot inverse kinematics using subproblem decomposition
 (2022).
@@ -20,12 +20,15 @@ NAMES = {
     THREE_PARALLEL: "closed form: axes 2, 3 and 4 parallel",
 }
 MAX_BRANCHES = 8
-"""Most solutions that any of these arms has for one tool pose."""
+"""Largest number of solutions of any of these arms for one tool pose [-]."""
 
 
 @kernel
 def _first_three_wrist(kind, h, o, c0, c, out):
-    """Joints 1 to 3 that bring the wrist center c0 to c; out (8, 6), returns the count."""
+    """Write values of joints 1 to 3 that move the wrist center c0 to c to out (8, 6).
+
+    Returns the count.
+    """
     h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
     o1, o2, o3 = row(o, 0), row(o, 1), row(o, 2)
     link, reach = sub(o3, o2), sub(c0, o3)
@@ -58,7 +61,7 @@ def _first_three_wrist(kind, h, o, c0, c, out):
 
 @kernel
 def spherical(kind, h, o, c0, R06, c, out):
-    """All branches of an arm with a spherical wrist; returns the count."""
+    """Write all branches of an arm with a spherical wrist; return the count."""
     count = _first_three_wrist(kind, h, o, c0, c, out)
     h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
     h4, h5, h6 = row(h, 3), row(h, 4), row(h, 5)
@@ -76,7 +79,7 @@ def spherical(kind, h, o, c0, R06, c, out):
             k = i if j == 0 else total
             out[k, 0], out[k, 1], out[k, 2], out[k, 4] = q1, q2, q3, q5
             out[k, 3] = sp1(rot(h5, q5, h6), x6, h4)
-            # After q4, not beside it: when axes 4 and 6 align only their sum is told.
+            # Given q4: if axes 4 and 6 align, only the sum of both angles is determined.
             out[k, 5] = sp1(h5, rot(h5, -q5, rot(h4, -out[k, 3], x5)), h6)
         total += 1
     return total
@@ -84,15 +87,15 @@ def spherical(kind, h, o, c0, R06, c, out):
 
 @kernel
 def _free_turn(h1, h2, offsets, foot, j, turned, sign):
-    """A value of joint 6 that puts joint 4 in the middle of where the arm can have it.
+    """Return a value of joint 6 that puts joint 4 in the middle of its reachable positions.
 
     Args:
         h1, h2: Axes 1 and 2.
         offsets: From joint 2 to 3, 3 to 4, and 4 to the wrist, at zero.
-        foot: The wrist as seen from joint 2.
+        foot: The wrist relative to joint 2.
         j: Which of the two values, 0 or 1.
-        turned: Where h1 has been turned to about h2 when joint 6 is at zero.
-        sign: Positive where axis 6 points along axis 2.
+        turned: h1 after the turn about h2 for joint 6 at zero.
+        sign: Positive if axis 6 points along axis 2.
     """
     upper, lower, tip = offsets
     a, b = _across(upper, h2), _across(lower, h2)
@@ -108,22 +111,15 @@ def _free_turn(h1, h2, offsets, foot, j, turned, sign):
 
 @kernel
 def _across(v, axis):
-    """Length of the part of v that is perpendicular to a unit axis."""
+    """Return the length of the component of v perpendicular to a unit axis."""
     part = dot(v, axis)
     return np.sqrt(max(0.0, dot(v, v) - part * part))
 
 
 @kernel
 def three_parallel(h, o, c0, R06, c, out):
-    """All branches of an arm whose axes 2, 3 and 4 are parallel; returns the count."""
-    h1, h2, h3, h4, h5, h6 = (
-        row(h, 0),
-        row(h, 1),
-        row(h, 2),
-        row(h, 3),
-        row(h, 4),
-        row(h, 5),
-    )
+    """Write all branches of an arm with parallel axes 2, 3 and 4; return the count."""
+    h1, h2, h3, h4, h5, h6 = (row(h, 0), row(h, 1), row(h, 2), row(h, 3), row(h, 4), row(h, 5))
     o1, o2, o3, o4 = row(o, 0), row(o, 1), row(o, 2), row(o, 3)
     s3 = 1.0 if dot(h2, h3) > 0 else -1.0
     s4 = 1.0 if dot(h2, h4) > 0 else -1.0
@@ -139,7 +135,7 @@ def three_parallel(h, o, c0, R06, c, out):
             x2 = rot(h5, -q5, h2)
             across, foot = cross(x2, h6), sub(rot(h1, -q1, w), sub(o2, o1))
             if dot(across, across) < 1e-13:
-                # Axis 6 is parallel to the three, and any q6 will do that keeps joint 4 in reach.
+                # Axis 6 is parallel to the three, so any q6 works that keeps joint 4 within reach.
                 turned = rot(h1, -q1, mul(R06, rot(h5, -q5, h1)))
                 q6 = _free_turn(h1, h2, (upper, lower, tip), foot, j, turned, dot(x2, h6))
             else:
@@ -149,7 +145,7 @@ def three_parallel(h, o, c0, R06, c, out):
             t = sub(foot, rot(h2, theta, tip))
             along = dot(h2, t)
             flat = add(upper, lower)
-            # Components along the axes are carried unchanged; the planar 2R problem is the rest.
+            # Components along the axes are constant; the rest is the planar 2R problem.
             t = add(
                 t,
                 (

@@ -1,4 +1,4 @@
-"""How far an arm is from states in which it cannot move every way, and how much it moves."""
+"""Dexterity of arm states (distance from singularities), and joint travel of arm paths."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _STEP = 1e-6
-"""Of the differences that make up a Jacobian [rad] or [m]."""
+"""Step of the finite differences of Jacobians [rad] or [m]."""
 
 
 def jacobians(
     chain: Chain, q: Float[np.ndarray, "m n"], length: float
 ) -> Float[np.ndarray, "m 6 n"]:
-    """Jacobians without units: lengths, also those of joints that slide, count in `length` [m].
+    """Compute dimensionless Jacobians by finite differences; lengths are in units of `length`.
 
     Args:
         chain: The arm.
-        q: Its degrees of freedom at each state.
-        length: How far the arm reaches.
+        q: Values of the degrees of freedom at each state.
+        length: Reach of the arm [m].
 
     Returns:
-        Velocity of the tool's origin, then its turning, for each degree of freedom; by differences.
+        Velocity of the tool's origin, then angular velocity, for each degree of freedom.
     """
     scale = np.where(chain.prismatic, length, 1.0)
     moved = q[:, None] + _STEP * np.diag(scale)
@@ -39,28 +39,18 @@ def jacobians(
 
 
 def least_dexterity(chain: Chain, q: Float[np.ndarray, "m n"], length: float) -> float:
-    """The smallest dexterity over some states, in [0, 1]; 0 where the arm is singular.
+    """Return the smallest dexterity over some states, in [0, 1]; 0 if a state is singular.
 
     The dexterity is the smallest singular value of the Jacobian over the largest, the inverse of
-    its condition number (Salisbury and Craig 1982).
-
-    Args:
-        chain: The arm.
-        q: Its degrees of freedom at each state.
-        length: How far it reaches [m]; makes the Jacobian free of units.
+    its condition number (Salisbury and Craig 1982). Arguments as for `jacobians`.
     """
     values = np.linalg.svd(jacobians(chain, q, length), compute_uv=False)
     return float((values[:, -1] / values[:, 0]).min())
 
 
 def travel_of_arm(chain: Chain, q: Float[np.ndarray, "m n"], length: float) -> float:
-    """How far all joints move along some states, in sum [rad].
+    """Return the total travel of all joints over some states [rad].
 
-    A joint that slides by the arm's reach counts as one that turns by a radian.
-
-    Args:
-        chain: The arm.
-        q: Its degrees of freedom at each state.
-        length: How far it reaches [m].
+    A prismatic joint that moves by `length` counts as 1 rad. Arguments as for `jacobians`.
     """
     return float((np.abs(np.diff(q, axis=0)).sum(0) / np.where(chain.prismatic, length, 1.0)).sum())

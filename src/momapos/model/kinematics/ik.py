@@ -1,8 +1,8 @@
-"""Inverse kinematics: every branch in closed form where the arm allows it, else by Newton steps.
+"""Inverse kinematics: all branches in closed form if the arm allows it, otherwise Newton steps.
 
-Whatever a closed form leaves as an error (published URDFs round pi/2) Newton removes. Where joints
-are locked at samples and none of these gives a solution, and for arms without closed form, Newton
-begins at the seeds whose tool poses are nearest; see `ik_model`.
+Newton steps also remove the remaining error of a closed form (published URDFs round pi/2). For arms
+without closed form, and if no sample of locked joints has a solution, Newton starts at the seeds
+with the nearest tool poses; see `ik_model`.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
 
 __all__ = ["IkModel", "build_ik", "ik_arrays", "solve_ik"]
 
-_SLACK = 0.05
-"""How far outside its limits a joint may be before Newton has removed rounding [rad]."""
+_MAX_ROUNDING = 0.05
+"""A joint of a closed form may exceed its limits by this before the Newton steps [rad]."""
 EXACT, COARSE = 1e-16, 1e-8
-"""Squared residuals at which Newton stops: a solution, or one to 0.1 mm, for a map or a graph."""
-_TIGHT = 1e-12
-"""Squared residual at which a solution counts as exact [m^2 + rad^2]."""
-_SAME = 1e-2
-"""Solutions nearer than this in every joint are one [rad] or [m]."""
+"""Squared residuals at which Newton stops: exact, or to 0.1 mm for maps and graphs."""
+_MAX_RESIDUAL = 1e-12
+"""Largest squared residual of an exact solution [m^2 + rad^2]."""
+_MIN_DISTANCE = 1e-2
+"""Solutions that are nearer in every joint count as equal [rad] or [m]."""
 
 
 @kernel
 def into_limits(q, lower, upper, prismatic):
-    """Shift revolute joints by full turns into their limits; False where that cannot be."""
+    """Shift revolute joints by full turns into their limits; return whether that is possible."""
     turn = 2.0 * np.pi
     for i in range(len(q)):
         if prismatic[i]:
@@ -58,44 +58,43 @@ def into_limits(q, lower, upper, prismatic):
 
 
 @kernel
-def _hopeless(branch, active, lower, upper):
-    """Whether a joint of a closed form is farther outside its limits than Newton will move it."""
+def _exceeds_limits(branch, active, lower, upper):
+    """Return whether a joint of a closed form is too far outside its limits for Newton."""
     turn = 2.0 * np.pi
     for a in range(len(active)):
         low, high = lower[active[a]], upper[active[a]]
         if high - low < turn:
             off = branch[a] - 0.5 * (low + high)
             off -= turn * np.floor(off / turn + 0.5)
-            if abs(off) > 0.5 * (high - low) + _SLACK:
+            if abs(off) > 0.5 * (high - low) + _MAX_ROUNDING:
                 return True
     return False
 
 
 @kernel
 def begin_pose(scratch):
-    """Forget the solutions of the pose before; to be called before the first `solve_sample`."""
+    """Reset the solutions; call this before the first `solve_sample` of each pose."""
     scratch.state[0] = 0
 
 
 @kernel
 def sample_count(ik):
-    """How many samples `solve_sample` takes: of the locked joints, then of the seeds."""
+    """Return the number of samples for `solve_sample`: of the locked joints, then of the seeds."""
     return len(ik.samples) + ik.tries
 
 
 @kernel
 def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
-    """All configurations within limits at one sample of the locked joints (or from one seed).
+    """Find all configurations within limits at one sample of the locked joints, or from one seed.
 
-    Of an arm with a closed form, seeds are tried one after the other until a solution of this pose
-    is known; of one without, all of them.
+    For an arm with a closed form, seeds are skipped once a solution for the pose is known.
 
     Args:
-        s: Index of the sample, below `sample_count`; the samples of a pose are asked in order.
+        s: Index of the sample, below `sample_count`; call with the samples of a pose in order.
         R_target, p_target: Tool pose in the base frame.
         arm: `ArmArrays`.
-        enough: Squared residual that will do [m^2 + rad^2], `EXACT` or `COARSE`.
-        out: (MAX_BRANCHES, n) to be filled.
+        enough: Sufficient squared residual, `EXACT` or `COARSE` [m^2 + rad^2].
+        out: Output (MAX_BRANCHES, n).
         scratch: `ik_scratch(arm)`.
 
     Returns:
@@ -115,7 +114,7 @@ def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
         if s == first:
             nearest_seeds(R_target, p_target, ik, scratch.order, scratch.distance)
         active, found = scratch.every, 1
-        # From a seed Newton has far to go; after a closed form it only removes rounding.
+        # From a seed, Newton needs many steps; after a closed form, it only removes rounding.
         rule = NewtonRule(30, 1.0, enough, True)
     count = 0
     for b in range(found):
@@ -126,7 +125,7 @@ def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
                 continue
             for a in range(6):
                 out[count, active[a]] = branches[b, a]
-            if _hopeless(branches[b], active, lower, upper):
+            if _exceeds_limits(branches[b], active, lower, upper):
                 continue
         else:
             for i in range(len(lower)):
@@ -134,7 +133,9 @@ def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
         residual = newton(
             out[count], active, arm.chain, arm.limits, R_target, p_target, rule, scratch.newton
         )
-        if residual < max(enough, _TIGHT) and into_limits(out[count], lower, upper, ik.prismatic):
+        if residual < max(enough, _MAX_RESIDUAL) and into_limits(
+            out[count], lower, upper, ik.prismatic
+        ):
             if not closed and _known(out[count], scratch.solutions, state[0]):
                 continue
             if not closed:
@@ -148,7 +149,7 @@ def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
 
 @kernel
 def _branches(s, R_target, p_target, ik, branches, R06):
-    """All branches of the closed form at a sample; returns their number."""
+    """Write all branches of the closed form at a sample; return their number."""
     kind, h, o, R_tool = ik.kind, ik.h, ik.o, ik.R_tool
     for i in range(3):
         for j in range(3):
@@ -159,7 +160,7 @@ def _branches(s, R_target, p_target, ik, branches, R06):
             )
     c0 = row(ik.wrist, s)
     if ik.reverse:
-        # From the tool the arm does the inverse: p -> R06^T (p - shift).
+        # From the tool, the arm has the inverse motion: p -> R06^T (p - shift).
         shift = sub((p_target[0], p_target[1], p_target[2]), mul(R06, row(ik.p_tool, s)))
         c = mul_t(R06, sub(c0, shift))
         for i in range(3):
@@ -181,7 +182,7 @@ def _branches(s, R_target, p_target, ik, branches, R06):
 
 @kernel
 def nearest_seeds(R, p, ik, order, distance):
-    """Fill order with the seeds whose tool poses are nearest, the nearest first."""
+    """Fill `order` with the seeds that have the nearest tool poses, nearest first."""
     poses, most = ik.seed_poses, len(order)
     distance[:] = np.inf
     order[:] = 0
@@ -206,19 +207,19 @@ def nearest_seeds(R, p, ik, order, distance):
 
 @kernel
 def _known(q, solutions, count):
-    """Whether a configuration is one of those found before."""
+    """Return whether a configuration equals one found before."""
     for i in range(count):
         worst = 0.0
         for k in range(len(q)):
             worst = max(worst, abs(q[k] - solutions[i, k]))
-        if worst < _SAME:
+        if worst < _MIN_DISTANCE:
             return True
     return False
 
 
 @kernel
 def ik_scratch(arm):
-    """Memory for `solve_sample`."""
+    """Allocate the scratch memory of `solve_sample`."""
     n, tries = len(arm.limits.lower), max(1, arm.ik.tries)
     return IkScratch(
         np.empty((MAX_BRANCHES, 6)),
@@ -234,18 +235,15 @@ def ik_scratch(arm):
 
 @kernel
 def max_solutions(ik):
-    """Upper bound on the number of solutions for one pose."""
+    """Return an upper bound on the number of solutions for one pose."""
     return max(len(ik.samples) * MAX_BRANCHES, ik.tries)
 
 
 @entry
-def _solve_all(
-    poses: F3,
-    arm: ArmArrays,
-) -> tuple[np.ndarray, np.ndarray]:
+def _solve_all(poses: F3, arm: ArmArrays) -> tuple[np.ndarray, np.ndarray]:
     n, most = len(arm.limits.lower), max_solutions(arm.ik)
     scratch = ik_scratch(arm)
-    # Room for one more pose's branches: what is tried there is dropped.
+    # Space for the rejected candidates after the solutions.
     out = np.full((len(poses), most + MAX_BRANCHES, n), np.nan)
     counts = np.zeros(len(poses), np.int64)
     for i in range(len(poses)):
@@ -253,22 +251,21 @@ def _solve_all(
         begin_pose(scratch)
         for s in range(sample_count(arm.ik)):
             counts[i] += solve_sample(s, R, p, arm, EXACT, out[i, counts[i] :], scratch)
-        # What was tried there and refused.
         out[i, counts[i] :] = np.nan
     return out[:, :most], counts
 
 
 def arm_arrays(chain: Chain, ik: IkModel) -> ArmArrays:
-    """An arm as the kernels take it."""
+    """Return an arm as an argument of kernels."""
     return ArmArrays(chain_arrays(chain), chain_limits(chain), ik_arrays(ik))
 
 
 def solve_ik(
     chain: Chain, ik: IkModel, Ts_base_tool: Float[np.ndarray, "m 4 4"]
 ) -> tuple[Float[np.ndarray, "m b n"], Int[np.ndarray, " m"]]:
-    """Solve a batch of tool poses.
+    """Solve inverse kinematics for a batch of tool poses.
 
     Returns:
-        Configurations, NaN beyond each pose's count, and the counts.
+        Configurations (NaN beyond each pose's count), and the counts.
     """
     return _solve_all(np.ascontiguousarray(Ts_base_tool, float), arm_arrays(chain, ik))

@@ -1,10 +1,10 @@
-"""How an arm is inverted: which closed form fits it, what is locked, and where Newton begins.
+"""Select the inverse kinematics of an arm: closed form, locked joints, seeds of Newton steps.
 
-Closed forms exist here for six revolute joints with a spherical wrist (axes 4, 5, 6 meet) whose
-second and third axes are parallel or whose first two meet, for the same seen from the tool (a
-spherical shoulder), and for three parallel axes (2, 3, 4) with 5 and 6 meeting (Universal Robots).
-Longer arms get their extra joints locked at sampled values. All other arms are solved by damped
-Newton steps from the seeds whose tool poses are nearest.
+Closed forms exist for six revolute joints with a spherical wrist (axes 4, 5, 6 meet) whose second
+and third axes are parallel or whose first two meet, for the same as seen from the tool (spherical
+shoulder), and for three parallel axes (2, 3, 4) with 5 and 6 meeting (Universal Robots). Longer
+arms have their extra joints locked at sampled values. All other arms use damped Newton steps from
+the seeds with the nearest tool poses.
 """
 
 from __future__ import annotations
@@ -32,103 +32,104 @@ from .kernel_records import IkArrays
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-_LOOSE = 5e-3
-"""How far [m or rad] from the ideal geometry Newton may be asked to bridge."""
-FEWEST = 4
-"""Degrees of freedom that an arm must have [-]."""
-MOST_SAMPLES = 128
-"""Samples of the locked joints [-]: beyond, they are spread evenly instead of on a grid."""
+_MAX_DEVIATION = 5e-3
+"""Largest deviation from the ideal geometry of a closed form [m] or [rad]."""
+MIN_FREEDOMS = 4
+"""Smallest number of degrees of freedom of an arm [-]."""
+MAX_SAMPLES = 128
+"""Largest number of samples of the locked joints; larger grids become evenly spread samples [-]."""
 SEEDS, TRIES = 16384, 48
-"""Seeds of an arm without closed form, and how many of them are tried for a pose [-]."""
-SPARE_SEEDS, SPARE_TRIES = 4096, 12
-"""The same where joints are locked, for poses that no sample reaches [-]."""
+"""Number of seeds of an arm without closed form, and of those tried per pose [-]."""
+FALLBACK_SEEDS, FALLBACK_TRIES = 4096, 12
+"""The same with locked joints, for poses that no sample reaches [-]."""
 SEED_LENGTH = 0.3
-"""Distance between tools that counts as much as a turn of half a radian or so [m]."""
+"""Distance between tool positions that counts like a turn of about 0.5 rad [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class IkModel:
-    """How to invert one arm."""
+    """The inverse kinematics of one arm."""
 
     kind: int
     reverse: bool
-    """Whether the closed form sees the arm from its tool."""
+    """Whether the closed form is applied from the tool to the base."""
     active: Int[np.ndarray, " a"]
-    """The degrees of freedom that are solved for; the others are locked at a sample."""
+    """Degrees of freedom to solve for; the others are locked at a sample."""
     prismatic: Bool[np.ndarray, " n"]
-    """Which degrees of freedom slide."""
+    """Which degrees of freedom are prismatic."""
     samples: Float[np.ndarray, "s n"]
-    """Full configurations that hold the locked values; none where all is numerical."""
+    """Full configurations with the locked values; empty for numerical solutions."""
     h: Float[np.ndarray, "s a 3"]
-    """Axes of the active joints with the locked ones in place, in the closed form's order."""
+    """Axes of the active joints at each sample, in the closed form's order."""
     o: Float[np.ndarray, "s a 3"]
-    """Points on those axes that the closed forms want, in the base frame [m]."""
+    """Points on these axes for the closed form, in the base frame [m]."""
     wrist: Float[np.ndarray, "s 3"]
-    """The point where the closed form's last axes meet [m]."""
+    """Intersection of the closed form's last axes [m]."""
     R_tool: Float[np.ndarray, "s 3 3"]
     p_tool: Float[np.ndarray, "s 3"]
     """Tool pose with the active joints at zero."""
     seeds: Float[np.ndarray, "k n"]
-    """Configurations spread over all that the arm can take; every model has some."""
+    """Configurations spread over the joint limits; every model has some."""
     seed_poses: Float[np.ndarray, "k 9"]
-    """Their tool poses, as `pose_features` compares them."""
+    """Their tool poses as `pose_features`."""
     tries: int
-    """How many of the nearest seeds Newton begins at, where no sample gives a solution."""
+    """Number of nearest seeds for Newton if no sample has a solution."""
 
     @property
     def name(self) -> str:
-        """What kind of solution this is, in words."""
+        """Return a description of the solution method."""
         return NAMES[self.kind] + (", seen from the tool" if self.reverse else "")
 
     @property
     def complete(self) -> bool:
-        """Whether every solution is found: by a closed form, and no joint is locked."""
+        """Return whether all solutions are found: by a closed form without locked joints."""
         return len(self.samples) == 1
 
     @property
     def max_solutions(self) -> int:
-        """Upper bound on the number of solutions for one pose."""
+        """Return an upper bound on the number of solutions for one pose."""
         return max(len(self.samples) * MAX_BRANCHES, self.tries)
 
 
 def build_ik(
-    chain: Chain, *, samples_per_joint: int = 9, most_samples: int = MOST_SAMPLES
+    chain: Chain, *, samples_per_joint: int = 9, max_samples: int = MAX_SAMPLES
 ) -> IkModel:
-    """Find the closed form that fits an arm, or spread seeds for Newton steps.
+    """Find the closed form of an arm, or prepare seeds for Newton steps.
 
     Args:
         chain: The arm.
-        samples_per_joint: Values at which a redundant revolute joint is locked [-]; a prismatic
-            one (a torso) gets half as many.
-        most_samples: Samples of all locked joints together [-].
+        samples_per_joint: Number of locked values of a redundant revolute joint; a prismatic joint
+            (a torso) has half as many [-].
+        max_samples: Largest number of samples of all locked joints [-].
 
     Raises:
         RobotError: The arm has too few degrees of freedom.
     """
-    if chain.size < FEWEST:
+    if chain.size < MIN_FREEDOMS:
         raise RobotError(
-            f"the arm has {chain.size} degrees of freedom; at least {FEWEST} are needed"
+            f"the arm has {chain.size} degrees of freedom; at least {MIN_FREEDOMS} are needed"
         )
     alone = np.bincount(chain.dof, minlength=chain.size) == 1
     revolute = np.flatnonzero(~chain.prismatic & alone)
     if len(revolute) >= 6:
         for active in _active_sets(revolute):
-            model = _closed_form(chain, np.array(active), samples_per_joint, most_samples)
+            model = _closed_form(chain, np.array(active), samples_per_joint, max_samples)
             if model is not None:
                 return model
     return _numeric(chain)
 
 
 def fine_ik(chain: Chain) -> IkModel:
-    """Inverse kinematics that finds what planning's own overlooks, and takes some ten times as
-    long: redundant joints are locked at 33 values instead of 9, and four times as many seeds tried.
+    """Build more thorough inverse kinematics than for planning, which takes 10 times as long.
+
+    Redundant joints are locked at 33 values instead of 9, and 4 times as many seeds are tried.
     """
-    ik = build_ik(chain, samples_per_joint=33, most_samples=1000)
+    ik = build_ik(chain, samples_per_joint=33, max_samples=1000)
     return replace(ik, tries=4 * ik.tries)
 
 
 def ik_arrays(ik: IkModel) -> IkArrays:
-    """The IK model as the kernels take it."""
+    """Return the IK model as an argument of kernels."""
     return IkArrays(
         ik.kind, ik.reverse, ik.active, ik.prismatic, ik.samples, ik.h, ik.o, ik.wrist, ik.R_tool,
         ik.p_tool, ik.seeds, ik.seed_poses, ik.tries,
@@ -136,20 +137,20 @@ def ik_arrays(ik: IkModel) -> IkArrays:
 
 
 def pose_features(Ts: Float[np.ndarray, "k 4 4"]) -> Float[np.ndarray, "k 9"]:
-    """Numbers whose distance tells how far tool poses are apart."""
+    """Return features whose Euclidean distance measures the distance of tool poses."""
     return np.concatenate([Ts[:, :3, 3] / SEED_LENGTH, Ts[:, :3, 0], Ts[:, :3, 1]], axis=1)
 
 
 def bounded(chain: Chain) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Limits of the degrees of freedom, one turn for those that have none."""
+    """Return the limits of the degrees of freedom; one turn for unlimited ones."""
     lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
     return lower, np.where(np.isfinite(chain.upper), chain.upper, np.pi)
 
 
 def one_turn(chain: Chain) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Limits of the degrees of freedom, for one that turns farther the full turn nearest to zero.
+    """Return limits that contain each posture of the arm once.
 
-    What lies in them is all that the arm can look like, each posture once.
+    Revolute ranges of more than one turn are reduced to the turn nearest to zero.
     """
     lower, upper = bounded(chain)
     more = ~chain.prismatic & (upper - lower > 2 * np.pi)
@@ -166,13 +167,13 @@ def _seeds(chain: Chain, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _active_sets(revolute: np.ndarray) -> list[tuple[int, ...]]:
-    """Sets of six revolute joints to solve for; the joints nearest the base are locked first."""
+    """Return sets of six revolute joints to solve for; joints near the base are locked first."""
     sets = itertools.combinations(revolute.tolist(), 6)
     return sorted(sets, key=lambda active: -sum(active))
 
 
 def locked_values(chain: Chain, joint: int, count: int) -> Float[np.ndarray, " k"]:
-    """Values at which a redundant joint is held: the whole range, ends included."""
+    """Return the values at which a redundant joint is locked, over its whole range."""
     lower, upper = chain.lower[joint], chain.upper[joint]
     if chain.prismatic[joint]:
         return np.linspace(lower, upper, max(2, (count + 1) // 2))
@@ -182,7 +183,7 @@ def locked_values(chain: Chain, joint: int, count: int) -> Float[np.ndarray, " k
 
 
 def _samples(chain: Chain, locked: list[int], count: int, most: int) -> Float[np.ndarray, "s n"]:
-    """Configurations that hold the locked joints on a grid, or spread evenly if those are many."""
+    """Return configurations with the locked joints on a grid, or evenly spread if too many."""
     values = [locked_values(chain, j, count) for j in locked]
     total = int(np.prod([len(v) for v in values], dtype=float)) if values else 1
     if total > most:
@@ -197,19 +198,19 @@ def _samples(chain: Chain, locked: list[int], count: int, most: int) -> Float[np
 
 def _closed_form(chain: Chain, active: np.ndarray, count: int, most: int) -> IkModel | None:
     locked = [j for j in range(chain.size) if j not in set(active.tolist())]
-    # A few arm states tell whether the form fits, before all are folded.
-    first = _fold(chain, _samples(chain, locked, 2, 1)[0], active)
+    # Check one arm state before computing all.
+    first = _axes_at(chain, _samples(chain, locked, 2, 1)[0], active)
     reverse, kind = False, _classify(first[0], first[1])
     if kind is None:
         reverse, kind = True, _classify(first[0][::-1], first[1][::-1])
     if kind is None:
         return None
     samples = _samples(chain, locked, count, most)
-    folded = [_fold(chain, sample, active) for sample in samples]
-    turned = [(h[::-1], o[::-1]) if reverse else (h, o) for h, o, _, _ in folded]
+    placed = [_axes_at(chain, sample, active) for sample in samples]
+    turned = [(h[::-1], o[::-1]) if reverse else (h, o) for h, o, _, _ in placed]
     if any(_classify(h, o) != kind for h, o in turned):
         return None
-    seeds, poses = _seeds(chain, SPARE_SEEDS)
+    seeds, poses = _seeds(chain, FALLBACK_SEEDS)
     return IkModel(
         kind=kind,
         reverse=reverse,
@@ -219,18 +220,18 @@ def _closed_form(chain: Chain, active: np.ndarray, count: int, most: int) -> IkM
         h=np.array([h for h, _ in turned]),
         o=np.array([_points(kind, h, o) for h, o in turned]),
         wrist=np.array([_meeting(h[4:], o[4:])[0] for h, o in turned]),
-        R_tool=np.array([R for _, _, R, _ in folded]),
-        p_tool=np.array([p for _, _, _, p in folded]),
+        R_tool=np.array([R for _, _, R, _ in placed]),
+        p_tool=np.array([p for _, _, _, p in placed]),
         seeds=seeds,
         seed_poses=poses,
-        tries=SPARE_TRIES if locked else 0,
+        tries=FALLBACK_TRIES if locked else 0,
     )
 
 
-def _fold(
+def _axes_at(
     chain: Chain, sample: np.ndarray, active: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Axes, origins and tool pose of the active joints with the others in place."""
+    """Return axes and origins of the active joints at a sample, and the tool pose."""
     n = chain.last
     R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
     stand_at_origin(R, p)
@@ -241,7 +242,7 @@ def _fold(
 
 
 def _meeting(h: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, float]:
-    """Point nearest to several lines, and how far the worst line misses it [m]."""
+    """Return the point nearest to several lines, and its largest distance from a line [m]."""
     P = np.eye(3) - h[:, :, None] * h[:, None, :]
     point = np.linalg.lstsq(P.sum(0), np.einsum("nij,nj->i", P, o), rcond=None)[0]
     gaps = np.einsum("nij,nj->ni", P, point - o)
@@ -250,17 +251,17 @@ def _meeting(h: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _classify(h: np.ndarray, o: np.ndarray) -> int | None:
     def parallel(i: int, j: int) -> bool:
-        return bool(np.linalg.norm(np.cross(h[i], h[j])) < _LOOSE)
+        return bool(np.linalg.norm(np.cross(h[i], h[j])) < _MAX_DEVIATION)
 
     if parallel(4, 5):
         return None
     if parallel(1, 2) and parallel(2, 3) and not parallel(0, 1):
-        return THREE_PARALLEL if _meeting(h[4:], o[4:])[1] < _LOOSE else None
-    if parallel(3, 4) or _meeting(h[3:], o[3:])[1] > _LOOSE:
+        return THREE_PARALLEL if _meeting(h[4:], o[4:])[1] < _MAX_DEVIATION else None
+    if parallel(3, 4) or _meeting(h[3:], o[3:])[1] > _MAX_DEVIATION:
         return None
     if parallel(1, 2) and not parallel(0, 1):
         return WRIST_PARALLEL
-    if not parallel(0, 1) and _meeting(h[:2], o[:2])[1] < _LOOSE:
+    if not parallel(0, 1) and _meeting(h[:2], o[:2])[1] < _MAX_DEVIATION:
         return WRIST_MEETING
     return None
 

@@ -1,4 +1,4 @@
-"""What kernels take: the arrays of an arm, its spheres, boxes and a room, by name."""
+"""Records of arrays that kernels take as arguments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Counts = Annotated[np.ndarray, Array(np.dtype("i4"), 3)]
 
 
 class ChainArrays(NamedTuple):
-    """A chain of m joints, see `Chain`."""
+    """`Chain`, with m joints."""
 
     h: F2
     d: F2
@@ -31,7 +31,7 @@ class JointLimits(NamedTuple):
 
 
 class IkArrays(NamedTuple):
-    """How an arm is inverted, see `IkModel`."""
+    """`IkModel`."""
 
     kind: int
     reverse: bool
@@ -49,7 +49,7 @@ class IkArrays(NamedTuple):
 
 
 class ArmArrays(NamedTuple):
-    """What it takes to invert an arm."""
+    """An arm with its inverse kinematics."""
 
     chain: ChainArrays
     limits: JointLimits
@@ -57,20 +57,20 @@ class ArmArrays(NamedTuple):
 
 
 class NewtonRule(NamedTuple):
-    """When Newton stops, see `newton`."""
+    """Parameters of `newton`."""
 
     steps: int
-    """Maximum number of steps [-]."""
+    """Largest number of steps [-]."""
     damping: float
-    """Levenberg damping [-]; tiny near a solution, larger from far away."""
+    """Levenberg damping, small near a solution [-]."""
     enough: float
-    """Squared residual at which to stop [m^2 + rad^2]."""
+    """Sufficient squared residual [m^2 + rad^2]."""
     within: bool
     """Whether every step stays within the joints' limits."""
 
 
 class NewtonScratch(NamedTuple):
-    """Memory of `newton`."""
+    """Scratch memory of `newton`."""
 
     R: F3
     p: F2
@@ -78,11 +78,11 @@ class NewtonScratch(NamedTuple):
     normal: F2
     error: F1
     column: I1
-    """Where each degree of freedom stands among those that may move, or -1."""
+    """Index of each degree of freedom among the active ones, or -1."""
 
 
 class IkScratch(NamedTuple):
-    """Memory of `solve_sample`."""
+    """Scratch memory of `solve_sample`."""
 
     branches: F2
     R06: F2
@@ -92,14 +92,14 @@ class IkScratch(NamedTuple):
     """The seeds nearest to the pose, and their distances."""
     distance: F1
     solutions: F2
-    """What was found from seeds."""
+    """Solutions found from seeds."""
     state: I1
-    """(1,) how many of these there are; 1 where a sample gave a solution."""
+    """(1,): their number; 1 if a sample has a solution."""
     newton: NewtonScratch
 
 
 class HullArrays(NamedTuple):
-    """The collision shapes of a robot as convex hulls, see `LinkHulls`."""
+    """`LinkHulls`."""
 
     vertices: F2
     first: I1
@@ -107,14 +107,14 @@ class HullArrays(NamedTuple):
     segment: I1
     of_group: I1
     of_base: I1
-    beside: I1
-    beside_from: I1
+    neighbors: I1
+    neighbors_from: I1
     begin: I2
-    room: float
+    margin: float
 
 
 class SphereArrays(NamedTuple):
-    """The spheres of an arm and the boxes of its base, see `Spheres`."""
+    """`Spheres`."""
 
     center: F2
     radius: F1
@@ -134,7 +134,7 @@ class SphereArrays(NamedTuple):
     exact: B1
     base_exact: B2
     against_base: I1
-    """The groups that are held against any box of the base."""
+    """Groups that are checked against any box of the base."""
 
 
 class BoxArrays(NamedTuple):
@@ -146,7 +146,7 @@ class BoxArrays(NamedTuple):
 
 
 class ObstacleArrays(NamedTuple):
-    """Boxes, and which of them a gripper may touch while it holds (b,)."""
+    """Boxes, and which of them the gripper may touch during a hold (b,)."""
 
     center: F2
     rotation: F3
@@ -155,7 +155,7 @@ class ObstacleArrays(NamedTuple):
 
 
 class ArmScratch(NamedTuple):
-    """Memory of the checks: segment poses (n + 1, 3, 3), (n + 1, 3) and bounds (groups, 3)."""
+    """Scratch memory: segment poses (n + 1, 3, 3), (n + 1, 3) and bounds (groups, 3)."""
 
     R: F3
     p: F2
@@ -163,7 +163,7 @@ class ArmScratch(NamedTuple):
 
 
 class WorldArrays(NamedTuple):
-    """A room and what moves in it, see `World`."""
+    """`World`."""
 
     center: F2
     rotation: F3
@@ -180,18 +180,18 @@ class WorldArrays(NamedTuple):
 
 
 class TaskState(NamedTuple):
-    """How far a task has come."""
+    """Progress of a task."""
 
     value: int
     """Index of the object's joint value."""
     holding: bool
-    """Whether the gripper may touch what is grasped."""
+    """Whether the gripper may touch the grasped part."""
 
 
 class CollisionArrays(NamedTuple):
-    """What an arm is checked with."""
+    """Arguments of an arm's collision check."""
 
     spheres: SphereArrays
     world: WorldArrays
     margin: float
-    """Distance that the spheres keep [m]."""
+    """Clearance of the spheres [m]."""

@@ -1,4 +1,4 @@
-"""Damped Newton steps: the last digits of a closed form, or the whole way from a seed."""
+"""Damped Newton steps, to refine closed-form solutions or to solve from seeds."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def solve_spd(A, b):
 
 @kernel
 def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
-    """Move the active joints of q until the tool stands at the target.
+    """Move the active joints of q until the tool is at the target.
 
     Args:
         q: Configuration (n,), changed in place.
         active: The degrees of freedom that may move.
         chain: `ChainArrays`.
-        limits: `JointLimits`, which count where the rule says so.
+        limits: `JointLimits`, for `rule.within`.
         R_target, p_target: Target pose in the base frame.
         rule: `NewtonRule`.
         scratch: `newton_scratch(chain, n)`.
 
     Returns:
-        Squared residual, position [m] and rotation [rad] together.
+        Squared residual of position [m] and rotation [rad].
     """
     last = len(chain.slides)
     tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
@@ -77,17 +77,17 @@ def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
 
 @kernel
 def step_toward(q, active, limits, J, A, e, damping, within):
-    """Take the damped step of least norm: J^T (J J^T + damping)^-1 e, half a radian at most.
+    """Take the damped least-norm step J^T (J J^T + damping)^-1 e, at most 0.5 rad per joint.
 
     Args:
         q: Configuration (n,), changed in place.
         active: The degrees of freedom that move (m,).
         limits: `JointLimits`.
-        J: (6, at least m), a column for each of them.
-        A: Memory (6, 6).
+        J: (6, at least m), one column each.
+        A: Scratch memory (6, 6).
         e: Error (6,), overwritten.
-        damping: What is added to the diagonal of J J^T.
-        within: Whether the limits count.
+        damping: Added to the diagonal of J J^T.
+        within: Whether to stay within the limits.
     """
     m = len(active)
     for i in range(6):
@@ -110,15 +110,15 @@ def step_toward(q, active, limits, J, A, e, damping, within):
 
 @kernel
 def jacobian(chain, R, p, tool, column, m, J):
-    """How a point and the orientation of the last segment move with the degrees of freedom.
+    """Fill the Jacobian of a point on the last segment and of its orientation.
 
     Args:
         chain: `ChainArrays`.
-        R, p: As `forward` leaves them.
+        R, p: As from `forward`.
         tool: The point, in the same frame.
-        column: For each degree of freedom its column, or -1 (n,).
+        column: Column of each degree of freedom, or -1 (n,).
         m: Number of columns.
-        J: (6, at least m) to be filled: velocity, then angular velocity.
+        J: Output (6, at least m): velocity, then angular velocity.
     """
     h = chain.h
     for a in range(m):
@@ -143,7 +143,7 @@ def jacobian(chain, R, p, tool, column, m, J):
 
 @kernel
 def newton_scratch(chain, n):
-    """Memory for `newton`: a chain with n degrees of freedom."""
+    """Allocate the scratch memory of `newton` for n degrees of freedom."""
     last = len(chain.slides)
     return NewtonScratch(
         np.empty((last + 1, 3, 3)),
@@ -157,7 +157,7 @@ def newton_scratch(chain, n):
 
 @kernel
 def rotation_error(R_last, tool_rotation, R_target, e):
-    """Rotation vector from the tool's orientation to the target's, into e[3:]."""
+    """Write the rotation vector from the tool's orientation to the target's to e[3:]."""
     x, y, z, trace = 0.0, 0.0, 0.0, 0.0
     for i in range(3):
         current = mul(R_last, (tool_rotation[0, i], tool_rotation[1, i], tool_rotation[2, i]))
@@ -169,7 +169,7 @@ def rotation_error(R_last, tool_rotation, R_target, e):
     length = np.sqrt(x * x + y * y + z * z)
     angle = np.arctan2(0.5 * length, 0.5 * (trace - 1.0))
     if length < 1e-12:
-        # Aligned, or half a turn off: then any axis is as good.
+        # Aligned, or half a turn apart, where any axis works.
         e[3], e[4], e[5] = (angle, 0.0, 0.0) if angle > 1.0 else (0.0, 0.0, 0.0)
         return
     e[3], e[4], e[5] = angle * x / length, angle * y / length, angle * z / length

@@ -1,5 +1,4 @@
-"""The canonical subproblems of inverse kinematics, on plain tuples so that numba keeps them in
-registers.
+"""Canonical subproblems of inverse kinematics, on tuples, which numba keeps in registers.
 
 Source: Elias and Wen, IK-Geo: Unified robot inverse kinematics using subproblem decomposition
 (2022), after Paden (1986) and Kahan (1983).
@@ -13,7 +12,7 @@ from momapos.core.compiled import kernel
 
 Vec = tuple[float, float, float]
 _EDGE = 1e-4
-"""How far beyond the end of its range a cosine is taken for the end; Newton tells them apart."""
+"""A cosine may exceed its range by this, relatively; Newton steps reject false solutions [-]."""
 
 
 @kernel
@@ -25,11 +24,7 @@ def dot(a, b):
 @kernel
 def cross(a, b):
     """a x b"""
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @kernel
@@ -52,7 +47,7 @@ def neg(a):
 
 @kernel
 def row(A, i):
-    """Row i of an array (n, 3) as a tuple."""
+    """Return row i of an array (n, 3) as a tuple."""
     return (A[i, 0], A[i, 1], A[i, 2])
 
 
@@ -91,19 +86,19 @@ def rot(k, angle, v):
 
 @kernel
 def sp1(p1, p2, k):
-    """Angle that turns p1 onto p2 about k (least squares when their lengths differ)."""
+    """Return the angle that rotates p1 onto p2 about k (least squares if lengths differ)."""
     return math.atan2(dot(k, cross(p1, p2)), dot(p1, p2) - dot(k, p1) * dot(k, p2))
 
 
 @kernel
 def sp4(h, p, k, d):
-    """Angles with h . rot(k, angle) p = d: count (0 or 2) and both angles."""
+    """Solve h . rot(k, angle) p = d; return the count (0 or 2) and both angles."""
     hk, kp = dot(h, k), dot(k, p)
     a, b = dot(h, p) - hk * kp, dot(h, cross(k, p))
     r = math.hypot(a, b)
     ratio = d - hk * kp
     if r < 1e-9:
-        # The angle changes nothing: all of them solve it, or none.
+        # The angle has no effect: all angles are solutions, or none.
         return (2, 0.0, math.pi) if abs(ratio) < _EDGE else (0, 0.0, 0.0)
     if abs(ratio) > r * (1.0 + _EDGE):
         return 0, 0.0, 0.0
@@ -114,5 +109,5 @@ def sp4(h, p, k, d):
 
 @kernel
 def sp3(p1, p2, k, d):
-    """Angles with |rot(k, angle) p1 - p2| = d: count (0 or 2) and both angles."""
+    """Solve |rot(k, angle) p1 - p2| = d; return the count (0 or 2) and both angles."""
     return sp4(p2, p1, k, 0.5 * (dot(p1, p1) + dot(p2, p2) - d * d))

@@ -1,4 +1,4 @@
-"""Plan and tour files: their formats, read with care and written."""
+"""Read and write plan and tour files."""
 
 import lazy_loader
 

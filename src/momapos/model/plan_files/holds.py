@@ -1,4 +1,4 @@
-"""The holds of a plan file: written, and read with care."""
+"""Read and write the holds of a plan file."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from momapos.model.records import Hold
 
 from . import plan_members as members
 
-UNIT = 1e-3
-"""A unit vector in a file is so long, to within this [-]."""
+MAX_UNIT_ERROR = 1e-3
+"""Largest error of the length of a unit vector in a file [-]."""
 
 
 def holds_to_dict(holds: tuple[Hold, ...]) -> dict[str, Any]:
-    """Ranges of states, and the axes about which the hand may turn; nothing where it never does."""
+    """Return the members of a plan file that describe holds; none if there are no holds."""
     if not holds:
         return {}
     return {
@@ -28,7 +28,7 @@ def holds_to_dict(holds: tuple[Hold, ...]) -> dict[str, Any]:
 
 
 def read_holds(motion: members.Manipulation, path: Path) -> tuple[Hold, ...]:
-    """Ranges of states in order, within the manipulation, with unit axes or none."""
+    """Check and return the holds: ordered state ranges, with unit axes or none."""
     axes = motion.turn_axes or [None] * len(motion.holds)
     bounds = [-1, *(state for hold in motion.holds for state in hold), len(motion.q)]
     in_order = all(a < b for a, b in zip(bounds[:-1:2], bounds[1::2], strict=True)) and all(
@@ -36,14 +36,14 @@ def read_holds(motion: members.Manipulation, path: Path) -> tuple[Hold, ...]:
     )
     if not in_order:
         raise FileFormatError(
-            f"{path}: manipulation.holds must be [first, last] of states 0 to {len(motion.q) - 1}, "
-            "in order, none in two"
+            f"{path}: manipulation.holds must be ordered, disjoint [first, last] of states 0 to "
+            f"{len(motion.q) - 1}"
         )
     if len(axes) != len(motion.holds) or not all(
-        axis is None or abs(math.hypot(*axis) - 1.0) < UNIT for axis in axes
+        axis is None or abs(math.hypot(*axis) - 1.0) < MAX_UNIT_ERROR for axis in axes
     ):
         raise FileFormatError(
-            f"{path}: manipulation.turn_axes must be a unit vector or null for each of the "
+            f"{path}: manipulation.turn_axes must be a unit vector or null for each of "
             f"{len(motion.holds)} holds"
         )
     families = motion.families or [""] * len(motion.holds)

@@ -1,4 +1,4 @@
-"""The files that a plan names, and how they are written."""
+"""Files that a plan names: relative names, hashes, atomic writing."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from momapos.core import InputError, read_bytes_bounded, write_atomic
 
 MAX_HASHED_BYTES = 50_000_000
 MAX_PARENTS = 3
-"""Files are named relative to the plan up to this many folders above it."""
+"""Files in up to this many folders above the plan get relative names [-]."""
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file of a plan, all of it or nothing.
+    """Write a text file atomically.
 
     Raises:
-        InputError: It cannot be written.
+        InputError: The file cannot be written.
     """
     try:
         write_atomic(path, text.encode())
@@ -26,27 +26,26 @@ def write_text(path: Path, text: str) -> None:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits."""
-    data = read_bytes_bounded(path, MAX_HASHED_BYTES, error=InputError)
-    return sha256_of(data)
+    """Return the SHA-256 of a file, in hexadecimal digits."""
+    return sha256_of(read_bytes_bounded(path, MAX_HASHED_BYTES, error=InputError))
 
 
 def sha256_of(data: bytes) -> str:
-    """SHA-256 of bytes, in hexadecimal digits."""
+    """Return the SHA-256 of bytes, in hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 
 
 def portable_name(name: str, plan: Path, what: str) -> str:
-    """How a plan names a file: relative to its folder where that is near, else in full.
+    """Return a plan's name for a file: relative if the file is near, otherwise absolute.
 
     Raises:
-        InputError: There is no such file, so that nobody could verify the plan.
+        InputError: The file does not exist, so the plan could not be verified.
     """
     target, folder = Path(os.path.abspath(name)), plan.resolve().parent
     if not target.is_file():
         raise InputError(
-            f"{plan}: the plan names {what} as {name!r}, which does not exist; "
-            "load it from a file, so that the plan can be verified"
+            f"{plan}: {what} {name!r} does not exist; load it from a file, so that the plan can be "
+            "verified"
         )
     near = [folder, *list(folder.parents)[:MAX_PARENTS]]
     shared = [parent for parent in near if parent.parent != parent]

@@ -1,4 +1,4 @@
-"""Plan files: momapos-plan, version 1, with the members that `plan_to_dict` writes."""
+"""Read and write plan files (momapos-plan, version 1)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from momapos.core import FileFormatError, InputError, read_bytes_bounded, read_text_bounded
+from momapos.core import (
+    FileFormatError,
+    InputError,
+    as_path,
+    expect,
+    read_bytes_bounded,
+    read_text_bounded,
+)
 from momapos.model.records import (
     BaseRegion,
     Candidates,
@@ -36,13 +43,13 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
 MAX_BYTES = 20_000_000
-"""A plan of 20,000 states, which is what the check takes, has some 10 MB."""
+"""Largest plan file; 20,000 states, the limit of the exact check, take about 10 MB [bytes]."""
 
 # ------------------------------------------------------------------------------------------ writing
 
 
 def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
-    """Turn a plan into what its file holds; paths as the plan has them."""
+    """Convert a plan to the dictionary of its file; paths stay as they are."""
     motion = plan.motion
     return {
         "format": FORMAT,
@@ -116,19 +123,18 @@ def _pose_to_dict(pose: tuple[float, float, float] | None) -> dict[str, float] |
     return None if pose is None else dict(zip(("x", "y", "yaw"), pose, strict=True))
 
 
-def write_plan(plan: PlacementPlan, path: Path) -> None:
-    """Write a plan, the whole file or nothing.
+def write_plan(plan: PlacementPlan, path: str | Path) -> None:
+    """Write a plan atomically.
 
-    Where the robot file adds to the URDF, as a base that carries the arm, the URDF with it is
-    written beside the plan, as NAME.robot.urdf.
-
-    The scene and the URDF are named relative to the plan's folder where they are near, so that
-    the folders can be moved together, and by absolute paths elsewhere.
+    Names of nearby files are relative to the plan's folder, so that the folders can be moved
+    together; others are absolute. If the robot file adds to the URDF (such as a base that carries
+    the arm), the extended URDF is written next to the plan as NAME.robot.urdf.
 
     Raises:
-        InputError: The plan holds NaN, or names a file that does not exist, so that nobody could
-            verify it; or the file cannot be written.
+        InputError: The plan contains NaN or names a missing file, or the file cannot be written.
     """
+    expect("plan", plan, PlacementPlan)
+    path = as_path("path", path)
     data = plan_to_dict(plan)
     path.parent.mkdir(parents=True, exist_ok=True)
     data["scene"] = portable_name(plan.scene, path, "the scene")
@@ -149,10 +155,10 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
     try:
         text = json.dumps(data, allow_nan=False)
     except ValueError as error:
-        raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
+        raise InputError(f"{path}: not written; the plan contains NaN or infinity") from error
     if amended is not None:
         write_text(amended, content)
-        if plan.robot_srdf is not None:  # where those look who know nothing of the robot file
+        if plan.robot_srdf is not None:  # readers without the robot file look for it there
             srdf = read_text_bounded(Path(plan.robot_srdf), MAX_SRDF_BYTES, error=InputError)
             write_text(amended.with_suffix(".srdf"), srdf)
     write_text(path, f"{text}\n")
@@ -162,7 +168,7 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
 
 
 def format_of(path: Path) -> Any:
-    """What a file calls its format; None where it says nothing. Nothing else is looked at."""
+    """Return a file's "format", or None; nothing else is checked."""
     content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
     try:
         return msgspec.json.decode(content, type=members.PlanHead).format
@@ -170,30 +176,30 @@ def format_of(path: Path) -> Any:
         return None
 
 
-def read_plan(path: Path) -> PlacementPlan:
+def read_plan(path: str | Path) -> PlacementPlan:
     """Read a plan file.
 
-    Paths in it that exist relative to its folder come back absolute, all others as they are.
+    Paths that exist relative to its folder become absolute, others stay as they are.
 
     Raises:
-        FileFormatError: It is no plan that can be used; one line says what is wrong and where.
+        FileFormatError: The file is not a usable plan.
     """
+    path = as_path("path", path)
     content = _content(path)
     head = _decode(content, members.PlanHead, path)
     if head.format == TOUR:
         raise FileFormatError(
-            f"{path}: a tour of several plans, for verify, run, view and export; give one of the "
-            "plans that it names, in order"
+            f"{path}: a tour of several plans; give one of its plans, or use verify, run, view or "
+            "export"
         )
     if head.format != FORMAT:
         raise FileFormatError(
-            f'{path}: not a plan; a plan has "format": {FORMAT!r}, this file has '
-            f"{head.format!r:.60}"
+            f'{path}: not a plan; "format" must be {FORMAT!r}, not {head.format!r:.60}'
         )
     if head.version != VERSION or isinstance(head.version, bool):
         raise FileFormatError(
-            f"{path}: version {head.version!r:.60} of the plan format; this momapos reads version "
-            f"{VERSION}"
+            f"{path}: version {head.version!r:.60} of the plan format is not supported; this "
+            f"momapos reads version {VERSION}"
         )
     data = _decode(content, members.Plan, path)
     _check(data, path)
@@ -201,18 +207,17 @@ def read_plan(path: Path) -> PlacementPlan:
 
 
 def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
-    """Make sure that a plan is about the files as they are now.
+    """Check that scene and URDF have not changed since a plan was written, by their SHA-256.
 
-    Plans hold the SHA-256 of the scene file and of the robot's URDF; those written before that
-    hold none, and pass. Files that these two name in turn are not looked at.
+    Old plans without hashes pass. Files that scene and URDF name in turn are not checked.
 
     Args:
         path: The plan file.
-        scene: The scene that it names, where it was found.
-        urdf: The robot's URDF that it names, where it was found.
+        scene: Path of the plan's scene.
+        urdf: Path of the plan's URDF.
 
     Raises:
-        InputError: One of them has changed since the plan was written.
+        InputError: One of them has changed.
     """
     hashes = _decode(_content(path), members.Hashes, path).hashes
     for what, file in (("scene", scene), ("robot", urdf)):
@@ -236,12 +241,12 @@ def _decode(content: bytes, kind: type[Any], path: Path) -> Any:
         raise FileFormatError(f"{path}: not a usable plan: {error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FileFormatError(
-            f"{path}: damaged JSON ({error}); a plan is a JSON object without NaN"
+            f"{path}: invalid JSON ({error}); a plan is a JSON object without NaN"
         ) from error
 
 
 def _check(data: members.Plan, path: Path) -> None:
-    """What the types do not say."""
+    """Check what the types do not express."""
 
     def need(met: bool, message: str) -> None:
         if not met:
@@ -254,18 +259,18 @@ def _check(data: members.Plan, path: Path) -> None:
     }  # fmt: skip
     for key, name in names.items():
         need(0 < len(name) <= 4000 and "\0" not in name, f"{key} must be a name")
-    need(len(set(data.joints)) == len(data.joints), "joints names a joint twice")
+    need(len(set(data.joints)) == len(data.joints), "joints contains a joint twice")
     need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
     moves = data.task.verb in ("open", "close")
     need(
         (data.task.joint is not None or not moves)
         and (data.task.to is not None or data.task.joint is None),
-        "task must name the joint that moves, and in 'to' the value it reaches",
+        "task.joint must name the moving joint, and task.to its target value",
     )
     if data.status == "solved":
-        need(bool(data.joints), "joints is empty; a solved plan names the arm's joints")
-        need(data.base_pose is not None, "base_pose is missing; a solved plan has one")
-        need(data.manipulation is not None, "manipulation is missing; a solved plan has one")
+        need(bool(data.joints), "joints is empty; a solved plan needs the arm's joints")
+        need(data.base_pose is not None, "base_pose is missing; a solved plan needs one")
+        need(data.manipulation is not None, "manipulation is missing; a solved plan needs one")
 
 
 def _record(data: members.Plan, path: Path) -> PlacementPlan:
@@ -310,16 +315,16 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
     )
 
 
-def _triple(pose: members.Pose | None) -> tuple[float, float, float] | None:
+def _triple(pose: members.PlanPose | None) -> tuple[float, float, float] | None:
     return None if pose is None else (pose.x, pose.y, pose.yaw)
 
 
 def _robot_file(name: str | None, folder: Path) -> str | None:
-    """A robot file, absolute where it exists; names of the library robots stay names."""
+    """Return the path of a robot file, or the name of a library robot."""
     return name if name is None or not name.endswith(".toml") else _located(name, folder)
 
 
-def _key_objects(data: members.Importance | None) -> KeyObjects | None:
+def _key_objects(data: members.PlanImportance | None) -> KeyObjects | None:
     if data is None:
         return None
     return KeyObjects(data.scorer, data.alpha, tuple(data.names), data.scores, data.rounds)
@@ -332,7 +337,7 @@ def _located(name: str, folder: Path) -> str:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have
+    except (OSError, ValueError):  # not a valid file name
         return False
 
 
@@ -347,7 +352,7 @@ def _motion(data: members.Plan, path: Path) -> Motion | None:
     if not len(q) == len(object_q) == len(Ts_world_tool):
         raise FileFormatError(
             f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
-            f"{len(Ts_world_tool)} T_world_tool; need one of each at every state"
+            f"{len(Ts_world_tool)} T_world_tool; each state needs one of each"
         )
     return Motion(
         approach=approach,
@@ -364,17 +369,16 @@ def _motion(data: members.Plan, path: Path) -> Motion | None:
 def _read_times(
     times: list[float] | None, count: int, path: Path, key: str
 ) -> Float[np.ndarray, " m"] | None:
-    """Times of states, one each and never falling [s]; None where a plan has none."""
     if times is None:
         return None
     values = _array(times, (), path, key)
     if len(values) != count or (np.diff(values) < 0).any():
-        raise FileFormatError(f"{path}: {key} must be {count} times that never fall [s]")
+        raise FileFormatError(f"{path}: {key} must be {count} non-decreasing times [s]")
     return values
 
 
 def _array(
-    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str, each: str = "one a joint"
+    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str, each: str = "one per joint"
 ) -> Float[np.ndarray, "..."]:
     if not rows:
         return np.empty((0, *shape))

@@ -1,4 +1,4 @@
-"""Members of a plan file with their types, as msgspec reads them."""
+"""The members of a plan file and their types, for msgspec."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import msgspec
 from momapos.model.records import Status, Verb
 
 
-class Robot(msgspec.Struct):
-    """Which robot."""
+class PlanRobot(msgspec.Struct):
+    """The robot."""
 
     name: str
     urdf: str
@@ -22,8 +22,8 @@ class Robot(msgspec.Struct):
     arm: str | None = None
 
 
-class Task(msgspec.Struct):
-    """What is to be done."""
+class PlanTask(msgspec.Struct):
+    """The task."""
 
     verb: Verb
     object: str
@@ -32,8 +32,8 @@ class Task(msgspec.Struct):
     farthest: bool = False
 
 
-class Pose(msgspec.Struct):
-    """On the floor: x [m], y [m], yaw [rad]."""
+class PlanPose(msgspec.Struct):
+    """A base pose: x [m], y [m], yaw [rad]."""
 
     x: float
     y: float
@@ -41,7 +41,7 @@ class Pose(msgspec.Struct):
 
 
 class Manipulation(msgspec.Struct):
-    """What the arm does from the grasp on."""
+    """The arm's motion from the grasp on."""
 
     q: list[list[float]]
     object_q: list[float]
@@ -53,16 +53,16 @@ class Manipulation(msgspec.Struct):
     hold_words: list[str] = []
 
 
-class Candidates(msgspec.Struct):
-    """What became of the base poses."""
+class PlanCandidates(msgspec.Struct):
+    """Statistics of the candidate base poses."""
 
     sampled: int = 0
     checked: int = 0
     rejections: dict[str, int] = {}
 
 
-class Importance(msgspec.Struct):
-    """What was modeled."""
+class PlanImportance(msgspec.Struct):
+    """The modeled objects."""
 
     scorer: str
     alpha: float
@@ -71,7 +71,7 @@ class Importance(msgspec.Struct):
     rounds: int = 0
 
 
-class Region(msgspec.Struct):
+class PlanRegion(msgspec.Struct):
     """Where the base was allowed to stand."""
 
     keep_in: tuple[tuple[tuple[float, float], ...], ...] = ()
@@ -80,47 +80,47 @@ class Region(msgspec.Struct):
     most_driving: float | None = None
 
 
-class Tolerance(msgspec.Struct):
-    """How far beside the base pose the robot may stand."""
+class PlanTolerance(msgspec.Struct):
+    """Base-pose robustness."""
 
     radius: Annotated[float, msgspec.Meta(ge=0)]
     turn: Annotated[float, msgspec.Meta(ge=0)]
     samples: Annotated[int, msgspec.Meta(ge=1)]
 
 
-class CostTerm(msgspec.Struct):
-    """One term of what the base pose costs."""
+class PlanCostTerm(msgspec.Struct):
+    """One term of the base pose's cost."""
 
     value: float | None
     weight: float | None
 
 
 class Plan(msgspec.Struct):
-    """All of a plan."""
+    """The whole plan."""
 
     scene: str
-    robot: Robot
-    task: Task
+    robot: PlanRobot
+    task: PlanTask
     status: Status
     joints: list[str]
     scene_joints: dict[str, dict[str, float]] = {}
     scene_hypotheses: dict[str, dict[str, int]] = {}
     feasible_to: float | None = None
-    feasible_from: Pose | None = None
+    feasible_from: PlanPose | None = None
     feasible_sure: bool = False
-    start: Pose | None = None
-    base_pose: Pose | None = None
+    start: PlanPose | None = None
+    base_pose: PlanPose | None = None
     base_path: list[list[float]] | None = None
     approach: list[list[float]] = []
     approach_times: list[float] | None = None
     home: list[list[float]] | None = None
     manipulation: Manipulation | None = None
     navigation_cost: float | None = None
-    cost: dict[str, CostTerm] = {}
-    candidates: Candidates = msgspec.field(default_factory=Candidates)
-    importance: Importance | None = None
-    tolerance: Tolerance | None = None
-    region: Region = msgspec.field(default_factory=Region)
+    cost: dict[str, PlanCostTerm] = {}
+    candidates: PlanCandidates = msgspec.field(default_factory=PlanCandidates)
+    importance: PlanImportance | None = None
+    tolerance: PlanTolerance | None = None
+    region: PlanRegion = msgspec.field(default_factory=PlanRegion)
     timing: dict[str, float] = {}
     method: str = ""
     seed: int = 0
@@ -128,13 +128,13 @@ class Plan(msgspec.Struct):
 
 
 class Hashes(msgspec.Struct):
-    """SHA-256 of files."""
+    """SHA-256 hashes of the scene and robot files."""
 
     hashes: dict[str, str] = {}
 
 
 class PlanHead(msgspec.Struct):
-    """What tells a plan from another file."""
+    """Format and version of a file."""
 
     format: Any = None
     version: Any = None

@@ -1,4 +1,4 @@
-"""Tour files: momapos-tour, version 1; each names the plan files of several tasks in order."""
+"""Tour files (momapos-tour, version 1), which name the plan files of several tasks in order."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from .named_files import write_text
 from .plan_format import MAX_BYTES, TOUR, format_of, write_plan
 
 VERSION = 1
-MOST = 20
-"""Plans that a tour names [-]."""
+MAX_STEPS = 20
+"""Largest number of plans in a tour [-]."""
 
 
 class Step(msgspec.Struct, frozen=True):
     """One task of a tour."""
 
-    stop: Annotated[int, msgspec.Meta(ge=1, le=MOST)]
-    """At which stop it is done, counted from 1."""
+    stop: Annotated[int, msgspec.Meta(ge=1, le=MAX_STEPS)]
+    """Stop at which the task is done, from 1."""
     plan: Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
-    """Name of its plan file, beside the tour's."""
+    """Name of its plan file, in the folder of the tour."""
 
 
 class TourFile(msgspec.Struct, frozen=True):
-    """What a tour file holds."""
+    """The content of a tour file."""
 
     status: Status
-    steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=MOST)]
+    steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=MAX_STEPS)]
     stops: int
     driving: float
-    """In all [m]."""
+    """Total driving length [m]."""
     assumed: tuple[str, ...] = ()
-    """What is taken for granted between the tasks."""
+    """Assumptions about the state between the tasks."""
 
 
 def tour_to_dict(tour: TourFile, plans: Sequence[Any]) -> dict[str, Any]:
-    """What a tour file holds, with names of plan files, or with the plans themselves.
+    """Convert a tour to a dictionary.
 
     Args:
         tour: The tour.
-        plans: What stands for the plan of each step.
+        plans: The "plan" of each step: a file name, or the plan itself.
     """
     data = msgspec.to_builtins(tour)
     steps = zip(data["steps"], plans, strict=True)
@@ -62,13 +62,13 @@ def tour_to_dict(tour: TourFile, plans: Sequence[Any]) -> dict[str, Any]:
 def write_tour(
     path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str]
 ) -> TourFile:
-    """Write a tour and its plans beside it, as NAME_1.json and so on.
+    """Write a tour, and its plans in the same folder as NAME_1.json and so on.
 
     Args:
         path: The tour file.
-        plans: One for each task, in order.
-        stops: At which stop each is done, counted from 1.
-        assumed: What is taken for granted between the tasks.
+        plans: One plan per task, in order.
+        stops: The stop of each task, from 1.
+        assumed: Assumptions about the state between the tasks.
 
     Raises:
         InputError: A plan names a file that does not exist, or a file cannot be written.
@@ -84,7 +84,7 @@ def write_tour(
 def tour_of(
     path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str]
 ) -> TourFile:
-    """The record of a tour file, see `write_tour`."""
+    """Build the content of a tour file, see `write_tour`."""
     steps = tuple(
         Step(stop, f"{path.stem}_{number}.json") for number, stop in enumerate(stops, start=1)
     )
@@ -93,23 +93,23 @@ def tour_of(
 
 
 def is_tour(path: Path) -> bool:
-    """Whether a file says that it is a tour; of what it holds else nothing is looked at."""
+    """Return whether a file's format is that of a tour; nothing else is checked."""
     return bool(format_of(path) == TOUR)
 
 
 def read_tour(path: Path) -> TourFile:
-    """Read a tour file; the plans that it names are not looked at.
+    """Read a tour file, without the plans that it names.
 
     Raises:
-        FileFormatError: It cannot be used; one line says what is wrong.
+        FileFormatError: The file is unusable.
     """
     content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
     try:
         head = msgspec.json.decode(content, type=members.PlanHead)
         if head.format != TOUR or head.version != VERSION or isinstance(head.version, bool):
             raise FileFormatError(
-                f"{path}: not a tour of version {VERSION}; format {head.format!r:.60}, version "
-                f"{head.version!r:.60}"
+                f"{path}: not a tour of version {VERSION}; its format is {head.format!r:.60}, its "
+                f"version {head.version!r:.60}"
             )
         tour = msgspec.json.decode(content, type=TourFile)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
@@ -117,6 +117,6 @@ def read_tour(path: Path) -> TourFile:
     for step in tour.steps:
         if Path(step.plan).name != step.plan or step.plan in (".", "..") or "\0" in step.plan:
             raise FileFormatError(
-                f"{path}: plan {step.plan!r:.80} must be the name of a file beside the tour"
+                f"{path}: plan {step.plan!r:.80} must name a file in the folder of the tour"
             )
     return tour

@@ -1,4 +1,4 @@
-"""Frozen records that stages hand to each other, and the protocols between stages."""
+"""Frozen records passed between stages, and the protocols of interchangeable stages."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What becomes of a base pose, and how reports say it."""
+"""Outcomes of base poses, with their texts in reports; cost terms; robustness."""
 
 from __future__ import annotations
 
@@ -8,50 +8,50 @@ from enum import Enum
 
 
 class PoseStatus(Enum):
-    """What can become of a base pose; the value is its wording, with what `PoseOutcome` adds."""
+    """Outcome of a base pose; the value is its text, a template for `PoseOutcome`."""
 
     FEASIBLE = "feasible"
     PATH_FOUND = "path found, approach not checked"
-    NOT_TRIED = "not tried"
-    FILTERED = "ruled out beforehand"
-    NOT_KEPT_IN = "outside the areas to keep in"
-    NOT_KEPT_OUT = "in an area to keep out of"
-    NOT_FACING = "facing away"
-    TOO_LONG_A_DRIVE = "farther to drive than allowed"
-    BASE_BLOCKED = "base blocked"
+    NOT_TRIED = "not checked"
+    FILTERED = "ruled out before the check"
+    NOT_KEPT_IN = "outside the keep-in areas"
+    NOT_KEPT_OUT = "in a keep-out area"
+    NOT_FACING = "not facing the grasp"
+    TOO_LONG_A_DRIVE = "longer drive than allowed"
+    BASE_BLOCKED = "base in collision"
     OFF_FLOOR = "base off the floor"
-    BEYOND_ARM = "farther than the arm"
-    NO_ROUTE = "no way to drive there"
-    NO_ROUTE_AT_HOME = "no way to drive there with the arm at home"
+    BEYOND_ARM = "beyond the arm's reach"
+    NO_ROUTE = "no base path"
+    NO_ROUTE_AT_HOME = "no base path with the arm at home"
     OUT_OF_REACH = "out of reach"
-    TOO_FEW_JOINTS = "the arm has too few joints to follow the motion from there"
+    TOO_FEW_JOINTS = "too few arm joints to follow the motion"
     OUT_OF_REACH_ANYWHERE = "out of reach{detail} at any distance"
     TASK_INFEASIBLE = "{detail}"
     NO_GRASP_IN_REACH = "no grasp within reach"
     HOME_COLLISION = "arm at home hits {detail}"
     WAYPOINT_OUT_OF_REACH = "out of reach at {where}"
     ARM_COLLISION = "arm hits {detail} at {where}"
-    NO_CONTINUOUS_PATH = "no continuous branch"
-    NO_APPROACH = "no approach from home found within the arm planner's time"
-    NO_WAY_HOME = "no way of the arm home again found within the arm planner's time"
+    NO_CONTINUOUS_PATH = "no continuous arm path"
+    NO_APPROACH = "no approach from home within the arm planner's limit"
+    NO_WAY_HOME = "no arm path back home within the arm planner's limit"
     EXACT_CHECK = "exact check: {detail}"
     NOT_FOR_ALL = "not for all tasks: {detail}"
-    LITTLE_ROOM = "not everywhere within {detail} of it"
+    LITTLE_ROOM = "not robust within {detail}"
 
 
 RULED_OUT = (
     PoseStatus.NOT_KEPT_IN, PoseStatus.NOT_KEPT_OUT, PoseStatus.NOT_FACING,
     PoseStatus.TOO_LONG_A_DRIVE,
 )  # fmt: skip
-"""Where the base could stand, and may not."""
+"""The base fits there, but the query's region excludes it."""
 NO_STAND = (
     PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR, PoseStatus.BEYOND_ARM, PoseStatus.NO_ROUTE,
 )  # fmt: skip
-"""Where it cannot stand, or not for this task."""
+"""The base does not fit or cannot get there, or the task is too far away."""
 NO_PATH = (
     PoseStatus.WAYPOINT_OUT_OF_REACH, PoseStatus.ARM_COLLISION, PoseStatus.NO_CONTINUOUS_PATH,
 )  # fmt: skip
-"""From where the arm cannot follow the motion, as far as its inverse kinematics tells."""
+"""The arm cannot follow the motion, according to its inverse kinematics."""
 _SUMMARY = {
     PoseStatus.WAYPOINT_OUT_OF_REACH: "out of reach at a waypoint",
     PoseStatus.ARM_COLLISION: "arm hits {detail}",
@@ -61,49 +61,49 @@ _SUMMARY = {
 
 @dataclass(frozen=True)
 class PoseOutcome:
-    """What became of one base pose."""
+    """The outcome of one base pose."""
 
     status: PoseStatus
     detail: str = ""
-    """What is hit, or what the exact check or the task says."""
+    """The obstacle, or the reason of the exact check or the task."""
     where: str = ""
-    """The waypoint at which it is so."""
+    """The waypoint concerned."""
 
     def __str__(self) -> str:
         return self.status.value.format(detail=self.detail, where=self.where)
 
     @property
     def summary(self) -> str:
-        """The same without the waypoint, so that similar outcomes can be counted together."""
+        """Return the text without the waypoint, to count similar outcomes together."""
         words = _SUMMARY.get(self.status, self.status.value)
         return words.format(detail=self.detail)
 
 
 @dataclass(frozen=True)
 class CostTerm:
-    """One term of what a base pose costs."""
+    """One term of a base pose's cost."""
 
     value: float | None
-    """None where nobody has looked: it had no weight."""
+    """None if not computed, since the term has no weight."""
     weight: float | None
-    """None where it counts before all terms that have one."""
+    """None if the term takes precedence over all weighted terms."""
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far beside a base pose the robot may stand, and still do it."""
+    """Base-pose robustness: the offsets from a base pose at which replanning succeeds."""
 
     radius: float
-    """Of a disc around it [m]; 0 where not even the smallest disc holds."""
+    """Radius of a disc around the base pose [m]; 0 if even the smallest disc fails."""
     turn: float
-    """To either side [rad]."""
+    """Largest turn to either side [rad]."""
     samples: int
-    """Poses in it from which the motion was planned anew; it was found from all of them [-]."""
+    """Number of sampled poses in the disc; replanning succeeded from all of them [-]."""
 
     def __str__(self) -> str:
-        return f"{100 * self.radius:g} cm and {math.degrees(self.turn):.3g} deg"
+        return f"+-{100 * self.radius:g} cm, +-{math.degrees(self.turn):.3g} deg"
 
     @property
     def at_least(self) -> float:
-        """Share of the disc from which it is found, at a confidence of 95 % [-]."""
+        """Return a lower bound of the success rate in the disc, at a confidence of 95 % [-]."""
         return float(0.05 ** (1.0 / self.samples))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from momapos.core import compare_by_content
 from momapos.core.geometry import UprightBox
 
 if TYPE_CHECKING:
@@ -18,24 +19,23 @@ if TYPE_CHECKING:
 
 
 PartKind = Literal["door_left", "door_right", "door_down", "door_up", "drawer"]
-"""How a part opens, seen from the front: a `door_left` has its hinge on the left."""
+"""How a part opens, as seen from the front: a `door_left` has its hinge on the left."""
 LabelSource = Literal["size", "segmenter", "detector", "given"]
-"""Who says what a thing is: rules about its size, who divided the cloud, a detector in the images,
-or the user."""
+"""Source of an object's label: rules about its size, the segmenter, an image detector, the user."""
 UNKNOWN: tuple[str, float] = ("object", 0.2)
-"""Label and confidence of a thing of which nothing tells what it is."""
+"""Label and confidence of an unidentified object."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of a scan and where it was taken from."""
+    """One image of a scan with its camera pose."""
 
     name: str
     color: UInt8[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"] | None
-    """Distance along the optical axis [m], 0 where it was not measured; None without a sensor."""
+    """Distance along the optical axis [m], 0 where not measured; None without a depth sensor."""
     intrinsics: Float[np.ndarray, "3 3"]
-    """Of color and depth, which are registered [px]."""
+    """Intrinsics of color and depth, which are registered [px]."""
     T_world_camera: Float[np.ndarray, "4 4"]
     """Camera axes as in OpenCV: x right, y down, z forward."""
 
@@ -47,11 +47,11 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points of surfaces."""
+    """Surface points."""
 
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
-    """Unit vectors toward the side that was seen."""
+    """Unit normals toward the observed side."""
     colors: UInt8[np.ndarray, "n 3"]
 
     def __repr__(self) -> str:
@@ -60,16 +60,16 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """What was recorded of a room: pictures, or a cloud, or both."""
+    """A recording of a room: images, or a cloud, or both."""
 
     name: str
     frames: tuple[Frame, ...]
     cloud: Cloud | None = None
-    """A cloud that came with the scan; without one it is fused from the frames."""
+    """The recorded cloud; if None, it is fused from the frames."""
     warnings: tuple[str, ...] = ()
-    """What was skipped or assumed, one line each."""
+    """Skipped input and assumptions, one line each."""
     notes: tuple[str, ...] = ()
-    """What was measured of it, one line each."""
+    """Measurements of the recording, one line each."""
 
     def __repr__(self) -> str:
         cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"
@@ -78,23 +78,23 @@ class Scan:
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One thing that a segmenter found."""
+    """One object of a segmenter."""
 
     label: str
-    """Its class, or "" where the segmenter does not know."""
+    """Its class, or "" if unknown."""
     score: float
     """Confidence in [0, 1]."""
     members: Int[np.ndarray, " k"] | None = None
     """Indices into the cloud."""
     box: UprightBox | None = None
-    """For segmenters that give boxes."""
+    """Box, from segmenters that return boxes."""
     guesses: tuple[tuple[str, float], ...] = ()
-    """Where the label is a guess by size: all that it allows, with confidences, best first."""
+    """If the label is a guess by size: all plausible labels with confidences, best first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """One thing in the room, with its box."""
+    """One object in the room, with its box."""
 
     name: str
     label: str
@@ -104,17 +104,17 @@ class Detection:
     """Indices into the cloud, outliers removed."""
     label_from: LabelSource = "segmenter"
     guesses: tuple[tuple[str, float], ...] = ()
-    """As of an `Instance`."""
+    """See `Instance.guesses`."""
     seen: float | None = None
-    """Share of the surface that can be seen on which something was measured, in [0, 1]."""
+    """Share of the visible surface that was measured, in [0, 1]."""
     completed: float = 0.0
-    """Share of its points that no depth image shows: a black, mirrored or glass front, completed
-    from what is around it [-]."""
+    """Share of its points without depth measurements, completed from their surroundings: a black,
+    mirrored or glass front [-]."""
 
 
 @dataclass(frozen=True)
 class ImageDetection:
-    """One thing that a 2-D detector found in one image."""
+    """One object that a 2-D detector found in one image."""
 
     box: tuple[float, float, float, float]
     """Left, top, right, bottom [px]."""
@@ -124,17 +124,17 @@ class ImageDetection:
 
 @dataclass(frozen=True, eq=False)
 class FaceImage:
-    """One upright face of a box, seen straight on; row 0 is its top, column 0 its left."""
+    """An orthographic image of a vertical face of a box; row 0 is the top, column 0 the left."""
 
     color: UInt8[np.ndarray, "h w 3"]
     height_map: Float32[np.ndarray, "h w"]
-    """How far the surface stands out of the face's plane [m]; NaN where not measured."""
+    """Height of the surface above the face's plane [m]; NaN where not measured."""
     width: float
     """Size of the face [m]."""
     height: float
     camera_position: Float[np.ndarray, "3"] | None = None
-    """Where the camera was that took the colors [m]: x right and y up from the middle of the face,
-    z outward. What stands out was seen displaced, away from there. None where it is not known."""
+    """Position of the camera that took the colors [m]: x right and y up from the face's center, z
+    outward; None if unknown. Protruding parts appear displaced away from it."""
 
 
 @dataclass(frozen=True)
@@ -147,42 +147,43 @@ class Part:
     """Confidence in [0, 1]."""
     handle: tuple[float, float, float, float] | None = None
     odds: tuple[tuple[PartKind, float], ...] = ()
-    """How it may open, each with its probability, the likeliest first, which is its kind; they sum
-    to one. Empty where nobody says."""
+    """Possible kinds with probabilities that sum to one, most probable (`kind`) first; empty if
+    unknown."""
 
 
-@dataclass(frozen=True)
+@compare_by_content
+@dataclass(frozen=True, eq=False)
 class Confidence:
-    """How sure a scan is of an object; all numbers in [0, 1]."""
+    """Confidence of a scanned object; all numbers are in [0, 1]."""
 
     object: float
-    """Share of the surface that can be seen that was seen."""
+    """Share of the visible surface that was measured."""
     label: float
-    """That it is what its category says."""
+    """Confidence of the category."""
     joints: Mapping[str, float] = field(default_factory=dict)
-    """That there is such a part and that it moves so, by joint."""
+    """Confidence of each joint's part and motion, by joint."""
     handles: Mapping[str, float] = field(default_factory=dict)
-    """That there is a handle where the model has one, by the joint of its part."""
+    """Confidence of each modeled handle, by the joint of its part."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One way in which a part may move, in the frame of its object; shut at 0."""
+    """One possible motion of a part, in the frame of its object; closed at 0."""
 
     kind: PartKind
     probability: float
     point: tuple[float, float, float]
-    """On its axis [m]."""
+    """Point on the axis [m]."""
     axis: tuple[float, float, float]
-    """Unit vector about or along which it moves."""
+    """Unit axis of the rotation or translation."""
     upper: float
-    """Where it ends [rad] or [m]."""
+    """Upper limit [rad] or [m]."""
 
 
 @dataclass(frozen=True)
 class Front:
-    """What a predictor sees on a face."""
+    """The prediction for one face."""
 
     score: float
-    """Probability that this face is a front, in [0, 1]."""
+    """Probability that the face is a front, in [0, 1]."""
     parts: tuple[Part, ...]

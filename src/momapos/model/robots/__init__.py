@@ -1,4 +1,4 @@
-"""Mobile manipulators: the robot record, robot files and the library of named robots."""
+"""Mobile manipulators: the robot record, robot files and the library robots."""
 
 import lazy_loader
 

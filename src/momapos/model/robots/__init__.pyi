@@ -1,6 +1,6 @@
 from .amended_urdf import Mount as Mount
 from .amended_urdf import portable as portable
-from .derive import Source as Source
+from .derive import RobotSource as RobotSource
 from .examination import blocking as blocking
 from .examination import examine as examine
 from .fingertips import Pivot as Pivot

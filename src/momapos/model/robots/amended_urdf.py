@@ -1,5 +1,4 @@
-"""A URDF as a robot file amends it: more frames, an arm on a base, packages that lie elsewhere,
-joints that follow others."""
+"""URDFs with the additions of a robot file: frames, a mount, package folders and mimic joints."""
 
 from __future__ import annotations
 
@@ -12,8 +11,8 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 from momapos.core import Cache, RobotError, UrdfError, parse_xml, read_text_bounded, unknown_name
 from momapos.model.urdf import (
+    MAX_MESH_PARENTS,
     MAX_URDF_BYTES,
-    PARENTS,
     MeshFinder,
     Mimic,
     Urdf,
@@ -28,13 +27,13 @@ from momapos.model.urdf import (
 Triple = tuple[float, float, float]
 ZERO: Triple = (0.0, 0.0, 0.0)
 BOX = "box_base"
-"""The link of a box that carries an arm; its frame lies on the floor."""
+"""Link of a box that carries an arm; its frame is on the floor."""
 _PREFIX = "mount_"
 
 
 @dataclass(frozen=True)
-class Frame:
-    """A link without a body, fixed to another one."""
+class AddedFrame:
+    """A link without geometry, fixed to another link."""
 
     name: str
     parent: str
@@ -46,46 +45,46 @@ class Frame:
 
 @dataclass(frozen=True)
 class Mount:
-    """What carries an arm: a box, or a base with a URDF of its own."""
+    """Carrier of an arm: a box, or a base with its own URDF."""
 
     xyz: Triple = ZERO
-    """Origin of the arm's root in the link that carries it [m]."""
+    """Origin of the arm's root in the carrying link [m]."""
     rpy: Triple = ZERO
     """[rad]"""
     box: Triple | None = None
-    """Edges [m]."""
+    """Edge lengths [m]."""
     urdf: Path | None = None
     link: str = ""
-    """The link of the base that carries the arm; its root where empty."""
+    """Link of the base that carries the arm; "" for its root."""
 
 
 @dataclass(frozen=True)
 class Amendments:
-    """What a robot file says about its URDF."""
+    """Additions of a robot file to its URDF."""
 
-    frames: tuple[Frame, ...] = ()
+    frames: tuple[AddedFrame, ...] = ()
     mount: Mount | None = None
     packages: Mapping[str, Path] = field(default_factory=dict)
-    """Folders of packages by name."""
+    """Package folders by name."""
     coupled: Mapping[str, Mimic] = field(default_factory=dict)
-    """Joints that follow others, by name, whatever the URDF says that they follow."""
+    """Mimic joints by name; they replace those of the URDF."""
     content: str | None = None
-    """The URDF itself, where it is in no file yet."""
+    """Content of the URDF, if it is not in a file yet."""
 
     @property
     def none(self) -> bool:
-        """Whether the URDF is used as it is."""
+        """Whether the URDF is used unchanged."""
         return not (self.frames or self.mount or self.packages or self.coupled or self.content)
 
     def text(self, urdf: Path) -> str | None:
-        """The URDF with all of it, meshes by their absolute names; None where it is used as it is.
+        """Return the URDF with all additions and absolute mesh paths; None if it is unchanged.
 
         Raises:
-            UrdfError: A file cannot be used, or names a mesh that is not found.
-            UnknownNameError: A frame or the mount names a link that does not exist, or a coupling a
-                joint.
-            RobotError: Something has a name that is taken, a joint follows itself, or a ratio or
-                an offset is of no use.
+            UrdfError: A file is invalid, or a mesh is missing.
+            UnknownNameError: A frame or the mount names an unknown link, or a mimic joint an
+                unknown joint.
+            RobotError: A frame's name is taken, a joint follows itself, or a ratio or offset is
+                invalid.
         """
         if self.none:
             return None
@@ -95,7 +94,10 @@ class Amendments:
         links = [link.get("name", "") for link in tree.iter("link") if link.get("name")]
         for frame in self.frames:
             if frame.name in links:
-                raise RobotError(f"{urdf}: frame {frame.name!r} is a link of the URDF already")
+                raise RobotError(
+                    f"{urdf}: frame {frame.name!r} already is a link of the URDF; choose another "
+                    "name"
+                )
             if frame.parent not in links:
                 raise unknown_name("link", frame.parent, links, f"{urdf} (frame {frame.name!r})")
             tree.append(Element("link", name=frame.name))
@@ -105,13 +107,13 @@ class Amendments:
         return tostring(tree, encoding="unicode")
 
     def read(self, urdf: Path, cache: Cache | None = None) -> tuple[Urdf, str | None]:
-        """Read a URDF with all of it.
+        """Read a URDF with all additions.
 
         Returns:
             The model, and its `text`.
 
         Raises:
-            UrdfError, UnknownNameError, RobotError: As for `text`, and `read_urdf`.
+            UrdfError, UnknownNameError, RobotError: See `text` and `read_urdf`.
         """
         text = self.text(urdf)
         if text is None:
@@ -121,14 +123,14 @@ class Amendments:
         return model, text
 
     def _read(self, urdf: Path, content: str | None = None) -> Element:
-        """The tree of a URDF, meshes by their absolute names."""
+        """Return the XML tree of a URDF with absolute mesh paths."""
         text = (
             read_text_bounded(urdf, MAX_URDF_BYTES, error=UrdfError) if content is None else content
         )
         tree = read_tree(text, urdf)
         finder = MeshFinder(urdf, packages=self.packages)
         for link in tree.iter("link"):
-            for visual in link.findall("visual"):  # not needed, and their meshes are often missing
+            for visual in link.findall("visual"):  # not used, and their meshes are often missing
                 link.remove(visual)
         for mesh in tree.iter("mesh"):
             mesh.set("filename", str(finder.find(mesh.get("filename", ""))))
@@ -136,7 +138,6 @@ class Amendments:
 
 
 def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
-    """Let joints follow others: URDF's `mimic` elements."""
     where = f"{urdf} (coupled)"
     movable = {j.get("name", ""): j for j in tree.findall("joint") if j.get("type") != "fixed"}
     for name, mimic in follows.items():
@@ -144,7 +145,7 @@ def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
             if joint not in movable:
                 raise unknown_name("movable joint", joint, movable, where)
         if not (math.isfinite(mimic.ratio) and mimic.ratio and math.isfinite(mimic.offset)):
-            raise RobotError(f"{where}: {name!r} needs a ratio other than 0 and a finite offset")
+            raise RobotError(f"{where}: {name!r} needs a nonzero ratio and a finite offset")
         for element in movable[name].findall("mimic"):
             movable[name].remove(element)
         numbers = {"multiplier": f"{mimic.ratio:.17g}", "offset": f"{mimic.offset:.17g}"}
@@ -155,27 +156,28 @@ def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
 
 
 def portable(text: str, folder: Path, what: str) -> str:
-    """An amended URDF for a file in a folder: meshes by names relative to it.
+    """Return a URDF for a file in a folder, with mesh paths relative to it.
 
     Raises:
-        RobotError: A mesh lies where those who read the file would not look.
+        RobotError: A mesh is outside the folders that readers of the file search.
     """
     tree = parse_xml(text, Path(what), error=RobotError)
     here = folder.resolve()
-    root = [here, *here.parents][: PARENTS + 1][-1]
+    root = [here, *here.parents][: MAX_MESH_PARENTS + 1][-1]
     for mesh in tree.iter("mesh"):
         name = Path(mesh.get("filename", ""))
         if not name.is_relative_to(root):
             raise RobotError(
-                f"{what}: the robot's mesh {name} lies outside {root}, so that the plan could not "
-                f"be verified; write the plan within {PARENTS} folders of one that holds both"
+                f"{what}: the robot's mesh {name} is outside {root}, so the plan could not be "
+                f"verified; write the plan within {MAX_MESH_PARENTS} folders of one that contains "
+                "both"
             )
         mesh.set("filename", Path(os.path.relpath(name, here)).as_posix())
     return tostring(tree, encoding="unicode")
 
 
 def _mounted(arm: Element, mount: Mount, read: Callable[[Path], Element]) -> Element:
-    """A base with an arm on it, by the arm's name."""
+    """Return a base with an arm on it, under the arm's name."""
     fix_root_joints(arm)
     if mount.urdf is None:
         assert mount.box is not None
@@ -204,14 +206,14 @@ def _box(size: Triple) -> Element:
 
 
 def _root(tree: Element) -> str:
-    """The link that no joint moves."""
+    """Return the link that no joint moves."""
     children = {child.get("link") for child in tree.findall("joint/child")}
     names = [link.get("name", "") for link in tree.findall("link")]
     return next((name for name in names if name not in children), names[0] if names else "")
 
 
 def _rename(base: Element, arm: Element) -> dict[str, str]:
-    """Give links and joints of the base another name where the arm has one of that name."""
+    """Rename links and joints of the base whose names the arm uses, too."""
     renamed: dict[str, dict[str, str]] = {}
     for tag in ("link", "joint"):
         taken = {part.get("name") for part in arm.findall(tag)}

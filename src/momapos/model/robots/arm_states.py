@@ -1,4 +1,4 @@
-"""States of an arm, sampled: which links cannot help touching, and where the arm may rest."""
+"""Sampled states of an arm: links in permanent contact, and a home state."""
 
 from __future__ import annotations
 
@@ -28,26 +28,27 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 SAMPLES = 2000
-ALWAYS = 0.95
-"""A pair of links that touch in this share of the states is never checked [-]."""
-OFTEN = 0.1
-"""Nor are neighbors that touch at rest, if they touch in this share of the states [-]: a rest at
-which the arm is folded into itself says nothing about the shapes."""
-MOSTLY = 0.5
-"""Nor are neighbors in the arm that touch in this share of the states, whatever they do at rest
-[-]: a wrist that could hardly turn would not have been built, its shapes are too coarse."""
-UNWOUND = 0.05
-"""Reach of the arm [m] that a radian less on its most turned joint is worth, at rest."""
-LIMIT, NEAR_LIMIT = 0.1, 0.15
-"""Reach that distance from all joint limits is worth [m], and how much distance [rad]."""
-TIGHT, ROOM = 0.1, 0.02
-"""Reach that room around the arm is worth, and how much room [m]."""
-BLOCKED = 1.0
-"""Reach that it is worth, at rest, to block no value of the joints that arms share [m]."""
-SHARED = 15
-"""Values of a joint that arms share; fewer of each where they share several [-]."""
-_BEST = 100
-"""States whose room is looked at [-]."""
+ALWAYS_SHARE = 0.95
+"""Share of states in contact above which a pair of links is never checked [-]."""
+NEIGHBOR_REST_SHARE = 0.1
+"""Share of states in contact above which neighbors that also touch at rest are never checked [-];
+contact at rest alone can come from an arm that is folded there."""
+NEIGHBOR_SHARE = 0.5
+"""Share of states in contact above which neighbors in the arm are never checked [-]; a wrist that
+can hardly rotate has too coarse shapes."""
+ANGLE_COST = 0.05
+"""Cost of the most rotated joint of a home state, as reach per angle [m/rad]."""
+LIMIT_COST, LIMIT_DISTANCE = 0.1, 0.15
+"""Cost of a home state at a joint limit, as reach [m], and the distance over which it fades
+[rad]."""
+CLEARANCE_COST, CLEARANCE = 0.1, 0.02
+"""Cost of a home state with less clearance, as reach [m], and that clearance [m]."""
+BLOCKED_COST = 1.0
+"""Cost of a home state that blocks all values of the joints that arms share, as reach [m]."""
+SHARED_VALUES = 15
+"""Number of values of the shared joints that are checked [-]."""
+_MAX_CLEARANCE_CHECKS = 100
+"""Number of states whose clearance is checked [-]."""
 
 
 @entry
@@ -57,7 +58,7 @@ def _touches(
     spheres: SphereArrays,
     floor: bool,
 ) -> np.ndarray:
-    """Which of the states (m, n) touch the robot itself or, where asked, the floor."""
+    """Mark the states in self-collision or, with `floor`, in contact with the floor."""
     scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     base, out = np.zeros(3), np.empty(len(q), np.bool_)
@@ -72,15 +73,14 @@ def _touches(
 def touches(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], *, floor: bool = False
 ) -> Bool[np.ndarray, " m"]:
-    """Which states touch the robot itself or, where asked, the floor."""
+    """Mark the states in self-collision or, with `floor`, in contact with the floor."""
     return _touches(q, chain_arrays(chain), spheres.arrays, floor)
 
 
 def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "m n"]:
-    """States of the arm: all zero (or the limit nearest to it), mid-range, then random ones.
+    """Sample arm states: zero (clipped to the limits), mid-range, then random ones.
 
-    They are multiples of a milliradian or millimeter that lie within the limits, so that a file
-    can hold them.
+    Values are multiples of 1 mrad or 1 mm within the limits, so that a file can store them.
     """
     lower, upper = one_turn(chain)
     middle = (lower + upper) / 2
@@ -92,23 +92,23 @@ def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "
 def inevitable_pairs(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]
 ) -> dict[tuple[str, str], str]:
-    """Pairs of links that touch in (almost) every state, or in the first and many as neighbors,
-    or in most as neighbors in the arm.
+    """Return the pairs of links that touch in (almost) all states, or in many as neighbors.
 
-    Their hulls decide: spheres of links that pass closely by each other always touch.
+    Convex hulls decide: spheres of links that pass close to each other always touch.
 
     Returns:
-        The reason by pair, in MoveIt's words: "Always", or "Default" for two links at most two
+        The reason by pair, in MoveIt's terms: "Always", or "Default" for two links at most two
         joints apart.
     """
     found: dict[tuple[str, str], str] = {}
     segment = dict(zip(spheres.links, spheres.segment.tolist(), strict=True))
     touching = contacts(chain, spheres, q)
     for (a, b), hit in zip(touching.pairs, touching.by_hulls.T, strict=True):
-        if hit.mean() >= ALWAYS:
+        if hit.mean() >= ALWAYS_SHARE:
             found[a, b] = "Always"
         elif abs(segment[a] - segment.get(b, 0)) <= 2 and (
-            (hit[0] and hit.mean() >= OFTEN) or (b in segment and hit.mean() >= MOSTLY)
+            (hit[0] and hit.mean() >= NEIGHBOR_REST_SHARE)
+            or (b in segment and hit.mean() >= NEIGHBOR_SHARE)
         ):
             found[a, b] = "Default"
     return found
@@ -116,29 +116,29 @@ def inevitable_pairs(
 
 @dataclass(frozen=True)
 class SelfCollisionShare:
-    """How often a pair of links touches in sampled states of the arm."""
+    """Share of sampled states in which two links touch."""
 
     links: tuple[str, str]
     by_spheres: float
-    """Share of the states in which their spheres touch [-]."""
+    """Share of states with contact by spheres [-]."""
     by_hulls: float
-    """Share of the states in which their hulls do [-]."""
+    """Share of states with contact by hulls [-]."""
     decided_by_hulls: bool
-    """Whether the planner asks the hulls, the spheres being too coarse for this pair."""
+    """Whether the planner checks hulls, because the spheres are too coarse for this pair."""
 
 
 def self_collision_shares(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]
 ) -> tuple[SelfCollisionShare, ...]:
-    """Tell which pairs of links block how many states, those that block most first.
+    """Return how many states each pair of links blocks, most blocking first.
 
     Args:
         chain: The arm.
         spheres: Its collision spheres.
-        q: States, such as `sample_states` draws.
+        q: States, for example from `sample_states`.
 
     Returns:
-        The pairs that touch in any of the states.
+        The pairs that touch in at least one state.
     """
     touching = contacts(chain, spheres, q)
     exact = decided_by_hulls(spheres)
@@ -155,20 +155,20 @@ def self_collision_shares(
 def resting_state(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], shared: Sequence[int] = ()
 ) -> tuple[Float[np.ndarray, " n"], float] | None:
-    """The free state that keeps the arm nearest to the base's middle, for driving.
+    """Return the collision-free state with the arm closest to the base's center, for driving.
 
-    What counts is the arm itself: neither the torso that carries it nor what else hangs there.
-    Away from its limits, unwound, and with room to the robot are worth some reach; most is worth
-    that another arm may move what both hang from while this one rests.
+    Only the links of the arm itself count, not the torso. Distance from joint limits, small angles
+    and clearance reduce the cost a little; most weight has that another arm can move the joints
+    both share while this arm is at home.
 
     Args:
-        chain, spheres: The arm, and what it may touch.
-        q: States to choose from.
-        shared: Indices of the joints that other arms move as well, such as a torso's.
+        chain, spheres: The arm, and its collision model.
+        q: Candidate states.
+        shared: Indices of joints that other arms move, too, such as a torso's.
 
     Returns:
-        The state, and how far the arm reaches from the base's origin [m]; None where all states
-        touch something.
+        The state, and the reach of the arm from the base's origin [m]; None without a
+        collision-free state.
     """
     free = np.flatnonzero(~touches(chain, spheres, q, floor=True))
     if not len(free):
@@ -182,13 +182,15 @@ def resting_state(
         middle = np.einsum("gij,gj->gi", R[segment], spheres.bound_center[own]) + p[segment]
         reach[row] = (np.hypot(middle[:, 0], middle[:, 1]) + spheres.bound_radius[own]).max()
     wound = np.where(chain.prismatic, 0.0, abs(q[free])).max(1)
-    cost = reach + UNWOUND * wound + LIMIT * _at_limits(chain, q[free])
+    cost = reach + ANGLE_COST * wound + LIMIT_COST * _at_limits(chain, q[free])
     if len(shared):
-        cost += BLOCKED * _blocked(chain, spheres, q[free], shared)
-    thick = replace(spheres, radius=spheres.radius + ROOM, bound_radius=spheres.bound_radius + ROOM)
-    # Only the best are worth the look: a state with room beats a tighter one that is no better.
-    best = np.argsort(cost, kind="stable")[:_BEST]
-    cost[best] += TIGHT * touches(chain, thick, q[free[best]], floor=True)
+        cost += BLOCKED_COST * _blocked(chain, spheres, q[free], shared)
+    thick = replace(
+        spheres, radius=spheres.radius + CLEARANCE, bound_radius=spheres.bound_radius + CLEARANCE
+    )
+    # Clearance is expensive, so only the best states are checked.
+    best = np.argsort(cost, kind="stable")[:_MAX_CLEARANCE_CHECKS]
+    cost[best] += CLEARANCE_COST * touches(chain, thick, q[free[best]], floor=True)
     chosen = best[int(np.argmin(cost[best]))]
     return q[free[chosen]], float(reach[chosen])
 
@@ -196,9 +198,9 @@ def resting_state(
 def _blocked(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], shared: Sequence[int]
 ) -> Float[np.ndarray, " m"]:
-    """At which share of the values of some joints each state touches the robot or the floor."""
+    """Return the share of shared joint values at which each state is in contact."""
     lower, upper = one_turn(chain)
-    count = max(2, round(SHARED ** (1 / len(shared))))
+    count = max(2, round(SHARED_VALUES ** (1 / len(shared))))
     values = np.array(list(product(*(np.linspace(lower[i], upper[i], count) for i in shared))))
     moved = np.repeat(q[:, None], len(values), axis=1)
     moved[:, :, list(shared)] = values
@@ -207,13 +209,13 @@ def _blocked(
 
 
 def _of_the_arm(chain: Chain, spheres: Spheres) -> Int[np.ndarray, " k"]:
-    """Groups of spheres that the arm's first turning joint moves; all where there are none."""
+    """Return the sphere groups beyond the first revolute joint; all if there are none."""
     first = chain.first_turn + 1
     own = np.flatnonzero(spheres.segment >= first)
     return own if len(own) else np.arange(len(spheres.segment))
 
 
 def _at_limits(chain: Chain, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
-    """How near the turning joint nearest to a limit is to it, 0 (away) to 1 (at it)."""
+    """Return how close a state's revolute joints are to a limit, 0 (far) to 1 (at it)."""
     gap = np.where(chain.prismatic, np.inf, np.minimum(q - chain.lower, chain.upper - q))
-    return np.clip(1.0 - gap.min(1) / NEAR_LIMIT, 0.0, 1.0)
+    return np.clip(1.0 - gap.min(1) / LIMIT_DISTANCE, 0.0, 1.0)

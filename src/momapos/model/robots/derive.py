@@ -1,8 +1,8 @@
-"""A robot file derived from a URDF alone.
+"""Derive a robot file from a URDF alone.
 
-URDFs do not say which link stands on the floor, which joints are an arm, or where the tool is.
-This module looks at names and geometry the way a person would, and puts every guess into words,
-so that a wrong one is seen and corrected in the file that it writes.
+URDFs do not state which link is on the floor, which joints form an arm, or where the tool is. This
+module infers them from names and geometry and reports every assumption, so that the user can
+correct the robot file.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import Cache, RobotError
-from momapos.model.collision import Spheres, build_spheres, decided
+from momapos.model.collision import Spheres, build_spheres, choose_exact_pairs
 from momapos.model.kinematics import Chain, build_chain
 from momapos.model.urdf import Articulated, Urdf
 
-from .amended_urdf import BOX, Amendments, Frame, Mount
+from .amended_urdf import BOX, AddedFrame, Amendments, Mount
 from .arm_states import inevitable_pairs, resting_state, sample_states
 from .base_guess import (
     find_base_link,
@@ -32,47 +32,47 @@ from .base_guess import (
 )
 from .fingers import find_force, jaws
 from .gripper_guess import find_grip, find_grips, find_tool, listed
-from .joint_tree import LEAST, ArmChain, find_anchor, find_arms
+from .joint_tree import MIN_ARM_JOINTS, ArmChain, find_anchor, find_arms
 from .never_checked import NESTED, nested_pairs, rigid_pairs, without
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
-from .srdf import Srdf, beside, find_srdf
+from .srdf import Srdf, find_srdf, srdf_next_to
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_LINKS = 500
 _SIDE = re.compile("left|right", re.I)
-Report = Callable[[float, str], None]
-"""Takes the share of the work that is done, and what is at work."""
+ReportProgress = Callable[[float, str], None]
+"""Receives the completed share of the work, and the current step."""
 
 
 @dataclass(frozen=True)
-class Source:
-    """What a robot file is derived from."""
+class RobotSource:
+    """Input of a derived robot file."""
 
     urdf: Path
     mount: Mount | None = None
-    """What the arm is put on."""
+    """Carrier of the arm."""
     packages: Mapping[str, Path] = field(default_factory=dict)
-    """Folders of packages by name."""
+    """Package folders by name."""
     content: str | None = None
-    """The URDF itself, where it is in no file yet."""
+    """Content of the URDF, if it is not in a file yet."""
     near: Path | None = None
-    """The file whose neighbor an SRDF is; the URDF where None."""
+    """File whose folder is searched for an SRDF; None for the URDF."""
 
 
 @dataclass(frozen=True)
 class Derived:
-    """What a URDF says about a robot, and what had to be assumed."""
+    """A derived robot file and its assumptions."""
 
     toml: str
-    """Text of the robot file."""
+    """Content of the robot file."""
     pairs: Mapping[tuple[str, str], str]
-    """Pairs of links that cannot help touching, with the reason, for an SRDF; those of the URDF's
-    SRDF too, where more are needed."""
+    """Pairs of links in permanent contact with the reason, for an SRDF; includes the pairs of the
+    URDF's own SRDF if more are needed."""
     assumptions: tuple[str, ...]
-    """What was guessed, in words; what may be wrong altogether comes first."""
+    """Assumptions, one line each, the most important first."""
 
 
 @dataclass(frozen=True)
@@ -81,33 +81,32 @@ class _Arm:
 
     chain: ArmChain
     text: ArmText
-    frame: Frame | None
+    frame: AddedFrame | None
 
 
 def derive_robot(
-    source: Path | Source,
+    source: Path | RobotSource,
     out: Path | None = None,
     *,
     seed: int = 0,
     cache: Cache | None = None,
-    report: Report = lambda _share, _what: None,
+    report: ReportProgress = lambda _share, _what: None,
 ) -> Derived:
     """Derive a robot file from a URDF.
 
     Args:
-        source: The URDF, and what is put around it. An SRDF beside it is believed.
-        out: Where the robot file will be; files are named relative to it. Beside the URDF where
-            None.
+        source: The URDF and its options. An SRDF next to it is used.
+        out: Future robot file, which paths are relative to; None for next to the URDF.
         seed: Seed of the sampled arm states.
-        cache: Where geometry is kept, so that it is computed once.
-        report: Is told how far the work is.
+        cache: Stores expensive geometry.
+        report: Receives the progress.
 
     Raises:
-        UrdfError: The URDF cannot be used.
-        RobotError: It has no arm, or no base; the message says what would help.
+        UrdfError: The URDF is invalid.
+        RobotError: The robot has no arm or no base; the message says what would help.
     """
     if isinstance(source, Path):
-        source = Source(source)
+        source = RobotSource(source)
     urdf, out = source.urdf, out or source.urdf.with_suffix(".toml")
     report(0.0, "reading")
     amendments = Amendments(mount=source.mount, packages=source.packages, content=source.content)
@@ -134,13 +133,13 @@ def derive_robot(
     pairs: dict[tuple[str, str], str] = {}
     for index, name in enumerate(names):
         report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")
-        arms[name], model, found = _settled(
+        arms[name], model, found = _with_home(
             model, base_link, arms, name, srdf, np.random.default_rng(seed), notes
         )
         pairs |= found
     ours = _our_srdf(pairs, srdf, urdf, out, notes)
     if source.mount is not None and BOX in model.links:
-        notes.append(f"base: a box, {' x '.join(f'{v:g}' for v in _box(source))} m, that drives")
+        notes.append(f"base: a driving box of {' x '.join(f'{v:g}' for v in _box(source))} m")
     notes.sort(key=lambda note: not note.startswith("IMPORTANT"))
     taken = {joint for arm in arms.values() for joint in arm.text.joints}
     mount_urdf = None if source.mount is None else source.mount.urdf
@@ -164,12 +163,12 @@ def derive_robot(
 
 
 def _chains(
-    model: Articulated, anchor: str, source: Source, srdf: Srdf, notes: list[str]
+    model: Articulated, anchor: str, source: RobotSource, srdf: Srdf, notes: list[str]
 ) -> list[ArmChain]:
-    """The arms, with the lift that stands for a part of the base where there is one.
+    """Find the arms, without a lift that belongs to the base.
 
     Raises:
-        RobotError: There is none, or no base below it.
+        RobotError: There is no arm, or no base below it.
     """
     chains = find_arms(model, anchor, _fingers(model, srdf), notes)
     _note_groups(model, chains, srdf, notes)
@@ -179,9 +178,9 @@ def _chains(
 
 
 def _resting_fingers(model: Articulated, arms: dict[str, _Arm]) -> dict[str, float]:
-    """Where fingers rest that do not rest where the URDF has them.
+    """Return the rest values of fingers that differ from the URDF's.
 
-    A gripper that rests open is planned for, drawn and executed as it comes to a handle.
+    The gripper rests open, because planning, drawing and execution start with an open gripper.
     """
     return {
         name: value
@@ -194,16 +193,16 @@ def _resting_fingers(model: Articulated, arms: dict[str, _Arm]) -> dict[str, flo
 def _our_srdf(
     pairs: dict[tuple[str, str], str], srdf: Srdf, urdf: Path, out: Path, notes: list[str]
 ) -> str:
-    """The SRDF that the robot file names: ours, or the user's where it is not beside the URDF."""
+    """Return the SRDF for the robot file: ours, or the user's if it is not next to the URDF."""
     ours = f"{out.stem}.srdf" if pairs else ""
     _note_pairs(pairs, srdf, ours, notes)
-    if not pairs and srdf.path is not None and srdf.path != beside(urdf.resolve()):
+    if not pairs and srdf.path is not None and srdf.path != srdf_next_to(urdf.resolve()):
         return _relative(srdf.path, out)
     return ours
 
 
 def _fingers(model: Articulated, srdf: Srdf) -> set[str]:
-    """Links below the one that an SRDF's end effector hangs from."""
+    """Return the links below the parent link of an SRDF's end effector."""
     return {
         link
         for parent, links in srdf.hands.items()
@@ -216,12 +215,12 @@ def _fingers(model: Articulated, srdf: Srdf) -> set[str]:
 def _note_groups(
     model: Articulated, chains: Sequence[ArmChain], srdf: Srdf, notes: list[str]
 ) -> None:
-    """Hold arms against the groups of an SRDF, each against the one that is most like it."""
+    """Compare each arm with the most similar joint group of the SRDF."""
     groups = {name: group.members(model) for name, group in srdf.groups.items()}
     for own in (set(chain.joints) for chain in chains):
         shared = {name: len(own & group) / len(own | group) for name, group in groups.items()}
         name = max(shared, key=lambda name: shared[name], default="")
-        if not name or len(own & groups[name]) < LEAST:
+        if not name or len(own & groups[name]) < MIN_ARM_JOINTS:
             continue
         more, less = sorted(groups[name] - own), sorted(own - groups[name])
         words = [f"{', '.join(more)} too"] * bool(more) + [f"no {', '.join(less)}"] * bool(less)
@@ -230,7 +229,7 @@ def _note_groups(
 
 
 def _same_shapes(record: Urdf, model: Articulated, held: Mapping[str, float]) -> Articulated:
-    """A model with other joints, frames and rest, that keeps the shapes of its links."""
+    """Return a model with other joints, frames and rest values, but the same link shapes."""
     again = Articulated(record, held, model.cache)
     for what in ("hulls", "boxes"):
         if what in vars(model):
@@ -239,7 +238,7 @@ def _same_shapes(record: Urdf, model: Articulated, held: Mapping[str, float]) ->
 
 
 def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
-    """Names of arms: left and right by their joints' names, or where they begin, y to the left."""
+    """Name the arms: left and right by joint names or by their positions, else by number."""
     if len(chains) == 1:
         return [""]
     own = [
@@ -259,7 +258,7 @@ def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
 
 
 def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _Arm:
-    """The tool of an arm, as far as it does not depend on states of the arm."""
+    """Return the tool of an arm, as far as it does not depend on states of the arm."""
     mine: list[str] = []
     link, gripper, fingers = find_tool(model, chain.last, mine)
     grip = find_grip(model, chain.last, link, fingers, mine)
@@ -271,7 +270,7 @@ def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _
     frame = None
     if grip.grasp is not None:
         x, y, z = (round(float(v), 4) for v in grip.grasp)
-        frame = Frame(f"{name}_grasp_frame" if name else "grasp_frame", link, (x, y, z))
+        frame = AddedFrame(f"{name}_grasp_frame" if name else "grasp_frame", link, (x, y, z))
     notes += [_of_arm(note, name) for note in mine]
     tool_link = link if frame is None else frame.name
     text = ArmText(
@@ -280,7 +279,7 @@ def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _
     return _Arm(chain, text, frame)
 
 
-def _settled(
+def _with_home(
     model: Articulated,
     base_link: str,
     arms: Mapping[str, _Arm],
@@ -289,10 +288,10 @@ def _settled(
     rng: np.random.Generator,
     notes: list[str],
 ) -> tuple[_Arm, Articulated, dict[tuple[str, str], str]]:
-    """Find where an arm rests while the base drives.
+    """Find the home state of an arm.
 
     Returns:
-        The arm, the model with it there, and pairs of links that cannot help touching.
+        The arm, the model with the arm at home, and pairs of links in permanent contact.
     """
     arm = arms[name]
     text = arm.text
@@ -301,7 +300,7 @@ def _settled(
     spheres = build_spheres(model, segments, srdf.disabled, gripper)
     q = np.vstack([sample_states(chain, rng), *_named_states(chain, srdf)])
     for index, joint in enumerate(text.joints):
-        if joint in model.held:  # shared with an arm that has its home already
+        if joint in model.held:  # shared with an arm that already has its home
             q[:, index] = model.held[joint]
     pairs = inevitable_pairs(chain, spheres, q) | nested_pairs(model, arm.chain, spheres)
     pairs |= rigid_pairs(model, chain, spheres, srdf)
@@ -309,7 +308,7 @@ def _settled(
     mine: list[str] = []
     others = {joint for key, other in arms.items() if key != name for joint in other.text.joints}
     shared = [index for index, joint in enumerate(text.joints) if joint in others]
-    home = _home(chain, decided(chain, spheres), q, shared, mine)
+    home = _home(chain, choose_exact_pairs(chain, spheres), q, shared, mine)
     notes += [_of_arm(note, name) for note in mine]
     held = dict(model.held)
     if len(arms) > 1:
@@ -319,7 +318,7 @@ def _settled(
 
 
 def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:
-    """States of the arm that an SRDF names, within its limits."""
+    """Return the arm states that an SRDF names, within the joint limits."""
     found = []
     for state in srdf.states:
         if all(name in state for name in chain.names):
@@ -338,18 +337,17 @@ def _home(
 ) -> Float[np.ndarray, " n"]:
     found = resting_state(chain, spheres, q, shared)
     if found is None:
-        notes.append("IMPORTANT: home: no state free of self-collision was found; give one")
+        notes.append("IMPORTANT: home: found no state free of self-collision; set home")
         return q[0]
     home, reach = found
     notes.append(
-        f"home: of {len(q)} states the one that keeps the arm within {reach:.2f} m of the "
-        f"base's origin, {listed(home)}"
+        f"home: the state out of {len(q)} that keeps the arm within {reach:.2f} m of the base's "
+        f"origin, {listed(home)}"
     )
     return home
 
 
 def _of_arm(note: str, name: str) -> str:
-    """A guess with the arm that it is about."""
     if not name:
         return note
     if note.startswith("IMPORTANT: "):
@@ -365,29 +363,28 @@ def _note_pairs(pairs: dict[tuple[str, str], str], srdf: Srdf, ours: str, notes:
     if pairs:
         always = sum(why == "Always" for why in pairs.values())
         nested = sum(why == NESTED for why in pairs.values())
-        stages = f", {nested} are stages of a telescope" if nested else ""
-        words = f"{always} touch in almost every state, {len(pairs) - always - nested} are"
+        stages = f", and {nested} are stages of a telescope" if nested else ""
+        neighbors = len(pairs) - always - nested
         notes.append(
-            f"self-collision: {len(pairs)} pairs of links are never checked, of which {words} "
-            f"neighbors that touch often{stages}; {ours} names them with the reason"
+            f"self-collision: {len(pairs)} pairs of links are never checked: {always} touch in "
+            f"almost every state, {neighbors} are neighbors that touch often{stages}; see {ours}"
         )
 
 
 def _name(model: Articulated, out: Path, notes: list[str]) -> str:
-    """The robot's name: the URDF's, unless a robot of the library has it."""
+    """Return the URDF's robot name, or another one if it belongs to a library robot."""
     name = re.sub(r"\W+", "_", model.urdf.name).strip("_") or "robot"
     if name not in library_names():
         return name
     own = re.sub(r"\W+", "_", out.stem).strip("_")
     own = own if own and own not in library_names() else f"my_{name}"
-    notes.append(f"name: {own}, as a robot of the library is called {name}")
+    notes.append(f"name: {own}, because {name} is a library robot")
     return own
 
 
 def _relative(path: Path, out: Path) -> str:
-    """How a robot file names another one."""
     return Path(os.path.relpath(path.resolve(), out.resolve().parent)).as_posix()
 
 
-def _box(source: Source) -> tuple[float, ...]:
+def _box(source: RobotSource) -> tuple[float, ...]:
     return () if source.mount is None or source.mount.box is None else source.mount.box

@@ -1,4 +1,4 @@
-"""Values of a robot file, checked as they are taken."""
+"""Checked access to the values of a robot file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-class Table:
-    """A TOML table whose values are checked as they are taken."""
+class TomlTable:
+    """A TOML table whose values are checked on access."""
 
     def __init__(self, data: Mapping[str, Any], path: Path, prefix: str = "") -> None:
         self.data, self.path, self.prefix = data, path, prefix
@@ -24,29 +24,29 @@ class Table:
     def _take(self, key: str) -> Any:
         if key not in self.data:
             near = difflib.get_close_matches(key, self.data, n=1)
-            hint = f"; is {near[0]!r} meant to be it?" if near else ""
+            hint = f"; did you mean {near[0]!r}?" if near else ""
             raise RobotError(f"{self.path}: {self.prefix}{key} is missing{hint}")
         return self.data[key]
 
-    def table(self, key: str) -> Table:
+    def table(self, key: str) -> TomlTable:
         value = self._take(key)
         if not isinstance(value, dict):
             raise RobotError(f"{self.path}: [{self.prefix}{key}] must be a table")
-        return Table(value, self.path, f"{self.prefix}{key}.")
+        return TomlTable(value, self.path, f"{self.prefix}{key}.")
 
-    def tables(self, key: str, most: int = 100) -> dict[str, Table]:
-        """The tables within a table by name; none where there is no such table."""
+    def tables(self, key: str, most: int = 100) -> dict[str, TomlTable]:
+        """Return the tables within a table by name; empty if the table is missing."""
         if key not in self.data:
             return {}
         outer = self.table(key)
         if len(outer.data) > most:
-            raise RobotError(f"{self.path}: [{self.prefix}{key}] holds more than {most} tables")
+            raise RobotError(f"{self.path}: [{self.prefix}{key}] has more than {most} tables")
         return {name: outer.table(name) for name in outer.data}
 
     def text(self, key: str) -> str:
         value = self._take(key)
         if not isinstance(value, str) or not value:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a text")
+            raise RobotError(f"{self.path}: {self.prefix}{key} must be a non-empty string")
         return value
 
     def texts(self, key: str) -> Sequence[str]:
@@ -72,7 +72,7 @@ class Table:
     def number(self, key: str, default: float = 0.0) -> float:
         value = self.data.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a number")
+            raise RobotError(f"{self.path}: {self.prefix}{key} must be a number of magnitude < 1e6")
         return float(value)
 
     def _numbers(self, key: str) -> Float[np.ndarray, "..."]:
@@ -81,7 +81,7 @@ class Table:
         except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{self.path}: {self.prefix}{key} must be numbers") from error
         if not np.isfinite(value).all():
-            raise RobotError(f"{self.path}: {self.prefix}{key} holds NaN or infinity")
+            raise RobotError(f"{self.path}: {self.prefix}{key} must not contain NaN or infinity")
         return value
 
     def vector(self, key: str) -> Float[np.ndarray, " n"]:
@@ -99,5 +99,5 @@ class Table:
     def unit(self, key: str) -> Float[np.ndarray, "3"]:
         value = self.vector(key)
         if value.shape != (3,) or np.linalg.norm(value) < 1e-9:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be 3 numbers, not all zero")
+            raise RobotError(f"{self.path}: {self.prefix}{key} must be 3 numbers, not all 0")
         return value / np.linalg.norm(value)

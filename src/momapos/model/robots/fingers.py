@@ -1,4 +1,4 @@
-"""How the fingers of a gripper open and how hard they close, as their joints and shapes tell."""
+"""Opening and closing force of a gripper, from its joints and shapes."""
 
 from __future__ import annotations
 
@@ -16,43 +16,44 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 THUMB = re.compile("thumb", re.I)
-NEAR_TIP = 0.03
-"""What is this near to the tip of a finger counts for the opening [m]."""
-LEAN = 0.2
-"""Pads that lean from facing each other by less still meet what is flat with their faces [rad]."""
-OPENINGS = (0.005, 0.5)
-"""Between these lies how far grippers open [m]."""
-FORCES = (5.0, 400.0)
-"""Closing forces that grippers have [N]; other effort limits are placeholders."""
-WEAK = 40.0
-"""A gripper that closes with less cannot hold against the seal of a fridge [N]."""
+TIP_LENGTH = 0.03
+"""Length of a fingertip that counts for the opening [m]."""
+MAX_PAD_ANGLE = 0.2
+"""Maximum angle between pads that can still hold a flat object with their faces [rad]."""
+PLAUSIBLE_OPENINGS = (0.005, 0.5)
+"""Range of plausible openings of a gripper [m]."""
+PLAUSIBLE_FORCES = (5.0, 400.0)
+"""Range of plausible closing forces [N]; other effort limits are placeholders."""
+MIN_DOOR_FORCE = 40.0
+"""Closing force below which a gripper cannot open a fridge with a seal [N]."""
 _STATES = 61
-"""States of the fingers that are looked at, from one end of their joints to the other [-]."""
+"""Number of finger states between the ends of their joints [-]."""
 _STEP = 1e-3
-"""Step of a joint over which the way of a tip is measured [rad] or [m]."""
-_LEAST_LEVER = 0.01
-"""Joints whose tip moves less along the closing axis do not close a finger [m/rad] or [-]."""
-_SAME = 1e-3
-"""Fingers whose joints begin within this of each other are told apart by their shapes [m]."""
+"""Step of a joint for the derivative of a fingertip's position [rad] or [m]."""
+_MIN_LEVER = 0.01
+"""Minimum motion of a fingertip along the closing axis per motion of a closing joint [m/rad] or
+[-]."""
+_MIN_ORIGIN_SPREAD = 1e-3
+"""Maximum distance between finger joints that are distinguished by shapes instead [m]."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """How far a gripper opens."""
+    """Opening of a gripper."""
 
     opening: float = 0.0
-    """Widest thing that fits [m]; 0 where the geometry does not tell."""
+    """Maximum width of an object that fits [m]; 0 if the geometry does not show it."""
     rest: Mapping[str, float] = field(default_factory=dict)
-    """Where the joints of its fingers are then [rad] or [m]."""
+    """Values of the finger joints at this opening [rad] or [m]."""
 
 
 def jaws(
     model: Articulated, tool: str, fingers: Sequence[str], closing: Float[np.ndarray, "3"]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The fingers on both sides of a gripper, those farther along its closing axis first.
+    """Split the fingers into the two sides of a gripper, along its closing axis.
 
-    A hand closes between its thumbs and its other fingers. Other fingers are sorted by where they
-    are hinged: at rest they may be anywhere, and cross each other.
+    A hand closes between its thumbs and its other fingers. Other fingers are sorted by their joint
+    origins, because at rest they can be anywhere and even cross each other.
     """
     poses = model.rest_poses
     T = invert(poses[tool])
@@ -61,7 +62,7 @@ def jaws(
         return (), ()
     hinge = np.array([(T @ poses[name])[:3, 3] @ closing for name in shaped])
     middle = np.array([np.mean(_span(model, tool, name, poses, closing)) for name in shaped])
-    at = hinge if np.ptp(hinge) > _SAME else middle
+    at = hinge if np.ptp(hinge) > _MIN_ORIGIN_SPREAD else middle
     thumb = np.array([bool(THUMB.search(name)) for name in shaped])
     if thumb.any() and not thumb.all():
         above = thumb if middle[thumb].mean() > middle[~thumb].mean() else ~thumb
@@ -77,26 +78,25 @@ def widest(
     sides: tuple[Sequence[str], Sequence[str]],
     axes: Float[np.ndarray, "2 3"],
 ) -> Stroke:
-    """The widest gap between the tips of two sides over what their joints can take.
+    """Return the widest gap between the tips of two sides over their joint limits.
 
-    All joints go from one end to the other together; where the limits of some have the opposite
-    sign, also these the other way. Pads that turn as they open count while they
-    still face each other.
+    All joints move together from one end to the other; if the limits of some have opposite signs,
+    also with these reversed. Rotating pads count while they still face each other.
 
     Args:
-        model, tool: The robot, and the frame that the axes are in.
-        sides: Fingers above and below, as `jaws` sorts them.
-        axes: The closing axis and the approach axis.
+        model, tool: The robot, and the frame of the axes.
+        sides: Fingers of both sides, as from `jaws`.
+        axes: Closing axis and approach axis.
     """
     thumb = any(THUMB.search(name) for side in sides for name in side)
     best = Stroke()
-    for names, states in _ways(model, sides):
+    for names, states in _strokes(model, sides):
         gap, pads = _gaps(model, tool, sides, names, states, axes)
         met = pads[int(np.argmin(np.abs(gap)))]
         lean = np.arccos(np.clip((pads * met).sum(-1), -1.0, 1.0)).max(-1)
-        holds = np.flatnonzero(thumb | (lean <= LEAN))
+        holds = np.flatnonzero(thumb | (lean <= MAX_PAD_ANGLE))
         k = holds[int(np.argmax(gap[holds]))]
-        if best.opening < gap[k] and OPENINGS[0] < gap[k] < OPENINGS[1]:
+        if best.opening < gap[k] and PLAUSIBLE_OPENINGS[0] < gap[k] < PLAUSIBLE_OPENINGS[1]:
             rest = {} if thumb else dict(zip(names, np.round(states[k], 4).tolist(), strict=True))
             best = Stroke(float(gap[k]), rest)
     return Stroke(round(best.opening, 3), best.rest)
@@ -108,13 +108,13 @@ def facing(
     sides: tuple[Sequence[str], Sequence[str]],
     axes: Float[np.ndarray, "2 3"],
 ) -> tuple[dict[str, float], float]:
-    """Where the pads of fingers that turn face each other: as near to meeting as they come.
+    """Find the state in which the pads of rotating fingers face each other, closest to contact.
 
     Returns:
-        Values of their joints, and how wide the gap is at rest [m].
+        Values of their joints, and the width of the gap at rest [m].
     """
     found = []
-    for names, states in _ways(model, sides):
+    for names, states in _strokes(model, sides):
         gap, _ = _gaps(model, tool, sides, names, states, axes)
         k = int(np.argmin(np.abs(gap)))
         found.append((abs(gap[k]), dict(zip(names, states[k].tolist(), strict=True))))
@@ -122,10 +122,10 @@ def facing(
     return values, _gap(model, tool, sides, {}, axes)[0]
 
 
-def _ways(
+def _strokes(
     model: Articulated, sides: tuple[Sequence[str], Sequence[str]]
 ) -> list[tuple[list[str], Float[np.ndarray, "m n"]]]:
-    """Names of the fingers' joints, and states of them from one end to the other."""
+    """Return the names of the finger joints, and their states from one end to the other."""
     inside = {link for side in sides for name in side for link in model.links_below(name)}
     movers = [
         joint
@@ -147,7 +147,6 @@ def _gaps(
     states: Float[np.ndarray, "m n"],
     axes: Float[np.ndarray, "2 3"],
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m 2 3"]]:
-    """What `_gap` says of some states."""
     found = [
         _gap(model, tool, sides, dict(zip(names, q, strict=True)), axes) for q in states.tolist()
     ]
@@ -161,7 +160,7 @@ def _gap(
     values: Mapping[str, float],
     axes: Float[np.ndarray, "2 3"],
 ) -> tuple[float, Float[np.ndarray, "2 3"]]:
-    """The gap between the tips of two sides [m], negative where they overlap.
+    """Return the gap between the tips of two sides [m], negative if they overlap.
 
     Returns:
         The gap, and the closing axis in the frame of the link at each tip.
@@ -170,8 +169,8 @@ def _gap(
     T = invert(poses[tool])
     ends, pads = [], []
     for side in sides:
-        # Of a hand with a thumb, which is shorter, all counts.
-        near = np.inf if any(map(THUMB.search, side)) or len(side) > 2 else NEAR_TIP
+        # The thumb of a hand is shorter, so the whole fingers count.
+        near = np.inf if any(map(THUMB.search, side)) or len(side) > 2 else TIP_LENGTH
         links = [n for name in side for n in model.links_below(name) if model.hulls[n]]
         reach = {
             n: max(
@@ -198,13 +197,13 @@ def find_force(
     axes: Float[np.ndarray, "2 3"],
     notes: list[str],
 ) -> float | None:
-    """The force that each finger closes with, by the effort limits of their joints [N].
+    """Derive the closing force of each finger from the effort limits of its joints [N].
 
-    A joint's effort, divided by how far the tip of its finger moves along the closing axis for a
-    step of it; joints that move the tip elsewhere, as those that spread fingers, say nothing.
+    The force is the effort over the motion of the fingertip along the closing axis per motion of
+    the joint. Joints that move the tip in other directions, such as a spread, are ignored.
 
     Returns:
-        None where the URDF gives none that a gripper could have.
+        None if the URDF has no plausible limit.
     """
     found: dict[str, float] = {}
     for finger in (name for side in sides for name in side):
@@ -212,17 +211,21 @@ def find_force(
         for joint in model.joints.values():
             if joint.child in below and joint.mimic is None and np.isfinite(joint.effort):
                 lever = _lever(model, tool, finger, joint.name, axes)
-                if lever > _LEAST_LEVER:
+                if lever > _MIN_LEVER:
                     found[joint.name] = joint.effort / lever
-    usable = {name: force for name, force in found.items() if FORCES[0] <= force <= FORCES[1]}
+    usable = {
+        name: force
+        for name, force in found.items()
+        if PLAUSIBLE_FORCES[0] <= force <= PLAUSIBLE_FORCES[1]
+    }
     if not usable:
-        notes.append("force: no URDF limits say how strong the gripper is; give tool.force")
+        notes.append("force: the URDF has no plausible effort limit; set tool.force")
         return None
     name = min(usable, key=lambda key: usable[key])
-    weak = "; doors need more: what does the gripper's data sheet say?"
+    weak = "; doors need more: check the gripper's data sheet"
     notes.append(
-        f"force: {usable[name]:.0f} N of each finger, from the effort limit of {name}"
-        f"{weak if usable[name] < WEAK else ''}"
+        f"force: {usable[name]:.0f} N per finger, from the effort limit of {name}"
+        f"{weak if usable[name] < MIN_DOOR_FORCE else ''}"
     )
     return round(usable[name], 1)
 
@@ -230,7 +233,7 @@ def find_force(
 def _lever(
     model: Articulated, tool: str, finger: str, joint: str, axes: Float[np.ndarray, "2 3"]
 ) -> float:
-    """How far the tip of a finger moves along the closing axis for a step of a joint."""
+    """Return the motion of a fingertip along the closing axis per motion of a joint."""
     rest = model.rest[joint]
     step = _STEP if rest + _STEP <= model.joint(joint).upper else -_STEP
     poses = model.rest_poses
@@ -261,7 +264,7 @@ def _span(
     poses: Mapping[str, Float[np.ndarray, "4 4"]],
     axis: Float[np.ndarray, "3"],
 ) -> tuple[float, float]:
-    """From where to where a finger is along an axis of the tool's frame [m]."""
+    """Return the extent of a finger along an axis of the tool frame [m]."""
     T = invert(poses[tool])
     across = np.concatenate(
         [

@@ -1,7 +1,7 @@
-"""Fingertips that lean where they meet: files draw fingers as stiff links, and they are not.
+"""Compliant fingertips, which files model as rigid links that lean.
 
-Strips that bend, linkages and soft cups keep the tips of such fingers facing each other. Planning
-takes them as turned so, physics gives them a joint that does it.
+Flexible strips, linkages and soft cups keep such fingertips facing each other. Planning rotates
+them accordingly, and the simulation adds a joint that does it.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ from .robot import Robot
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-SQUARE = 0.9999
-"""Tips with no axis as near to the closing axis are turned until one is [-]."""
-AWRY = 0.7
-"""Unless none of theirs is even so near [-]."""
-ALONG = 0.98
-"""A finger and its tip turn about one axis up to this cosine [-]."""
+FACING_COSINE = 0.9999
+"""Cosine to the closing axis above which a tip already faces the object [-]."""
+MIN_FACING_COSINE = 0.7
+"""Cosine to the closing axis below which no axis of a tip is meant to face the object [-]."""
+PARALLEL_COSINE = 0.98
+"""Minimum cosine between the axes of a finger and its tip that count as parallel [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pivot:
-    """How a link at the tip of a finger turns on it, so that it faces the other side."""
+    """Rotation of a fingertip link on its finger, so that it faces the other side."""
 
     link: str
-    """Its joint is named after it, see `name`."""
+    """The link; its joint has the `name` below."""
     center: Float[np.ndarray, "3"]
-    """A point on the axis, in the link [m]."""
+    """Point on the axis, in the link frame [m]."""
     axis: Float[np.ndarray, "3"]
-    """Unit vector, in the link; a finger that turns does so about the same one."""
+    """Unit vector in the link frame; parallel to a rotating finger's own axis."""
     joint: str
-    """Of the finger."""
+    """Joint of the finger."""
     ratio: float
-    """-1 where the finger turns: the tip turns back as much; 0 where it slides [-]."""
+    """-1 for a rotating finger, whose rotation the tip reverses; 0 for a sliding one [-]."""
     offset: float
-    """The tip's turn where the finger's joint is at zero [rad]."""
+    """Rotation of the tip when the finger joint is at zero [rad]."""
 
     @property
     def name(self) -> str:
-        """Of the joint that it stands for; no URDF has such a name by chance."""
+        """Name of the joint that it represents; URDF names do not look like this."""
         return f"{self.link} pivot"
 
 
 def finger_links(robot: Robot) -> set[str]:
-    """The links of a gripper's fingers: those with a shape that joints beyond the arm's move."""
+    """Return the finger links of a gripper: links with a shape that non-arm joints move."""
     spheres, model = robot.spheres, robot.model
     arm = {model.joint(name).child for name in robot.moved_joints}
     moved = {
@@ -68,11 +68,11 @@ def finger_links(robot: Robot) -> set[str]:
 
 
 def facing_pose(robot: Robot, fingers: set[str]) -> tuple[dict[str, float], float | None]:
-    """Where the joints of fingers that turn are when their pads face each other.
+    """Find the joint values at which the pads of rotating fingers face each other.
 
     Returns:
-        Their values, and how far apart the pads are at rest [m]; nothing for fingers that slide,
-        which face each other anyway, and for those that are not two sides.
+        The values, and the gap of the pads at rest [m]; nothing for sliding fingers, whose pads
+        always face each other, and for fingers that do not form two sides.
     """
     model = robot.model
     joints = [joint for joint in model.joints.values() if joint.child in fingers]
@@ -88,7 +88,7 @@ def facing_pose(robot: Robot, fingers: set[str]) -> tuple[dict[str, float], floa
 def tips_of(
     robot: Robot, Ts_tool_link: Mapping[str, Float[np.ndarray, "4 4"]]
 ) -> set[tuple[str, int]]:
-    """The shapes that reach farthest along the approach on each side: link, and which of its."""
+    """Return the shapes that reach farthest along the approach on each side: link and index."""
     reach: dict[bool, tuple[float, tuple[str, int]]] = {}
     for link, T in Ts_tool_link.items():
         for index, hull in enumerate(robot.model.hulls[link]):
@@ -102,14 +102,14 @@ def tips_of(
 def squaring_turn(
     boxes: Boxes, closing: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
-    """The turn after which a fingertip faces what is held; None where it does already.
+    """Return the rotation that makes a fingertip face the object; None if it already does.
 
     Returns:
-        A point on its axis [m], and the axis times its angle [rad].
+        A point on the axis [m], and the axis times the angle [rad].
     """
     along = np.einsum("bij,i->bj", boxes.rotation, closing)
     nearest = np.abs(along).max(1)
-    if not ((nearest > AWRY) & (nearest < SQUARE)).any():
+    if not ((nearest > MIN_FACING_COSINE) & (nearest < FACING_COSINE)).any():
         return None
     b = int(np.argmax(boxes.half.prod(1)))
     column = int(np.argmax(np.abs(along[b])))
@@ -120,7 +120,7 @@ def squaring_turn(
 
 
 def squared(boxes: Boxes, closing: Float[np.ndarray, "3"]) -> Boxes | None:
-    """The boxes of a fingertip, turned until they face what is held; None where they do."""
+    """Return the boxes of a fingertip, rotated to face the object; None if they already do."""
     turn = squaring_turn(boxes, closing)
     if turn is None:
         return None
@@ -129,9 +129,9 @@ def squared(boxes: Boxes, closing: Float[np.ndarray, "3"]) -> Boxes | None:
 
 
 def pivots(robot: Robot) -> tuple[Pivot, ...]:
-    """The turning tips of a gripper: links of their own, fixed to a finger with a joint.
+    """Find the rotating tips of a gripper: separate links, fixed to a finger with a joint.
 
-    A tip that is drawn in one link with its finger leans with it.
+    A tip in the same link as its finger leans with it.
     """
     model, fingers = robot.model, finger_links(robot)
     values, _ = facing_pose(robot, fingers)
@@ -154,7 +154,7 @@ def pivots(robot: Robot) -> tuple[Pivot, ...]:
         axis, ratio, offset = turn[1] / angle, 0.0, angle
         if driver.kind != "prismatic":
             axis = (T_tool_root @ poses[driver.child])[:3, :3] @ driver.axis
-            if abs(axis @ turn[1]) < ALONG * angle:
+            if abs(axis @ turn[1]) < PARALLEL_COSINE * angle:
                 continue
             value = values.get(driver.name, model.rest[driver.name])
             ratio, offset = -1.0, float(axis @ turn[1]) + value

@@ -1,4 +1,4 @@
-"""Which joints of a URDF are arms: the tree of links, and what its names say."""
+"""Find the arms in a URDF's tree of joints, also by their names."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LEG = re.compile(
 )
 _GRIPPER = re.compile(r"gripper|hand", re.I)
 _TURNS = re.compile(r"wrist|roll|yaw|pitch|flex|rotat|lift", re.I)
-LEAST = 4
-"""Joints that an arm has at least [-]."""
-HAND_SIZE = 0.35
-"""What forks and is smaller than this is a hand, what is larger a body with two arms [m]."""
+MIN_ARM_JOINTS = 4
+"""Minimum number of joints of an arm [-]."""
+MAX_HAND_SIZE = 0.35
+"""Size of a fork in the tree that separates a hand (smaller) from a body with two arms [m]."""
 
 
 @dataclass(frozen=True)
@@ -32,24 +32,24 @@ class ArmChain:
     """An arm of a robot."""
 
     joints: tuple[str, ...]
-    """Base to tool; those that follow another are left out."""
+    """Joints from base to tool, without mimic joints."""
     last: str
-    """The link that the last of them moves."""
+    """Link that the last joint moves."""
     coupled: tuple[tuple[str, Mimic], ...] = ()
-    """Stages of a telescope, which follow its first."""
+    """Stages of a telescope, which follow its first stage."""
 
 
 @dataclass(frozen=True)
 class _Path:
-    """A way from the base to where movable joints end, or a hand begins."""
+    """Path from the base to the last movable joint or to a hand."""
 
     joints: tuple[Joint, ...]
     hand: bool
-    """Whether something like a hand is there."""
+    """Whether the path ends at a hand."""
 
 
 def find_anchor(model: Articulated, notes: list[str]) -> str:
-    """The link that carries the base: below the joints that stand for driving, as in Fetch's."""
+    """Return the link that carries the base, below virtual driving joints such as Fetch's."""
     anchor, link = model.urdf.root, model.urdf.root
     run: list[Joint] = []
     while not model.urdf.links[link].collisions and len(joints_below(model, link)) == 1:
@@ -66,34 +66,36 @@ def find_anchor(model: Articulated, notes: list[str]) -> str:
         anchor, virtual = run[-1].child, [joint.name for joint in run]
     virtual += model.urdf.rigid
     if virtual:
-        notes.append(f"{', '.join(virtual)} stand for driving: they are not joints of the arm")
+        notes.append(f"{', '.join(virtual)} represent driving: they are not joints of the arm")
     return anchor
 
 
 def find_arms(
     model: Articulated, anchor: str, fingers: Collection[str], notes: list[str]
 ) -> list[ArmChain]:
-    """All arms of a robot: chains of joints that end where a hand begins.
+    """Find all arms of a robot: chains of joints that end where a hand begins.
 
     Args:
         model: The robot.
-        anchor: The link that carries the base.
-        fingers: Links that belong to hands, as an SRDF says.
-        notes: Gets the guesses, in words.
+        anchor: Link that carries the base.
+        fingers: Links of hands according to an SRDF.
+        notes: Receives the assumptions.
 
     Raises:
-        RobotError: It has none; the message says what it is instead, and what would help.
+        RobotError: There is no arm; the message says what would help.
     """
     paths = _paths(model, anchor, fingers)
     legs = [path for path in paths if any(_named(_LEG, joint) for joint in path.joints)]
-    arms = [path for path in paths if path not in legs and len(_leaders(path.joints)) >= LEAST]
+    arms = [
+        path for path in paths if path not in legs and len(_leaders(path.joints)) >= MIN_ARM_JOINTS
+    ]
     wheels = any(_named(WHEEL, joint) for joint in model.urdf.joints)
     if len(legs) > 1 and not wheels:
         raise RobotError(_walks(model, legs, arms))
     if not arms:
         raise RobotError(_no_arm(model, paths, wheels))
     if not wheels and _only_a_hand(model, anchor):
-        raise RobotError(_hand_alone(model, "all that moves is fingers"))
+        raise RobotError(_hand_alone(model, "only fingers move"))
     named = [path for path in arms if path.hand]
     longest = max(len(path.joints) for path in arms)
     chosen = named or [path for path in arms if len(path.joints) == longest]
@@ -102,7 +104,7 @@ def find_arms(
         notes.append(f"arm_joints: a chain that ends in a hand, {', '.join(chain.joints)}")
     if not named:
         notes[-1] = notes[-1].replace("a chain that ends in a hand", "the longest chain")
-        notes.append("nothing is named like a hand or tool; the arm is just the longest chain")
+        notes.append("no name indicates a hand or tool; the arm is the longest chain")
     return chains
 
 
@@ -131,18 +133,18 @@ def _paths(model: Articulated, anchor: str, fingers: Collection[str]) -> list[_P
 def _is_hand(
     model: Articulated, joints: Sequence[Joint], below: Sequence[Joint], fingers: Collection[str]
 ) -> bool:
-    """Whether what hangs from a body is a hand's fingers."""
+    """Return whether the joints below a body are those of fingers."""
     if any(joint.child in fingers or _is_finger(model, joint) for joint in below):
         return True
-    return len(joints) >= LEAST and len(below) > 1 and _size(model, below) < HAND_SIZE
+    return len(joints) >= MIN_ARM_JOINTS and len(below) > 1 and _size(model, below) < MAX_HAND_SIZE
 
 
 def _only_a_hand(model: Articulated, anchor: str) -> bool:
-    """Whether what hangs from the base are the fingers of a hand, of as many joints as arms."""
+    """Return whether the base carries only fingers, even with as many joints as an arm."""
     if anchor != model.urdf.root:
         return False
     below = [j for name in fixed_to(model, anchor) for j in joints_below(model, name) if j.movable]
-    return len(below) > 2 and _size(model, below) < HAND_SIZE
+    return len(below) > 2 and _size(model, below) < MAX_HAND_SIZE
 
 
 def _is_finger(model: Articulated, joint: Joint) -> bool:
@@ -153,7 +155,7 @@ def _is_finger(model: Articulated, joint: Joint) -> bool:
 
 
 def _size(model: Articulated, below: Sequence[Joint]) -> float:
-    """How far links lie from where joints begin that one body carries [m]."""
+    """Return the extent of the links below some joints, from the joints' parent [m]."""
     poses = model.rest_poses
     return max(
         float(np.linalg.norm(poses[link][:3, 3] - poses[joint.parent][:3, 3]))
@@ -163,7 +165,7 @@ def _size(model: Articulated, below: Sequence[Joint]) -> float:
 
 
 def _depth(model: Articulated, joint: Joint) -> int:
-    """Movable joints on the longest way down from a joint, itself included."""
+    """Return the number of movable joints on the longest path down from a joint, including it."""
     deepest, stack = 0, [(joint, 0)]
     while stack:
         current, above = stack.pop()
@@ -182,14 +184,14 @@ def _leaders(joints: Sequence[Joint]) -> list[Joint]:
 
 
 def _distinct(paths: Sequence[_Path]) -> list[_Path]:
-    """The paths that no other one goes on from, and each end but once."""
+    """Return the paths that no other one continues, without duplicate ends."""
     ends = {path.joints[-1].name: path for path in paths}
     inner = {joint.name for path in paths for joint in path.joints[:-1]}
     return [path for name, path in ends.items() if name not in inner]
 
 
 def _chain(model: Articulated, joints: Sequence[Joint], notes: list[str]) -> ArmChain:
-    """An arm with its telescopes as one joint each."""
+    """Return an arm with each telescope as one joint."""
     coupled: list[tuple[str, Mimic]] = []
     names = [joint.name for joint in _leaders(joints)]
     poses = model.rest_poses
@@ -201,12 +203,12 @@ def _chain(model: Articulated, joints: Sequence[Joint], notes: list[str]) -> Arm
             names.remove(after.name)
     if coupled:
         stages = [coupled[0][1].joint, *(name for name, _ in coupled)]
-        notes.append(f"coupled: {', '.join(stages)} are the stages of a telescope: one joint")
+        notes.append(f"coupled: {', '.join(stages)} are stages of a telescope and act as one joint")
     return ArmChain(tuple(names), joints[-1].child, tuple(coupled))
 
 
 def _stage(before: Joint, after: Joint, poses: dict[str, np.ndarray]) -> bool:
-    """Whether two joints in a row slide along one line, by as much."""
+    """Return whether two successive joints slide along the same direction by the same travel."""
     if not before.kind == after.kind == "prismatic":
         return False
     axes = [poses[joint.child][:3, :3] @ joint.axis for joint in (before, after)]
@@ -216,15 +218,15 @@ def _stage(before: Joint, after: Joint, poses: dict[str, np.ndarray]) -> bool:
 
 def _walks(model: Articulated, legs: Sequence[_Path], arms: Sequence[_Path]) -> str:
     names = ", ".join(path.joints[0].name for path in legs[:4])
-    arm = "" if arms else ", and it has no arm"
+    arm = "" if arms else " and has no arm"
     return (
-        f"{model.urdf.path}: it walks on {len(legs)} legs ({names}){arm}; momapos plans for bases "
-        "that drive. "
+        f"{model.urdf.path}: the robot walks on {len(legs)} legs ({names}){arm}; momapos plans for "
+        "bases that drive. "
         + (
-            'To use its arm as if it drove: make the joints of the legs type="fixed" in the URDF, '
-            "as it stands"
+            'To plan as if it drove, make the leg joints type="fixed" in the URDF, in a standing '
+            "pose"
             if arms
-            else "An arm is needed, on a base that drives"
+            else "Give a robot with an arm on a driving base"
         )
     )
 
@@ -235,17 +237,19 @@ def _no_arm(model: Articulated, paths: Sequence[_Path], wheels: bool) -> str:
     most = max((len(_leaders(way.joints)) for way in paths), default=0)
     if wheels:
         return (
-            f"{path}: a base without an arm: no chain of movable joints ends in a hand; put an arm "
-            "on it with the table [mount] of a robot file (see docs/robots.md)"
+            f"{path}: the base has no arm: no chain of movable joints ends in a hand; add an arm "
+            "with the table [mount] of a robot file (docs/robots.md)"
         )
-    if hands and most < LEAST:
-        return _hand_alone(model, f"it has fingers, but no arm with {LEAST} joints or more")
+    if hands and most < MIN_ARM_JOINTS:
+        return _hand_alone(
+            model, f"it has fingers, but no arm with at least {MIN_ARM_JOINTS} joints"
+        )
     return (
-        f"{path}: no chain of movable joints that could be an arm: the longest has {most}, an arm "
-        f"needs {LEAST}; give the URDF of the whole robot, or write the robot file by hand (see "
-        "docs/robots.md)"
+        f"{path}: no chain of movable joints can be an arm: the longest has {most}, an arm needs "
+        f"at least {MIN_ARM_JOINTS}; give the URDF of the whole robot, or write the robot file by "
+        "hand (docs/robots.md)"
     )
 
 
 def _hand_alone(model: Articulated, why: str) -> str:
-    return f"{model.urdf.path}: a hand alone: {why}; give the URDF of the arm that carries it"
+    return f"{model.urdf.path}: the robot is a hand alone: {why}; give the URDF of the whole arm"

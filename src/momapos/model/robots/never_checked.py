@@ -1,4 +1,4 @@
-"""Pairs of links whose contact says nothing, as their joints tell."""
+"""Pairs of links whose contact is meaningless, because of their joints."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from .joint_tree import ArmChain
 from .srdf import Srdf
 
 NESTED = "Nested"
-"""Why an SRDF of ours disables two stages of a telescope."""
+"""Reason in our SRDFs for pairs of telescope stages."""
 
 
 def nested_pairs(
     model: Articulated, chain: ArmChain, spheres: Spheres
 ) -> dict[tuple[str, str], str]:
-    """Pairs of a telescope's stages and of what bears it: they slide in each other, which hulls
-    take for contact."""
+    """Return the pairs of a telescope's stages and its carrier, whose hulls overlap by design."""
     slides = {name for follower, mimic in chain.coupled for name in (follower, mimic.joint)}
     joints = [model.joint(name) for name in slides]
     stages = {joint.child for joint in joints} | {joint.parent for joint in joints}
@@ -39,7 +38,7 @@ def nested_pairs(
 def rigid_pairs(
     model: Articulated, chain: Chain, spheres: Spheres, srdf: Srdf
 ) -> dict[tuple[str, str], str]:
-    """Pairs of links that touch at rest and that no joint of the arm moves against each other."""
+    """Return the pairs of links that touch at rest and that no arm joint moves relatively."""
     joined, links = neighbors(model), spheres.links
     i, j = np.triu_indices(len(links), 1)
     rows = np.flatnonzero((spheres.segment[i] == spheres.segment[j]) & (spheres.segment[i] > 0))
@@ -59,7 +58,7 @@ def rigid_pairs(
 
 
 def without(spheres: Spheres, pairs: Collection[tuple[str, str]]) -> Spheres:
-    """The same robot with some pairs of links never checked against each other."""
+    """Return the collision model without checks of some pairs of links."""
     never = {frozenset(pair) for pair in pairs}
     links = spheres.links
     keep = np.array([frozenset((links[i], links[j])) not in never for i, j in spheres.pairs], bool)

@@ -1,4 +1,4 @@
-"""The robot record, read from a TOML file beside a URDF."""
+"""The robot record, and its robot file: TOML next to a URDF."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from momapos.core import Cache, RobotError, UnknownNameError, unknown_name
+from momapos.core import Cache, RobotError, UnknownNameError, as_path, expect, unknown_name
 from momapos.core.geometry import apply, invert
 from momapos.model.collision import LinkHulls, Spheres, arm_spheres
 from momapos.model.kinematics import Chain, IkModel, Segments, build_chain, build_ik, fine_ik
 from momapos.model.urdf import Articulated, Boxes, once
 
-from .file_values import Table
+from .file_values import TomlTable
 from .gripper_guess import FINGER, HAND
 from .robot_names import find_robot, library_file
 from .robot_tables import (
@@ -27,10 +27,10 @@ from .robot_tables import (
     amendments_of,
     arm_tables,
     at_rest,
-    beside,
     check_version,
     choose_arms,
     read_table,
+    resolve_path,
     srdf_of,
 )
 from .srdf import read_srdf
@@ -38,42 +38,42 @@ from .srdf import read_srdf
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-MAX_OUTLINE = 1_000
-"""Corners of a footprint [-]."""
+MAX_FOOTPRINT_CORNERS = 1_000
+"""Maximum number of footprint corners [-]."""
 MAX_REACH = 5.0
-"""Reach of an arm [m]; maps and grids grow with its cube."""
+"""Maximum reach of an arm [m]; the size of maps and grids grows with its cube."""
 Drive = Literal["differential", "omni"]
 ASSUMED_FORCE, ASSUMED_OPENING = 60.0, 0.08
-"""Closing force of a finger [N] and opening [m] of a gripper whose file does not say."""
+"""Assumed finger force [N] and gripper opening [m] if the robot file does not state them."""
 
 
 class Grip(StrEnum):
-    """What a tool holds things with; the words stand in robot files."""
+    """What a tool holds with. Robot files contain these strings."""
 
     FINGERS = "fingers"
     """Fingers that close."""
     SUCTION = "suction"
-    """A cup, or a magnet: it holds what it touches."""
+    """A suction cup or magnet, which holds what it touches."""
     HOOK = "hook"
-    """A stiff finger that pulls from behind."""
+    """A rigid finger that pulls from behind."""
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A mobile base with one arm and one tool; one is equal to itself alone."""
+    """A mobile base with one arm and one tool. Equality is identity."""
 
     name: str
     path: Path
-    """The TOML file."""
+    """Robot file (TOML)."""
     model: Articulated
     base_link: str
-    """Stands on the floor, x forward."""
+    """Link on the floor, x forward."""
     tool_link: str
     arm_joints: tuple[str, ...]
-    """Base to tool; a torso comes first."""
+    """Base to tool; a torso joint comes first."""
     gripper_links: tuple[str, ...]
     home: Float[np.ndarray, " n"]
-    """Where the arm is while the base drives."""
+    """State of the arm while the base drives."""
     footprint: Float[np.ndarray, "k 2"]
     """Convex outline of the base in its own frame, counterclockwise [m]."""
     drive: Drive
@@ -82,42 +82,42 @@ class Robot:
     max_acceleration: float
     max_yaw_acceleration: float
     approach_axis: Float[np.ndarray, "3"]
-    """Unit vector in the tool frame along which the gripper moves onto things."""
+    """Unit vector in the tool frame along which the gripper approaches an object."""
     closing_axis: Float[np.ndarray, "3"]
     """Unit vector in the tool frame along which the fingers close."""
     opening: float
-    """Widest thing that fits between the fingers [m]."""
+    """Maximum width of an object between the fingers [m]."""
     disabled: frozenset[frozenset[str]]
     """Pairs of links whose contact is never checked."""
 
     srdf: Path | None = None
-    """The file that names those pairs; None where there is none."""
+    """File with these pairs; None without one."""
     grips: Grip = Grip.FINGERS
     """What the tool holds with."""
     grip_force: float = ASSUMED_FORCE
     """Closing force of each finger, or pull of a suction cup [N]."""
     assumed: tuple[str, ...] = ()
-    """What the robot's file leaves out about the gripper, and what is taken instead, in words."""
+    """Assumptions about the gripper that the robot file leaves out, one line each."""
     arm: str = ""
-    """Which of its arms this is; empty where it has one."""
+    """Name of this arm; "" for a robot with one arm."""
     arms: tuple[str, ...] = ()
-    """Names of all its arms; none where it has one. The others rest at their homes."""
+    """Names of all arms; empty for a robot with one arm. The other arms rest at home."""
     other_arms: tuple[str, ...] = ()
     """Joints of the other arms."""
     payload: float | None = None
-    """What the arm can carry [kg]; None where the file does not say."""
+    """Payload of the arm [kg]; None if unknown."""
     amended: str | None = None
-    """The URDF with what the robot file adds to it, meshes by absolute names; None where it is used
-    as it is."""
+    """URDF with the robot file's additions and absolute mesh paths; None if the URDF is used
+    unchanged."""
 
     @property
     def source(self) -> str:
-        """What `load_robot` finds it by: its name in the library, or the path of its file."""
+        """Argument of `load_robot`: the library name, or the path of the robot file."""
         return self.name if self.path == library_file(self.name) else str(self.path)
 
     @property
     def title(self) -> str:
-        """Its name, and which arm this is where it has several."""
+        """Name of the robot, and of the arm if it has several."""
         return f"{self.name}, arm {self.arm}" if self.arm else self.name
 
     def __repr__(self) -> str:
@@ -131,35 +131,35 @@ class Robot:
 
     @property
     def chain(self) -> Chain:
-        """The arm."""
+        """Kinematic chain of the arm."""
         return self._parts[0]
 
     @property
     def moved_joints(self) -> tuple[str, ...]:
-        """The joints of the arm and those that follow them, base to tool: what a plan names."""
+        """Joints of the arm and their followers, base to tool, as in a plan."""
         return self.chain.joints
 
     @property
     def segments(self) -> Segments:
-        """Which link moves with which joint."""
+        """Moving segment of each link."""
         return self._parts[1]
 
     @cached_property
     def ik(self) -> IkModel:
-        """How the arm is inverted."""
+        """Inverse kinematics of the arm."""
         return build_ik(self.chain)
 
     @cached_property
     def finer(self) -> Robot:
-        """The same robot with inverse kinematics that overlooks less and takes longer."""
+        """The same robot with a finer inverse kinematics, which misses less and takes longer."""
         ik, finer = fine_ik(self.chain), copy(self)
         vars(finer)["ik"] = ik
         return finer
 
     @cached_property
     def spheres(self) -> Spheres:
-        """Collision spheres of the arm, boxes of the base."""
-        return self.model.kept(
+        """Collision spheres of the arm, and boxes of the base."""
+        return self.model.cached(
             "spheres",
             lambda: arm_spheres(
                 self.model, self.chain, self.segments, self.disabled, self.gripper_links
@@ -171,12 +171,12 @@ class Robot:
 
     @property
     def base(self) -> Boxes:
-        """The base as boxes in its own frame."""
+        """Boxes of the base, in its own frame."""
         return self.spheres.base
 
     @cached_property
     def has_gripper(self) -> bool:
-        """Whether there is something to hold with: more than the arm's own links, or named so."""
+        """Whether the gripper has links beyond the arm's own, or links with a gripper's name."""
         own = {self.model.joint(name).child for name in self.arm_joints}
         return any(
             link not in own or FINGER.search(link) or HAND.search(link)
@@ -185,7 +185,7 @@ class Robot:
 
     @cached_property
     def finger_depth(self) -> float:
-        """How far the fingertips stick out beyond the tool's origin [m]."""
+        """Distance of the fingertips beyond the tool's origin [m]."""
         poses = self.model.link_poses({})
         T_tool_root = invert(poses[self.tool_link])
         tips = [
@@ -206,9 +206,9 @@ class Robot:
 
     @cached_property
     def outreach(self) -> float:
-        """The reach, and how far joints before the first that turns slide outwards [m].
+        """Reach plus the horizontal travel of joints before the first revolute one [m].
 
-        That is a telescope's way; a lift slides upwards.
+        This is the travel of a telescope; a lift moves vertically.
         """
         chain, first = self.chain, self.chain.first_turn
         level = np.linalg.norm(chain.h[:first, :2], axis=1)
@@ -220,22 +220,26 @@ def load_robot(source: str | Path, *, arm: str | None = None, cache: Cache | Non
 
     Args:
         source: The name or the file.
-        arm: Which arm, of a robot with several; the first one where None.
-        cache: Where its geometry is kept, so that it is computed once.
+        arm: Name of the arm, for a robot with several; None for the first one.
+        cache: Stores expensive geometry.
 
     Raises:
-        RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
+        RobotError, FileFormatError, UnknownNameError: The robot is invalid; one line says why.
     """
+    if not isinstance(source, str):
+        source = as_path("source", source)
+    if arm is not None:
+        expect("arm", arm, str)
     return read_robot(find_robot(source), arm=arm, cache=cache)
 
 
 def load_arms(
     source: str | Path, arm: str = ANY, *, cache: Cache | None = None
 ) -> tuple[Robot, ...]:
-    """Load a robot once for each of its arms, or for the one that is named.
+    """Load a robot once for each of its arms, or for the named arm.
 
     Raises:
-        RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
+        RobotError, FileFormatError, UnknownNameError: The robot is invalid; one line says why.
     """
     path = find_robot(source)
     table = read_table(path)
@@ -244,19 +248,19 @@ def load_arms(
 
 
 def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None) -> Robot:
-    """Read a robot file; docs/robots.md tells its format.
+    """Read a robot file (format: docs/robots.md).
 
     Args:
         path: The file.
-        arm: Which arm, of a robot with several; the first one where None.
-        cache: Where its geometry is kept, so that it is computed once.
+        arm: Name of the arm, for a robot with several; None for the first one.
+        cache: Stores expensive geometry.
     """
     table = read_table(path)
     check_version(table)
     arms = arm_tables(table)
     (chosen,) = choose_arms(arms, arm, path)
     own = arms[chosen]
-    urdf = beside(path, table.text("urdf"))
+    urdf = resolve_path(path, table.text("urdf"))
     record, text = amendments_of(table).read(urdf, cache)
     with _names_of(path):
         model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
@@ -301,8 +305,8 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     return robot
 
 
-def _assumed(tool: Table, grips: Grip) -> tuple[str, ...]:
-    """What a robot file leaves out about its gripper."""
+def _assumed(tool: TomlTable, grips: Grip) -> tuple[str, ...]:
+    """Return the gripper values that a robot file leaves out, with their assumptions."""
     values = {"opening": f"{100 * ASSUMED_OPENING:g} cm", "force": f"{ASSUMED_FORCE:g} N"}
     needed = {Grip.FINGERS: ("opening", "force"), Grip.SUCTION: ("force",), Grip.HOOK: ()}
     return tuple(
@@ -314,7 +318,7 @@ def _assumed(tool: Table, grips: Grip) -> tuple[str, ...]:
 
 @contextmanager
 def _names_of(path: Path) -> Iterator[None]:
-    """Say which robot file gives a name that its URDF does not have."""
+    """Add the robot file to errors about names that its URDF does not have."""
     try:
         yield
     except UnknownNameError as error:
@@ -325,32 +329,33 @@ def _check(robot: Robot) -> None:
     try:
         with _names_of(robot.path):
             chain = robot.chain
-    except RobotError as error:  # a tool that no arm moves, joints out of order
+    except RobotError as error:  # for example a tool that no arm moves
         raise RobotError(f"{robot.path}: {error}") from error
     if robot.reach > MAX_REACH:
         raise RobotError(
             f"{robot.path}: the arm reaches {robot.reach:.3g} m; at most {MAX_REACH:g} m are "
-            "supported; are the lengths in meters?"
+            "supported; check that lengths are in meters"
         )
     for link in robot.gripper_links:
         if link not in robot.model.urdf.links:
             raise unknown_name("gripper link", link, robot.model.urdf.links, str(robot.path))
     if robot.home.shape != (chain.size,):
         raise RobotError(
-            f"{robot.path}: home has {len(robot.home)} values, arm_joints has {chain.size}"
+            f"{robot.path}: home must have one value per joint of arm_joints, {chain.size}, not "
+            f"{len(robot.home)}"
         )
     outside = (robot.home < chain.lower - 1e-6) | (robot.home > chain.upper + 1e-6)
     if outside.any():
         i = int(np.argmax(outside))
         raise RobotError(
-            f"{robot.path}: home of {chain.names[i]!r} is {robot.home[i]:g}, its limits are "
+            f"{robot.path}: home of {chain.names[i]!r} is {robot.home[i]:g}; its limits are "
             f"{chain.lower[i]:g} to {chain.upper[i]:g}"
         )
     if abs(float(robot.approach_axis @ robot.closing_axis)) > 1e-3:
         raise RobotError(f"{robot.path}: approach_axis and closing_axis must be perpendicular")
 
 
-def _footprint(base: Table, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:
+def _footprint(base: TomlTable, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:
     points = base.matrix("footprint", 2)
     return once(cache, "footprint", (points,), lambda: _outline(points, path))
 
@@ -358,9 +363,10 @@ def _footprint(base: Table, path: Path, cache: Cache | None) -> Float[np.ndarray
 def _outline(points: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarray, "k 2"]:
     from scipy.spatial import ConvexHull, QhullError
 
-    if len(points) > MAX_OUTLINE or np.abs(points).max(initial=0.0) > MAX_REACH:
+    if len(points) > MAX_FOOTPRINT_CORNERS or np.abs(points).max(initial=0.0) > MAX_REACH:
         raise RobotError(
-            f"{path}: base.footprint must have at most {MAX_OUTLINE} corners within {MAX_REACH:g} m"
+            f"{path}: base.footprint must have at most {MAX_FOOTPRINT_CORNERS} corners, within "
+            f"{MAX_REACH:g} m of the origin"
         )
     try:
         return points[ConvexHull(points).vertices]

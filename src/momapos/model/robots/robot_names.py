@@ -1,4 +1,4 @@
-"""The names of the robots that come with momapos; nothing heavy is imported to look one up."""
+"""Names of the library robots; looking one up imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from pathlib import Path
 from momapos.core import RobotError, unknown_name
 
 MAP_JOINTS = 6
-"""An arm of fewer degrees of freedom takes few tool poses, and has no reachability map [-]."""
+"""Minimum number of arm joints for a reachability map; fewer joints reach few tool poses [-]."""
 LIBRARY = Path(__file__).parent / "library"
 
 
 def library_names() -> tuple[str, ...]:
-    """Names of the robots that come with the package."""
+    """Return the names of the library robots."""
     return tuple(sorted(p.name for p in LIBRARY.iterdir() if (p / f"{p.name}.toml").is_file()))
 
 
 def library_file(name: str) -> Path:
-    """The file of a robot that comes with the package."""
+    """Return the robot file of a library robot."""
     return LIBRARY / name / f"{name}.toml"
 
 
 def find_robot(source: str | Path) -> Path:
-    """The robot file that a library name or a path stands for; a path may not exist.
+    """Return the robot file of a library name or a path; the path may not exist.
 
-    A word is a name; what has a slash in it, or ends as files do, is a path.
+    A source with a slash or a file suffix is a path, any other one a name.
 
     Raises:
-        UnknownNameError: There is no robot of that name; the message offers the nearest names, or
-            the file of that name.
-        RobotError: It is a URDF.
+        UnknownNameError: No library robot has this name; the message suggests similar names or a
+            file.
+        RobotError: The source is a URDF.
     """
     text = str(source)
     if text in library_names():
@@ -42,23 +42,23 @@ def find_robot(source: str | Path) -> Path:
         raise unknown_name("robot", text[:80], library_names(), f"the library ({where})")
     if path.suffix in (".urdf", ".xml"):
         raise RobotError(
-            f"{path}: is a URDF; run 'momapos robot check {path}' once, it writes the robot file"
+            f"{path}: is a URDF; derive a robot file from it with 'momapos robot check {path}'"
         )
     return path
 
 
 def find_named_robot(source: str) -> Path:
-    """What `find_robot` finds for a name that was typed, if it can mean but one robot.
+    """Return the robot file of a name that the user typed, if it is unambiguous.
 
     Raises:
-        UnknownNameError, RobotError: As for `find_robot`; or a file of that name lies in the
-            working folder beside a robot of the library.
+        UnknownNameError, RobotError: See `find_robot`; or the working folder has a file with the
+            name of a library robot.
     """
     path = find_robot(source)
     own = next((file for file in (Path(f"{source}.toml"), Path(source)) if file.is_file()), None)
     if source in library_names() and own is not None:
         raise RobotError(
-            f"two robots are called {source!r}: one of the library, {path}, and {own.absolute()}; "
-            "give the file that is meant"
+            f"two robots are called {source!r}: the library's {path} and {own.absolute()}; give "
+            "the path of the one to use"
         )
     return path

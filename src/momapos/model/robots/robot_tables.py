@@ -1,4 +1,4 @@
-"""Robot files: the tables that change what the URDF says, those of the arms, and the SRDF."""
+"""Tables of robot files: additions to the URDF, arms, rest values and the SRDF."""
 
 from __future__ import annotations
 
@@ -9,94 +9,94 @@ from pathlib import Path
 from momapos.core import FileFormatError, RobotError, read_bytes_bounded, unknown_name
 from momapos.model.urdf import Articulated, Mimic
 
-from .amended_urdf import ZERO, Amendments, Frame, Mount, Triple
-from .file_values import Table
-from .srdf import beside as srdf_beside
+from .amended_urdf import ZERO, AddedFrame, Amendments, Mount, Triple
+from .file_values import TomlTable
+from .srdf import srdf_next_to
 
 VERSION = 1
-"""Of the robot file's format; a file that gives none is of version 1."""
+"""Version of the robot file format; files without a version have version 1."""
 ANY = "any"
-"""Stands for every arm where one is asked for."""
+"""Name that stands for all arms."""
 MAX_FRAMES, MAX_PACKAGES = 50, 200
 MAX_TOML_BYTES = 20_000
-"""A robot file has a page; the time that a parser takes for dotted keys grows with their square."""
+"""Maximum size of a robot file [bytes]; TOML parsing time grows with the square of dotted keys."""
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> TomlTable:
     """Read a robot file.
 
     Raises:
-        FileFormatError: It is no TOML, or too large.
+        FileFormatError: The file is not TOML, or too large.
     """
     data = read_bytes_bounded(path, MAX_TOML_BYTES)
     try:
-        return Table(tomllib.loads(data.decode()), path)
-    except (ValueError, RecursionError) as error:  # also no UTF-8, and too many digits
+        return TomlTable(tomllib.loads(data.decode()), path)
+    except (ValueError, RecursionError) as error:  # includes invalid UTF-8 and too many digits
         raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 
 
-def srdf_of(table: Table, urdf: Path) -> Path | None:
-    """The SRDF that a robot file names, or the one of the URDF's name beside it, if any.
+def srdf_of(table: TomlTable, urdf: Path) -> Path | None:
+    """Return the SRDF that a robot file names, or the one next to the URDF with its name.
 
     Raises:
-        RobotError: The one that is named does not exist.
+        RobotError: The named file does not exist.
     """
     if "srdf" not in table.data:
-        return srdf_beside(urdf)
-    named = beside(table.path, table.text("srdf"), "srdf")
+        return srdf_next_to(urdf)
+    named = resolve_path(table.path, table.text("srdf"), "srdf")
     if not named.is_file():
         raise RobotError(f"{table.path}: srdf names {named}, which does not exist")
     return named
 
 
-def check_version(table: Table) -> None:
-    """Refuse a robot file of another version.
+def check_version(table: TomlTable) -> None:
+    """Refuse a robot file of an unsupported version.
 
     Raises:
-        RobotError: It is of another one.
+        RobotError: The version is not supported.
     """
     version = table.data.get("version", VERSION)
     if version != VERSION or isinstance(version, bool):
         raise RobotError(
-            f"{table.path}: version {version!r:.60} of the robot file; this momapos reads version "
-            f"{VERSION}"
+            f"{table.path}: version of the robot file is {version!r:.60}; this momapos reads "
+            f"version {VERSION}"
         )
 
 
-def amendments_of(table: Table) -> Amendments:
-    """What a robot file changes about its URDF: the tables frames, mount, packages and coupled."""
+def amendments_of(table: TomlTable) -> Amendments:
+    """Return the additions to the URDF: the tables frames, mount, packages and coupled."""
     return Amendments(_frames(table), _mount(table), _packages(table), _couplings(table))
 
 
-def _frames(table: Table) -> tuple[Frame, ...]:
+def _frames(table: TomlTable) -> tuple[AddedFrame, ...]:
     frames = table.tables("frames", MAX_FRAMES)
     return tuple(
-        Frame(name, frame.text("parent"), _triple(frame, "xyz"), _triple(frame, "rpy"))
+        AddedFrame(name, frame.text("parent"), _triple(frame, "xyz"), _triple(frame, "rpy"))
         for name, frame in frames.items()
     )
 
 
-def _mount(table: Table) -> Mount | None:
+def _mount(table: TomlTable) -> Mount | None:
     if "mount" not in table.data:
         return None
     mount = table.table("mount")
     if ("box" in mount.data) == ("urdf" in mount.data):
         raise RobotError(
-            f"{table.path}: [mount] needs either box = [length, width, height] or urdf, the base's"
+            f"{table.path}: [mount] needs either box = [length, width, height] in m, or urdf"
         )
     rpy = _triple(mount, "rpy")
     if "urdf" in mount.data:
-        urdf = beside(table.path, mount.text("urdf"), "mount.urdf")
+        urdf = resolve_path(table.path, mount.text("urdf"), "mount.urdf")
         link = mount.text("link") if "link" in mount.data else ""
         return Mount(_triple(mount, "xyz"), rpy, urdf=urdf, link=link)
     box = _triple(mount, "box")
     if min(box) <= 0 or max(box) > 5:
-        raise RobotError(f"{table.path}: mount.box must be three edges in m, > 0 and at most 5")
+        raise RobotError(f"{table.path}: mount.box must be 3 edge lengths in m, > 0 and <= 5")
     xyz = _triple(mount, "xyz") if "xyz" in mount.data else (0.0, 0.0, box[2])
     return Mount(xyz, rpy, box=box)
 
 
-def _packages(table: Table) -> dict[str, Path]:
+def _packages(table: TomlTable) -> dict[str, Path]:
     if "packages" not in table.data:
         return {}
     packages = table.table("packages")
@@ -104,43 +104,43 @@ def _packages(table: Table) -> dict[str, Path]:
         raise RobotError(f"{table.path}: [packages] names more than {MAX_PACKAGES} folders")
     found = {}
     for name in packages.data:
-        folder = beside(table.path, packages.text(name), f"packages.{name}")
+        folder = resolve_path(table.path, packages.text(name), f"packages.{name}")
         if not folder.is_dir():
             raise RobotError(f"{table.path}: packages.{name} names {folder}, which is no folder")
         found[name] = folder
     return found
 
 
-def _couplings(table: Table) -> dict[str, Mimic]:
+def _couplings(table: TomlTable) -> dict[str, Mimic]:
     return {
         name: Mimic(follows.text("joint"), follows.number("ratio", 1.0), follows.number("offset"))
         for name, follows in table.tables("coupled").items()
     }
 
 
-def arm_tables(table: Table) -> dict[str, Table]:
-    """The tables of a robot's arms by name; the file itself, named "", where it has one arm."""
+def arm_tables(table: TomlTable) -> dict[str, TomlTable]:
+    """Return the tables of the arms by name; the file itself as "" for a robot with one arm."""
     if "arms" not in table.data:
         return {"": table}
     arms = table.tables("arms")
     if not arms:
-        raise RobotError(f"{table.path}: [arms] is empty; give tables such as [arms.left]")
+        raise RobotError(f"{table.path}: [arms] is empty; add tables such as [arms.left]")
     if ANY in arms:
-        raise RobotError(f"{table.path}: no arm can be named {ANY!r}, which stands for all of them")
+        raise RobotError(f"{table.path}: an arm must not be named {ANY!r}, which means all arms")
     doubled = [key for key in ("arm_joints", "tool_link", "home", "tool") if key in table.data]
     if doubled:
         raise RobotError(
-            f"{table.path}: {doubled[0]} belongs into the tables of the arms, as "
+            f"{table.path}: {doubled[0]} must be in the tables of the arms, such as "
             f"[arms.{next(iter(arms))}]"
         )
     return arms
 
 
-def choose_arms(arms: dict[str, Table], arm: str | None, path: Path) -> tuple[str, ...]:
-    """Names of the arms that one asks for; all of them for `ANY`, the first one for None.
+def choose_arms(arms: dict[str, TomlTable], arm: str | None, path: Path) -> tuple[str, ...]:
+    """Return the names of the requested arms: all for `ANY`, the first one for None.
 
     Raises:
-        UnknownNameError, RobotError: There is none of that name.
+        UnknownNameError, RobotError: The robot has no arm of that name.
     """
     if arm == ANY:
         return tuple(arms)
@@ -154,29 +154,29 @@ def choose_arms(arms: dict[str, Table], arm: str | None, path: Path) -> tuple[st
 
 
 def at_rest(
-    model: Articulated, table: Table, arms: Mapping[str, Table], chosen: str
+    model: Articulated, table: TomlTable, arms: Mapping[str, TomlTable], chosen: str
 ) -> Articulated:
-    """The robot with what its table `rest` names where it rests, and its other arms at home.
+    """Return the robot with the values of its table `rest`, and its other arms at home.
 
     Raises:
-        RobotError: A value is no number within the limits, or one of a joint of an arm.
-        UnknownNameError: There is no such joint.
+        RobotError: A value is not a number within the limits, or belongs to an arm joint.
+        UnknownNameError: A joint does not exist.
     """
     held: dict[str, float] = {}
-    rest = table.table("rest") if "rest" in table.data else Table({}, table.path, "rest.")
+    rest = table.table("rest") if "rest" in table.data else TomlTable({}, table.path, "rest.")
     joints = [joint for arm in arms.values() for joint in arm.texts("arm_joints")]
     for name in rest.data:
         if name in joints:
             raise RobotError(
-                f"{table.path}: rest.{name} is a joint of the arm, which rests at home"
+                f"{table.path}: rest.{name} is a joint of the arm, whose rest value is in home"
             )
         held[name] = _rest_value(model, name, rest.data[name], rest)
     for other in (arm for name, arm in arms.items() if name != chosen):
         names, home = other.texts("arm_joints"), other.vector("home")
         if len(names) != len(home):
             raise RobotError(
-                f"{table.path}: {other.prefix}home has {len(home)} values, arm_joints has "
-                f"{len(names)}"
+                f"{table.path}: {other.prefix}home must have one value per joint of arm_joints, "
+                f"{len(names)}, not {len(home)}"
             )
         for name, value in zip(names, home, strict=True):
             if name not in arms[chosen].texts("arm_joints"):
@@ -184,31 +184,31 @@ def at_rest(
     return Articulated(model.urdf, held, model.cache) if held else model
 
 
-def _rest_value(model: Articulated, name: str, value: object, table: Table) -> float:
+def _rest_value(model: Articulated, name: str, value: object, table: TomlTable) -> float:
     joint = model.joint(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise RobotError(f"{table.path}: {table.prefix}{name} must be a number")
     if not joint.lower - 1e-6 <= value <= joint.upper + 1e-6:
         raise RobotError(
-            f"{table.path}: {table.prefix}{name} is {value:g}, its limits are {joint.lower:g} to "
+            f"{table.path}: {table.prefix}{name} is {value:g}; its limits are {joint.lower:g} to "
             f"{joint.upper:g}"
         )
     return float(value)
 
 
-def beside(path: Path, name: str, key: str = "urdf") -> Path:
-    """A file that a robot file names.
+def resolve_path(path: Path, name: str, key: str = "urdf") -> Path:
+    """Return the path of a file that a robot file names.
 
     Raises:
-        RobotError: No file can have that name.
+        RobotError: The name is not a valid path.
     """
     try:
         return (path.parent / name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
-        raise RobotError(f"{path}: {key} {name!r:.80} cannot be looked up") from error
+    except (OSError, RuntimeError, ValueError) as error:  # too long, a cycle of links, or a NUL
+        raise RobotError(f"{path}: {key} {name!r:.80} is not a valid path") from error
 
 
-def _triple(table: Table, key: str) -> Triple:
+def _triple(table: TomlTable, key: str) -> Triple:
     if key not in table.data:
         return ZERO
     value = table.vector(key)

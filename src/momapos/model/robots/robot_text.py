@@ -1,4 +1,4 @@
-"""The text of a derived robot file."""
+"""Text of a derived robot file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from momapos.model.urdf import Mimic
 
-from .amended_urdf import Frame, Mount
-from .gripper_guess import Closing, listed
+from .amended_urdf import AddedFrame, Mount
+from .gripper_guess import GripperGeometry, listed
 from .robot import ASSUMED_FORCE
 from .robot_tables import VERSION
 
@@ -20,42 +20,42 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmText:
-    """What the file says of an arm."""
+    """Content of a robot file for one arm."""
 
     joints: tuple[str, ...]
     tool_link: str
     gripper_links: tuple[str, ...]
     home: Float[np.ndarray, " n"]
-    grip: Closing
+    grip: GripperGeometry
     grips: str
     force: float | None
-    """[N]; None where it is assumed."""
+    """[N]; None if assumed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobotText:
-    """What a derived robot file says."""
+    """Content of a derived robot file."""
 
     name: str
     urdf: str
     srdf: str
-    """Empty where it is not named."""
+    """"" if the file names none."""
     base_link: str
     footprint: Float[np.ndarray, "k 2"]
     drive: str
     arms: Mapping[str, ArmText]
-    """By name; one, named "", where the robot has one."""
+    """By name; a single arm is named ""."""
     rest: Mapping[str, float]
     coupled: Mapping[str, Mimic]
-    frames: Sequence[Frame]
+    frames: Sequence[AddedFrame]
     mount: Mount | None
     mount_urdf: str
     packages: Mapping[str, str]
 
     def text(self) -> str:
-        """The robot file; the texts in it are names that came out of an XML file."""
+        """Return the robot file. Names come from an XML file, so all strings are quoted."""
         one = self.arms.get("")
         corners = ", ".join(listed(corner) for corner in self.footprint)
         lines = [
@@ -84,7 +84,7 @@ class RobotText:
         return "\n".join(lines) + "\n"
 
     def _tables(self) -> list[str]:
-        """What changes the URDF, and what else rests elsewhere than at zero."""
+        """Return the tables with additions to the URDF and nonzero rest values."""
         lines: list[str] = []
         if self.rest:
             lines += ["", "[rest]"]
@@ -115,12 +115,12 @@ class RobotText:
 
 
 def key(name: str, value: str) -> str:
-    """A line of a robot file."""
+    """Return a line of a robot file."""
     return f"{name} = {quoted(value)}"
 
 
 def quoted(value: str) -> str:
-    """A text as TOML has it."""
+    """Return a TOML string."""
     return json.dumps(value, ensure_ascii=False)
 
 
@@ -138,11 +138,11 @@ def _arm(arm: ArmText) -> list[str]:
 
 
 def _tool(arm: ArmText) -> list[str]:
-    force = f"# force = {ASSUMED_FORCE:g}    # of each finger, or pull of a cup [N]; assumed"
+    force = f"# force = {ASSUMED_FORCE:g}    # of each finger, or pull of a suction cup [N];"
     return [
         f"approach_axis = {listed(arm.grip.approach)}",
         f"closing_axis = {listed(arm.grip.closing)}",
         f"opening = {arm.grip.opening:g}",
         f"grips = {quoted(arm.grips)}",
-        f"{force} while it is not given" if arm.force is None else f"force = {arm.force:g}",
+        f"{force} assumed by default" if arm.force is None else f"force = {arm.force:g}",
     ]

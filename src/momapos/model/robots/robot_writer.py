@@ -1,4 +1,4 @@
-"""Write a derived robot file and what belongs to it: all of it at the end, or nothing."""
+"""Write a derived robot file with its SRDF and URDF: all files, or none."""
 
 from __future__ import annotations
 
@@ -8,42 +8,42 @@ from pathlib import Path
 
 from momapos.core import Cache, RobotError, write_atomic
 
-from .derive import Derived, Report, Source, derive_robot
+from .derive import Derived, ReportProgress, RobotSource, derive_robot
 from .robot import load_arms
 from .srdf import srdf_text
 from .xacro import expand_xacro, is_xacro
 
 
 def write_robot(
-    source: Path | Source,
+    source: Path | RobotSource,
     out: Path | None = None,
     *,
     args: Mapping[str, str] | None = None,
     seed: int = 0,
     cache: Cache | None = None,
-    report: Report = lambda _share, _what: None,
+    report: ReportProgress = lambda _share, _what: None,
 ) -> tuple[Path, Derived]:
     """Derive a robot file from a URDF or xacro file and write it.
 
-    Beside it come an SRDF, if pairs of links cannot help touching that no SRDF of the URDF names,
-    and the URDF that a xacro file expands to.
+    An SRDF is written next to it if links in permanent contact are missing in the URDF's own SRDF;
+    for a xacro file also the expanded URDF.
 
     Args:
-        source: The URDF or xacro file, and what is put around it.
-        out: The robot file; the URDF's name with `.toml` where None.
-        args: Values of the xacro file's arguments by name.
+        source: The URDF or xacro file, and its options.
+        out: The robot file; None for the URDF's name with `.toml`.
+        args: Arguments of the xacro file by name.
         seed: Seed of the sampled arm states.
-        cache: Where geometry is kept, so that it is computed once.
-        report: Is told how far the work is.
+        cache: Stores expensive geometry.
+        report: Receives the progress.
 
     Returns:
         The robot file, and what was derived.
 
     Raises:
-        RobotError: A file exists already, cannot be written, or nothing can be derived.
-        UrdfError: The URDF cannot be used.
+        RobotError: A file exists already or cannot be written, or nothing can be derived.
+        UrdfError: The URDF is invalid.
     """
-    source = Source(source) if isinstance(source, Path) else source
+    source = RobotSource(source) if isinstance(source, Path) else source
     plain = source.urdf.with_suffix("") if is_xacro(source.urdf) else source.urdf
     out = out or plain.with_suffix(".toml")
     _refuse_existing(out)
@@ -67,11 +67,11 @@ def write_robot(
 
 def _refuse_existing(path: Path) -> None:
     if path.exists():
-        raise RobotError(f"{path}: exists already; remove it, or choose another file with --out")
+        raise RobotError(f"{path}: exists already; remove it, or choose another file")
 
 
 def _write(files: Mapping[Path, str], out: Path, cache: Cache | None) -> None:
-    """Write files; the robot file last, and none of them stays if it cannot be read back."""
+    """Write files, the robot file last; remove all of them if it cannot be read back."""
     written: list[Path] = []
     folders = [folder for folder in (out.parent, *out.parent.parents) if not folder.exists()]
     try:
@@ -79,7 +79,7 @@ def _write(files: Mapping[Path, str], out: Path, cache: Cache | None) -> None:
             write_atomic(path, text.encode())
             written.append(path)
         load_arms(out, cache=cache)
-    except BaseException as error:  # also when it is interrupted
+    except BaseException as error:  # also on an interrupt
         for path in written:
             path.unlink(missing_ok=True)
         for folder in folders:

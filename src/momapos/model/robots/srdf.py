@@ -1,4 +1,4 @@
-"""What an SRDF says of a robot: pairs of links, fingers, states; and where one may lie."""
+"""Find and read SRDFs: disabled link pairs, hands, named states and joint groups."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 
 MAX_SRDF_BYTES = 5_000_000
 _FOLDERS = (".", "../srdf", "srdf", "../config", "..")
-"""Where an SRDF may lie, relative to the URDF's folder, the nearest first."""
+"""Folders of SRDFs relative to the URDF's folder, in order of search."""
 _MOVEIT = ("*_moveit_config/config", "../*_moveit_config/config", "../../*_moveit_config/config")
-_MOST = 200
-"""Files that are looked at [-]."""
+_MAX_FILES = 200
+"""Maximum number of files per folder [-]."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """A group of joints, such as an arm."""
+    """A joint group, such as an arm."""
 
     joints: tuple[str, ...]
     chains: tuple[tuple[str, str], ...]
-    """First and last link of the chains whose joints belong to it too."""
+    """First and last links of chains whose joints belong to the group."""
 
     def members(self, model: Articulated) -> set[str]:
-        """The movable joints of a robot that belong to the group."""
+        """Return the movable joints of a robot that belong to the group."""
         above = {joint.child: joint for joint in model.urdf.joints}
         names = set(self.joints)
         for base, link in self.chains:
@@ -45,43 +45,43 @@ class Group:
 
 @dataclass(frozen=True)
 class Srdf:
-    """An SRDF; all empty where there is none."""
+    """Content of an SRDF; empty without a file."""
 
     path: Path | None = None
     disabled: frozenset[frozenset[str]] = frozenset()
     """Pairs of links whose contact is never checked."""
     reasons: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    """Why, by pair."""
+    """Reason by pair."""
     hands: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Links of the hand that hangs from a link, by that link."""
+    """Links of each hand, by the link that carries it."""
     states: tuple[Mapping[str, float], ...] = ()
-    """States of joints that it names [rad] or [m]."""
+    """Named joint states [rad] or [m]."""
     groups: Mapping[str, Group] = field(default_factory=dict)
-    """What it groups, by name."""
+    """Joint groups by name."""
 
 
 def read_srdf(path: Path) -> frozenset[frozenset[str]]:
-    """Pairs of links that an SRDF disables; none where there is no such file."""
+    """Return the link pairs that an SRDF disables; empty if the file is missing."""
     return _open(path).disabled if _exists(path) else frozenset()
 
 
-def beside(urdf: Path) -> Path | None:
-    """The SRDF of the URDF's name beside it, if there is one; every command reads it."""
+def srdf_next_to(urdf: Path) -> Path | None:
+    """Return the SRDF next to a URDF with the same name, which every command reads, or None."""
     path = urdf.with_suffix(".srdf")
     return path if path.is_file() else None
 
 
 def find_srdf(urdf: Path, robot: str) -> Srdf:
-    """The SRDF of a URDF: of its file name, or of the robot's, where such files usually lie.
+    """Find the SRDF of a URDF by its file name or its robot's name, in the usual folders.
 
     Args:
         urdf: The URDF.
-        robot: The name that the URDF gives the robot.
+        robot: Name of the robot in the URDF.
     """
     here = urdf.resolve().parent
     folders = [here / folder for folder in _FOLDERS]
     folders += [f for pattern in _MOVEIT for f in sorted((here / "..").glob(pattern))]
-    files = [file for folder in folders for file in sorted(folder.glob("*.srdf"))[:_MOST]]
+    files = [file for folder in folders for file in sorted(folder.glob("*.srdf"))[:_MAX_FILES]]
     named = [file for file in files if file.stem == urdf.stem]
     for file in dict.fromkeys(path.resolve() for path in [*named, *files]):
         try:
@@ -89,7 +89,7 @@ def find_srdf(urdf: Path, robot: str) -> Srdf:
         except MomaposError:
             if file.stem == urdf.stem:
                 raise
-            continue  # a damaged file of some other robot
+            continue  # a damaged file of another robot
         if found.path is not None:
             return found
     return Srdf()
@@ -98,12 +98,12 @@ def find_srdf(urdf: Path, robot: str) -> Srdf:
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError as error:  # too long, or links in a circle
-        raise RobotError(f"{path}: cannot be looked up ({error.strerror})") from error
+    except OSError as error:  # too long, or a cycle of links
+        raise RobotError(f"{path}: is not a valid path ({error.strerror})") from error
 
 
 def _open(path: Path, robot: str | None = None) -> Srdf:
-    """Read an SRDF; an empty record where it is of another robot than the one asked for."""
+    """Read an SRDF; return an empty record if it belongs to another robot."""
     root = read_xml(path, MAX_SRDF_BYTES, error=RobotError)
     if robot is not None and root.get("name") != robot:
         return Srdf()
@@ -131,7 +131,7 @@ def _group(element: Element) -> Group:
 
 
 def _hands(root: Element) -> dict[str, tuple[str, ...]]:
-    """Links of end effectors, by the link that each hangs from."""
+    """Return the links of the end effectors, by their parent link."""
     links = {
         group.get("name"): tuple(e.get("name", "") for e in group.iter("link"))
         for group in root.iter("group")
@@ -143,7 +143,7 @@ def _hands(root: Element) -> dict[str, tuple[str, ...]]:
 
 
 def _state(element: Element) -> dict[str, float]:
-    """Values of joints that have one; others have several."""
+    """Return the values of single-axis joints in a named state."""
     values = {}
     for joint in element.iter("joint"):
         try:
@@ -154,7 +154,7 @@ def _state(element: Element) -> dict[str, float]:
 
 
 def srdf_text(name: str, pairs: Mapping[tuple[str, str], str]) -> str:
-    """Write an SRDF that disables pairs of links, each with its reason."""
+    """Return an SRDF that disables pairs of links, each with its reason."""
     from xml.sax.saxutils import quoteattr
 
     lines = disable_lines(pairs)
@@ -162,7 +162,7 @@ def srdf_text(name: str, pairs: Mapping[tuple[str, str], str]) -> str:
 
 
 def disable_lines(pairs: Mapping[tuple[str, str], str]) -> list[str]:
-    """The lines of an SRDF that disable pairs of links, each with its reason."""
+    """Return the SRDF lines that disable pairs of links, each with its reason."""
     from xml.sax.saxutils import quoteattr
 
     return [

@@ -1,4 +1,4 @@
-"""Expand xacro files: macros that become a URDF, in a process of their own with limits."""
+"""Expand xacro files to URDFs in a separate process with limits."""
 
 from __future__ import annotations
 
@@ -13,18 +13,17 @@ from importlib import import_module
 from pathlib import Path
 
 from momapos.core import RobotError, parse_xml, require
-from momapos.model.urdf import PARENTS
+from momapos.model.urdf import MAX_MESH_PARENTS
 
-SECONDS, MEMORY, MOST = 60, 2_000_000_000, 50_000_000
-"""What expanding a file may take: time of all its runs together [s], memory [bytes], size of the
-result [bytes]."""
+MAX_SECONDS, MAX_MEMORY, MAX_RESULT_BYTES = 60, 2_000_000_000, 50_000_000
+"""Limits: total time of all runs of a file [s], memory [bytes], and size of the result [bytes]."""
 MAX_RUNS = 30
-"""Packages that are found one after the other [-]."""
+"""Maximum number of runs; each run can report one missing package [-]."""
 _MISSING = re.compile(r"Package not found: (\S+)")
 _CHILD = f"""
 import json, resource, sys
-resource.setrlimit(resource.RLIMIT_CPU, ({SECONDS}, {SECONDS}))
-resource.setrlimit(resource.RLIMIT_AS, ({MEMORY}, {MEMORY}))
+resource.setrlimit(resource.RLIMIT_CPU, ({MAX_SECONDS}, {MAX_SECONDS}))
+resource.setrlimit(resource.RLIMIT_AS, ({MAX_MEMORY}, {MAX_MEMORY}))
 from xacrodoc import XacroDoc, packages
 packages.update_package_cache(json.loads(sys.argv[2]))
 try:
@@ -38,7 +37,7 @@ sys.stdout.write(doc.dom.toxml())
 
 
 def is_xacro(path: Path) -> bool:
-    """Whether a file is named as one."""
+    """Return whether a file has the suffix of a xacro file."""
     return path.suffix.lower() == ".xacro"
 
 
@@ -49,22 +48,22 @@ def expand_xacro(
 
     Args:
         path: The file.
-        packages: Folders of packages by name; others are looked for in the folders above the file.
-        args: Values of the file's arguments by name.
+        packages: Package folders by name; other packages are searched in the folders above.
+        args: Arguments of the file by name.
 
     Returns:
-        The URDF, whose meshes are named by packages; and the folders of these.
+        The URDF, with mesh paths by package; and the folders of these packages.
 
     Raises:
-        RobotError: It cannot be expanded; the message says why, and which package was not found.
-        MissingExtraError: The program that expands is not installed.
+        RobotError: The file cannot be expanded; the message names the reason or missing package.
+        MissingExtraError: xacrodoc is not installed.
     """
     with require("xacro"):
         import_module("xacrodoc")
     if not path.is_file():
         raise RobotError(f"{path}: no such file")
     known = {name: folder.resolve() for name, folder in packages.items()}
-    until = time.monotonic() + SECONDS
+    until = time.monotonic() + MAX_SECONDS
     for _ in range(MAX_RUNS):
         done = _run(path, known, args, until - time.monotonic())
         last = done.stderr.strip().splitlines()[-1:] or [""]
@@ -74,7 +73,7 @@ def expand_xacro(
         if missing is None or missing[1] in known:
             raise RobotError(f"{path}: the xacro file cannot be expanded ({last[0]:.300})")
         known[missing[1]] = _package(missing[1], path)
-    raise RobotError(f"{path}: names more than {MAX_RUNS} packages")
+    raise RobotError(f"{path}: names more than {MAX_RUNS} unknown packages")
 
 
 def _run(
@@ -91,19 +90,19 @@ def _run(
                 json.dumps(folders),
                 json.dumps(dict(args)),
             ],
-            cwd=path.resolve().parent,  # macros are included relative to it
+            cwd=path.resolve().parent,  # include paths are relative to it
             capture_output=True,
             text=True,
             timeout=seconds,
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        raise RobotError(f"{path}: expanding it takes longer than {SECONDS} s") from error
+        raise RobotError(f"{path}: expanding it took longer than {MAX_SECONDS} s") from error
 
 
 def _package(name: str, path: Path) -> Path:
-    """The folder of a package: one above the file, or beside one of these."""
-    above = list(path.resolve().parents)[: PARENTS + 1]
+    """Find the folder of a package among or next to the folders above a file."""
+    above = list(path.resolve().parents)[: MAX_MESH_PARENTS + 1]
     for folder in above:
         if folder.name == name:
             return folder
@@ -111,19 +110,19 @@ def _package(name: str, path: Path) -> Path:
             return folder / name
     looked = ", ".join(map(str, above))
     raise RobotError(
-        f"{path}: package {name!r:.80} was not found (looked in {looked}); say where it is: "
-        f"momapos robot check ... --package {name}=DIR"
+        f"{path}: package {name!r:.80} was not found (searched {looked}); give its folder in "
+        "packages"
     )
 
 
 def _named_by_packages(
     text: str, path: Path, known: Mapping[str, Path]
 ) -> tuple[str, dict[str, Path]]:
-    """Name all meshes by packages, so that the URDF can lie anywhere; and these packages."""
+    """Name all meshes by package, so that the URDF can be anywhere; return these packages, too."""
     from xml.etree.ElementTree import tostring
 
-    if len(text) > MOST:
-        raise RobotError(f"{path}: expands to more than {MOST / 1e6:g} MB")
+    if len(text) > MAX_RESULT_BYTES:
+        raise RobotError(f"{path}: expands to more than {MAX_RESULT_BYTES / 1e6:g} MB")
     tree = parse_xml(text, path, error=RobotError)
     used: dict[str, Path] = {}
     for mesh in tree.iter("mesh"):
@@ -140,7 +139,7 @@ def _named_by_packages(
 
 
 def _holding(file: Path, known: Mapping[str, Path]) -> tuple[str, Path]:
-    """A package that holds a file: one that is known, else its folder under a name of its own."""
+    """Return a known package that contains a file, or the file's folder under a new name."""
     for package, folder in known.items():
         if file.is_relative_to(folder):
             return package, folder

@@ -1,4 +1,4 @@
-"""Rooms: the scene record, scene files, importers and built-in kitchens."""
+"""The scene record, scene files, importers and built-in kitchens."""
 
 import lazy_loader
 

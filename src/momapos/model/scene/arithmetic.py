@@ -1,7 +1,7 @@
-"""Numbers that are written as arithmetic, such as "math.pi / 2 * 3".
+"""Evaluate numbers written as arithmetic, such as "math.pi / 2 * 3" in BestMan scenes.
 
-BestMan scenes hold them. They are parsed and never run: plain operators on floats, so that
-neither time nor memory can run away.
+The text is parsed, never executed: only plain operators on floats, within limits of time and
+memory.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ _MODULES = ("math", "np", "numpy")
 
 
 def number(value: object) -> float:
-    """Return a finite number given as such or as arithmetic text.
+    """Return a finite number, given as a number or as arithmetic text.
 
     Args:
-        value: An int, a float, or text of numbers, + - * / **, brackets, pi, tau, e (also as
+        value: An int, a float, or text of numbers, + - * / **, parentheses, pi, tau, e (also as
             `math.pi`).
 
     Raises:
-        ValueError: It is none of that, too long or too deep, or not finite; the message says
-            which, and the caller adds where.
+        ValueError: The value is invalid, too long, too deep or not finite; the caller adds the
+            place to the message.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError(f"{_short(value)} is not a number")
@@ -81,7 +81,7 @@ def _evaluate(node: ast.expr, depth: int) -> float:
                 raise ValueError(f"{_short(ast.unparse(node))} has an exponent over 16")
             return _BINARY[type(op)](left, right)
     raise ValueError(
-        f"{_short(ast.unparse(node))} is not plain arithmetic (numbers, + - * / **, brackets, pi)"
+        f"{_short(ast.unparse(node))} is not plain arithmetic (numbers, + - * / **, ( ), pi)"
     )
 
 

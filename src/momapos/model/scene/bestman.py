@@ -1,8 +1,8 @@
-"""Scenes in the format of BestMan: a JSON list of models with poses.
+"""Scenes in the BestMan format: a JSON list of models with poses.
 
 `{model_path, object_position, object_orientation (roll, pitch, yaw), scale, obj_name,
-fixed_base}`; numbers may be arithmetic text. Model paths are relative to the folder that holds
-`Asset`. There is no floor and no start in it.
+fixed_base}`; numbers can be arithmetic text. Model paths are relative to the folder that contains
+`Asset`. The format has no floor and no start.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 ReadModel = Callable[[Path, float], Articulated]
-"""Reads a URDF file at a scale; the same file and scale give the same model."""
+"""Reads a URDF file at a scale; equal arguments return the same model."""
 Size = tuple[float, float, float]
 Corners: TypeAlias = "tuple[Float[np.ndarray, '3'], Float[np.ndarray, '3']]"
 
 SIZES = "derived/urdf_models_sizes.csv"
-"""Sizes of household models, below the root; read where it exists."""
+"""Sizes of household models, relative to the root; optional."""
 DEFAULT_EDGE = 0.08
-"""Edge of the cube that stands for a model of unknown size [m]."""
+"""Edge of the cube that replaces a model of unknown size [m]."""
 MAX_SIZES_BYTES = 10_000_000
 _KEYS = ("obj_name", "model_path", "object_position", "object_orientation")
 _CATEGORIES = (
@@ -54,21 +54,21 @@ _FILLER = {
 
 
 def is_bestman(data: object) -> bool:
-    """Tell whether parsed JSON is meant as a BestMan scene."""
+    """Return whether parsed JSON looks like a BestMan scene."""
     return isinstance(data, list)
 
 
 def find_root(path: Path) -> Path:
-    """Find the folder that model paths are relative to: the nearest one above with `Asset`.
+    """Find the folder that model paths are relative to: the nearest parent with `Asset`.
 
     Raises:
-        FileFormatError: There is none.
+        FileFormatError: No parent folder has it.
     """
     for folder in path.resolve().parents:
         if (folder / "Asset").is_dir():
             return folder
     raise FileFormatError(
-        f"{path}: a BestMan scene must lie below the folder that holds 'Asset', or name that root"
+        f"{path}: a BestMan scene must be below the folder that contains 'Asset'; else set root"
     )
 
 
@@ -76,7 +76,7 @@ def read_entries(data: Sequence[Any], path: Path) -> list[Entry]:
     """Check the entries of a BestMan scene.
 
     Raises:
-        FileFormatError, SceneError: It is none, or contradicts itself; one line says where.
+        FileFormatError, SceneError: An entry is invalid; one line says where.
     """
     if not data:
         raise FileFormatError(f"{path}: the list of objects is empty")
@@ -88,18 +88,18 @@ def read_objects(
 ) -> tuple[tuple[SceneObject, ...], tuple[str, ...]]:
     """Read the objects of a BestMan scene.
 
-    A model whose file is missing becomes a box that stands where the model would come to rest.
+    A model with a missing file becomes a box where the model would come to rest.
 
     Args:
-        entries: What the file says.
-        root: The folder that model paths are relative to, and must not leave.
+        entries: Entries of the file.
+        root: Folder that model paths are relative to, and must not leave.
         read: Reads a URDF.
 
     Returns:
-        The objects in the file's order, and what had to be assumed.
+        The objects in the file's order, and the assumptions.
 
     Raises:
-        SceneError, UrdfError: It cannot be used; one line says why.
+        SceneError, UrdfError: An object is invalid; one line says why.
     """
     files = [_file_of(entry, root) for entry in entries]
     objects = {
@@ -118,14 +118,14 @@ def read_objects(
 
 
 class Entry:
-    """One object of the list, checked."""
+    """A checked entry of the list."""
 
     def __init__(self, item: Any, where: str) -> None:
         if not isinstance(item, dict):
             raise FileFormatError(f"{where} is not a JSON object, as in a BestMan scene")
         lacking = [key for key in _KEYS if key not in item]
         if lacking:
-            raise FileFormatError(f"{where} has no {lacking[0]!r}, so this is no BestMan scene")
+            raise FileFormatError(f"{where} has no {lacking[0]!r}, so it is not a BestMan object")
         self.where = where
         self.name, self.model_path = (self._text(item, key) for key in _KEYS[:2])
         self.where = f"{where} ({self.name!r})"
@@ -135,14 +135,14 @@ class Entry:
         self.T = pose_rpy(xyz, rpy)
         self.scale = self._number(item.get("scale", 1.0), "scale")
         if not 1e-3 <= self.scale <= 1e3:
-            raise SceneError(f"{self.where}: scale {self.scale:g} is not within 0.001 and 1000")
+            raise SceneError(f"{self.where}: scale must be 0.001 to 1000, not {self.scale:g}")
         self.fixed = bool(item.get("fixed_base", False))
         self.category = category_of(self.name, self.model_path)
 
     def _text(self, item: Mapping[str, Any], key: str) -> str:
         value = item[key]
         if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
-            raise SceneError(f"{self.where}: {key} must be a printable text")
+            raise SceneError(f"{self.where}: {key} must be printable, 1 to 1000 characters long")
         return value
 
     def _triple(self, item: Mapping[str, Any], key: str) -> Size:
@@ -160,23 +160,23 @@ class Entry:
 
 
 def _file_of(entry: Entry, root: Path) -> Path | None:
-    """The model's file; None where there is none."""
+    """Return the model's file; None if it is missing."""
     try:
         file = (root / entry.model_path).resolve()
         inside, exists = file.is_relative_to(root.resolve()), file.is_file()
-    except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
+    except (OSError, RuntimeError, ValueError) as error:  # too long, a cycle of links, or a NUL
         path = f"{entry.model_path!r:.80}"
-        raise SceneError(f"{entry.where}: model_path {path} cannot be looked up") from error
+        raise SceneError(f"{entry.where}: model_path {path} is not a valid path") from error
     if not inside:
         raise SceneError(f"{entry.where}: model_path {entry.model_path!r} leaves {root}")
     return file if exists else None
 
 
 def category_of(name: str, model_path: str) -> str:
-    """Say what an object is, e.g. "fridge" for Fridge/10144/mobility.urdf.
+    """Return the category of an object, for example "fridge" for Fridge/10144/mobility.urdf.
 
     Args:
-        name: Name of the object; wins where it says something known.
+        name: Name of the object; it takes precedence if it contains a known category.
         model_path: Path of its URDF; only the last folders count.
     """
     parts = Path(model_path).with_suffix("").parts[-3:]
@@ -196,15 +196,12 @@ def category_of(name: str, model_path: str) -> str:
 
 
 def _words(text: str) -> str:
-    """Lower-case words of a name in any of the usual spellings."""
+    """Return the lower-case words of a name in any common spelling."""
     return " ".join(re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1 \2", text).lower()))
 
 
-# ---------------------------------------------------------------- objects whose files are missing
-
-
 def _read_sizes(root: Path) -> dict[str, Size]:
-    """Sizes of household models by folder name [m]; rows that make no sense are left out."""
+    """Read the sizes of household models by folder name [m]; skip invalid rows."""
     file = root / SIZES
     if not file.is_file() or file.stat().st_size > MAX_SIZES_BYTES:
         return {}
@@ -223,7 +220,7 @@ def _read_sizes(root: Path) -> dict[str, Size]:
 def _stand_in(
     entry: Entry, sizes: Mapping[str, Size], solid: Sequence[Corners]
 ) -> tuple[SceneObject, str]:
-    """Make the box that stands for a missing model, and the warning about it."""
+    """Return the box that replaces a missing model, and a warning about it."""
     known = sizes.get(Path(entry.model_path).parent.name)
     size = np.multiply(known or (DEFAULT_EDGE,) * 3, entry.scale)
     edges = (float(size[0]), float(size[1]), float(size[2]))
@@ -231,21 +228,21 @@ def _stand_in(
     item = SceneObject(entry.name, entry.category, entry.T, box)
     if not entry.fixed:
         item = _set_down(item, size, solid)
-    origin = f"of the size in {SIZES}" if known else "of unknown size"
+    origin = f"with the size from {SIZES}" if known else "of unknown size"
     shape = " x ".join(f"{100 * v:.1f}" for v in edges)
     return item, (
-        f"object {entry.name!r}: {entry.model_path} does not exist; "
-        f"it became a box {origin}, {shape} cm"
+        f"object {entry.name!r}: {entry.model_path} does not exist; replaced by a box {origin}, "
+        f"{shape} cm"
     )
 
 
 def _set_down(
     item: SceneObject, size: Float[np.ndarray, "3"], solid: Sequence[Corners]
 ) -> SceneObject:
-    """Let a loose box rest on what is below its center, or on the floor.
+    """Rest a movable box on what is below its center, or on the floor.
 
-    BestMan drops such objects from their position, which is the center of the household models;
-    a position up to half a height inside the support is lifted out of it.
+    BestMan drops such objects from their position, which is the center of the household models. A
+    position up to half the height inside a support is lifted out of it.
     """
     T = item.T_world_object.copy()
     half = float(np.abs(T[2, :3]) @ size / 2)
@@ -259,7 +256,6 @@ def _set_down(
 
 
 def _hull_bounds(items: Iterable[SceneObject]) -> list[Corners]:
-    """Corners of the axis-aligned box around each collision hull, in the world."""
     bounds = []
     for item in items:
         for link, T in item.link_poses().items():

@@ -1,4 +1,4 @@
-"""How sure a scan is of its objects, as scene files hold it."""
+"""Read and write the confidences of a scan in scene files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from momapos.model.records import Confidence
 
 
 def confidence_to_json(sure: Confidence) -> dict[str, Any]:
-    """What a scene file holds of one object."""
+    """Convert the confidence of an object to the content of a scene file."""
     entry: dict[str, Any] = {"object": round(sure.object, 3), "label": round(sure.label, 3)}
     for key, found in (("joints", sure.joints), ("handles", sure.handles)):
         if found:
@@ -19,16 +19,16 @@ def confidence_to_json(sure: Confidence) -> dict[str, Any]:
 
 
 def read_confidence(value: object, joints: Sequence[str], where: str) -> Confidence | None:
-    """Read how sure a scan is of an object; None where the file does not say.
+    """Read the confidence of an object; None if the file has none.
 
     Args:
-        value: What the file holds.
+        value: Content of the file.
         joints: The object's movable joints.
-        where: The file and the object, for messages.
+        where: File and object, for messages.
 
     Raises:
-        SceneError: A number is none, or is not between 0 and 1.
-        UnknownNameError: It names a joint that the object does not have.
+        SceneError: A value is not a number from 0 to 1.
+        UnknownNameError: The object has no such joint.
     """
     if value is None:
         return None
@@ -52,5 +52,5 @@ def _shares(values: Mapping[str, Any], where: str) -> dict[str, float]:
     for name, value in values.items():
         good = isinstance(value, int | float) and not isinstance(value, bool)
         if not good or not 0 <= value <= 1:
-            raise SceneError(f"{where}: {name!r:.60} must be a number between 0 and 1")
+            raise SceneError(f"{where}: {name!r:.60} must be a number from 0 to 1")
     return {name: float(value) for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""Areas of the floor: named in a scene, in a file of their own, or written out."""
+"""Areas of the floor: named in a scene, in a JSON file, or given by corners."""
 
 from __future__ import annotations
 
@@ -20,47 +20,47 @@ if TYPE_CHECKING:
 
 MAX_AREAS = 1_000
 MAX_CORNERS = 1_000
-"""Corners of an area or of a floor [-]."""
+"""Maximum number of corners of an area or a floor [-]."""
 MAX_DISTANCE = 1e4
-"""From the world's origin [m]."""
+"""Maximum distance from the world's origin [m]."""
 _MAX_BYTES = 1_000_000
 
 
 def read_areas(value: Any, where: str) -> dict[str, Outline]:
-    """The areas of a scene file, by name.
+    """Read the areas of a scene file by name.
 
     Raises:
-        SceneError: They are not {name: [[x, y], ...]}; the message begins with `where`.
+        SceneError: They are not {name: [[x, y], ...]}; the message starts with `where`.
     """
     if not isinstance(value, dict) or len(value) > MAX_AREAS:
-        raise SceneError(f"{where} must be {{name: [[x, y], ...]}} of at most {MAX_AREAS}")
+        raise SceneError(f"{where} must be {{name: [[x, y], ...]}} with at most {MAX_AREAS} areas")
     for name in value:
         if not name or len(name) > 1000 or not name.isprintable():
-            raise SceneError(f"{where}: {name!r:.80} is no name")
+            raise SceneError(f"{where}: {name!r:.80} must be printable, 1 to 1000 characters long")
     return {name: read_outline(corners, f"{where}: {name!r}") for name, corners in value.items()}
 
 
 def read_outline(value: Any, where: str) -> Outline:
-    """The corners of one area, or of a floor.
+    """Read the corners of an area or a floor.
 
     Raises:
-        SceneError: It is no outline of at least 3 corners that encloses something.
+        SceneError: The outline has too few or too many corners, or encloses no area.
     """
     if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
         raise SceneError(f"{where} must be an outline of 3 to {MAX_CORNERS} points [x, y]")
     points = np.array([read_numbers(p, 2, f"{where} point {i}") for i, p in enumerate(value)])
     if np.abs(points).max() > MAX_DISTANCE:
-        raise SceneError(f"{where} reaches more than 10 km")
+        raise SceneError(f"{where} must be within 10 km of the origin")
     if abs(signed_area(points)) < 1e-6:
         raise SceneError(f"{where} encloses no area")
     return tuple((float(x), float(y)) for x, y in points)
 
 
 def read_numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count"]:
-    """A list of finite numbers.
+    """Read a list of finite numbers.
 
     Raises:
-        SceneError: It is none of that length.
+        SceneError: The value is not a list of `count` finite numbers.
     """
     values = value if isinstance(value, list) else []
     if len(values) != count or not all(
@@ -77,15 +77,15 @@ def read_numbers(value: object, count: int, where: str) -> Float[np.ndarray, " c
 
 
 def find_area(words: str, scene: Scene, where: str) -> Outline:
-    """An area by what was written: the name of one in the scene, a JSON file, or its corners.
+    """Find an area by its name in the scene, a JSON file, or its corners.
 
     Args:
-        words: Such as "kitchen", "area.json" or "0,0 2,0 2,1".
+        words: For example "kitchen", "area.json" or "0,0 2,0 2,1".
         scene: The room.
-        where: What it was written for, for the message.
+        where: Name of the argument, for messages.
 
     Raises:
-        SceneError: It is none of these.
+        SceneError: The words are none of these.
     """
     if words in scene.areas:
         return scene.areas[words]
@@ -103,7 +103,7 @@ def find_area(words: str, scene: Scene, where: str) -> Outline:
         if scene.areas:
             raise unknown_name("area", words, scene.areas, f"scene {scene.name}") from None
         raise SceneError(
-            f'{where} {words!r}: the scene names no areas; write its corners, as "0,0 2,0 2,1", '
-            "or name a JSON file of them"
+            f"{where} {words!r}: the scene names no areas; give the corners, such as "
+            '"0,0 2,0 2,1", or a JSON file with corners'
         ) from None
     return read_outline(corners, f"{where} {words!r}")

@@ -1,4 +1,4 @@
-"""Ways in which a part may move, as scene files hold them."""
+"""Read and write the motion hypotheses of parts in scene files."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from momapos.core import SceneError, unknown_name
 from momapos.model.records import Hypothesis, PartKind
 
 KINDS: tuple[PartKind, ...] = get_args(PartKind)
-MOST = 16
-"""Of one joint [-]."""
-ROUNDED = 1e-3
-"""Probabilities that are written with few digits sum to one within this [-]."""
-FARTHEST = 1e3
-"""A point on an axis is no farther from its object [m]."""
+MAX_HYPOTHESES = 16
+"""Maximum number of hypotheses of a joint [-]."""
+ROUNDING_TOLERANCE = 1e-3
+"""Tolerance of rounded probabilities and of unit vectors [-]."""
+MAX_COORDINATE = 1e3
+"""Maximum coordinate of a point on an axis, in the object's frame [m]."""
 
 
 def hypotheses_to_json(found: Sequence[Hypothesis]) -> list[dict[str, Any]]:
-    """What a scene file holds of one joint."""
+    """Convert the hypotheses of a joint to the content of a scene file."""
     return [
         {
             "kind": one.kind,
@@ -39,13 +39,13 @@ def read_hypotheses(
     """Read the hypotheses of an object's joints.
 
     Args:
-        value: What the file holds.
+        value: Content of the file.
         joints: The object's movable joints.
-        where: The file and the object, for messages.
+        where: File and object, for messages.
 
     Raises:
-        SceneError: They are not written so, or the probabilities of a joint do not sum to one.
-        UnknownNameError: They name a joint that the object does not have.
+        SceneError: A value is invalid, or the probabilities of a joint do not sum to 1.
+        UnknownNameError: The object has no such joint.
     """
     if not isinstance(value, dict):
         raise SceneError(f"{where}: hypotheses must be {{joint: [...]}}")
@@ -54,11 +54,11 @@ def read_hypotheses(
         if name not in joints:
             raise unknown_name("movable joint", name, joints, f"{where}: hypotheses")
         at = f"{where}: hypotheses of {name!r}"
-        if not isinstance(rows, list) or not 1 <= len(rows) <= MOST:
-            raise SceneError(f"{at} must be a list of 1 to {MOST}")
+        if not isinstance(rows, list) or not 1 <= len(rows) <= MAX_HYPOTHESES:
+            raise SceneError(f"{at} must be a list of 1 to {MAX_HYPOTHESES} hypotheses")
         found[name] = tuple(_hypothesis(row, f"{at}: {k}") for k, row in enumerate(rows))
         total = sum(one.probability for one in found[name])
-        if abs(total - 1.0) > ROUNDED * len(rows):
+        if abs(total - 1.0) > ROUNDING_TOLERANCE * len(rows):
             raise SceneError(f"{at}: the probabilities sum to {total:.4g}; they must sum to 1")
     return found
 
@@ -69,15 +69,15 @@ def _hypothesis(row: object, where: str) -> Hypothesis:
     kind = next((known for known in KINDS if known == row.get("kind")), None)
     if kind is None:
         given = f"{row.get('kind')!r:.40}"
-        raise SceneError(f"{where}: kind {given} is none of {', '.join(KINDS)}")
+        raise SceneError(f"{where}: kind {given} must be one of {', '.join(KINDS)}")
     point, axis = (_triple(row, key, where) for key in ("point", "axis"))
-    if abs(float(np.linalg.norm(axis)) - 1.0) > ROUNDED:
+    if abs(float(np.linalg.norm(axis)) - 1.0) > ROUNDING_TOLERANCE:
         raise SceneError(f"{where}: axis must have length 1")
     probability, upper = (_number(row, key, where) for key in ("probability", "upper"))
     if not 0.0 <= probability <= 1.0:
-        raise SceneError(f"{where}: probability {probability:g} is not between 0 and 1")
-    if not 0.0 <= upper <= FARTHEST:
-        raise SceneError(f"{where}: upper {upper:g} must be 0 or more")
+        raise SceneError(f"{where}: probability {probability:g} must be from 0 to 1")
+    if not 0.0 <= upper <= MAX_COORDINATE:
+        raise SceneError(f"{where}: upper must be 0 or more, not {upper:g}")
     return Hypothesis(kind, probability, point, axis, upper)
 
 
@@ -93,7 +93,7 @@ def _number(row: Mapping[str, Any], key: str, where: str) -> float:
     value = row.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SceneError(f"{where}: {key} must be a number")
-    # Integers of any length are compared before they become a float, which may not hold them.
-    if not -FARTHEST <= value <= FARTHEST:
-        raise SceneError(f"{where}: {key} must be a finite number within {FARTHEST:g}")
+    # Compare integers of any length before converting to float, which may overflow.
+    if not -MAX_COORDINATE <= value <= MAX_COORDINATE:
+        raise SceneError(f"{where}: {key} must be a finite number within {MAX_COORDINATE:g}")
     return float(value)

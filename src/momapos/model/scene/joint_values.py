@@ -1,4 +1,4 @@
-"""Doors that stand open: joints set to other values than the scene's file has."""
+"""Set joints to other values than in the scene file, for example to open doors."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from .scene import Scene
 
 
 def joint_value(joint: Joint, quantity: Quantity, what: str) -> float:
-    """A quantity as a value of a joint [rad] or [m].
+    """Return a quantity as a joint value [rad] or [m].
 
     Args:
         joint: The joint.
-        quantity: What was written.
-        what: What it was written for, for the message.
+        quantity: The quantity.
+        what: Name of the argument, for messages.
 
     Raises:
-        TaskError: Its unit is not one of this kind of joint.
+        TaskError: The unit does not fit the kind of joint.
     """
     return quantity.length(what) if joint.kind == "prismatic" else quantity.angle(what)
 
 
 def set_joints(scene: Scene, words: Sequence[str]) -> Scene:
-    """The same scene with joints at other values.
+    """Return the scene with other joint values.
 
     Args:
         scene: The room.
-        words: Such as "fridge/door_hinge=60deg".
+        words: For example "fridge/door_hinge=60deg".
 
     Raises:
-        SceneError: It is not written so, or outside the joint's limits.
-        TaskError: The value has the wrong unit.
-        UnknownNameError: There is no such object or joint.
+        SceneError: The syntax is wrong, or a value is outside the joint's limits.
+        TaskError: A value has the wrong unit.
+        UnknownNameError: An object or joint does not exist.
     """
     for text in words:
         target, found, value = text.partition("=")
         name, _, joint = target.partition("/")
         if not (found and joint):
-            raise SceneError(f"--joint {text!r} is not OBJECT/JOINT=VALUE, as fridge/door=60deg")
+            raise SceneError(f"joint {text!r} is not OBJECT/JOINT=VALUE, like fridge/door=60deg")
         record = scene.object(name).joint(joint)
-        number = joint_value(record, parse_quantity(value), f"--joint {target}:")
+        number = joint_value(record, parse_quantity(value), f"joint {target}:")
         if not math.isfinite(number):
-            raise SceneError(f"--joint {target}: {value} is no finite number")
+            raise SceneError(f"joint {target}: {value} must be finite")
         scene = scene.with_joints({name: {joint: number}})
     return scene

@@ -1,9 +1,8 @@
-"""Kitchens made from a layout name and a seed, written as momapos scenes.
+"""Generate kitchens from a layout and a seed, and write them as momapos scenes.
 
-scene-synthesizer (NVIDIA, Apache-2.0) arranges the furniture; this module turns each piece into
-a small URDF of boxes that a planner can use: doors stand clear of their frames, handles are bars
-that a gripper can close around, wire baskets become trays, and every joint ends before it hits
-something.
+scene-synthesizer (NVIDIA, Apache-2.0) arranges the furniture. This module converts each piece to a
+small URDF of boxes for planning: doors have a gap to their frames, handles are bars that a gripper
+can close around, wire baskets become trays, and every joint ends before it hits something.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from momapos.model.scene.library import (
     JointMotion,
     Piece,
     bar_handle,
-    ending_before_hits,
+    limit_joints_before_hits,
     obstacles,
     solid,
     union,
@@ -45,7 +44,7 @@ LAYOUTS: tuple[str, ...] = (
     "island",
     "peninsula",
 )
-"""The layouts that scene-synthesizer offers."""
+"""Layouts of scene-synthesizer."""
 
 SIZES: Mapping[str, float] = {
     "counter_height": 0.9,
@@ -56,7 +55,7 @@ SIZES: Mapping[str, float] = {
     "aisle_width": 1.8,
     "exit_width": 1.0,
 }
-"""Sizes of real kitchens [m]; scene-synthesizer's own are low, and too narrow for a robot."""
+"""Sizes of real kitchens [m]; the defaults of scene-synthesizer are too low and narrow."""
 
 KINDS: Mapping[str, tuple[str, str]] = {
     "refrigerator": ("fridge", "fridge"),
@@ -70,7 +69,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "corner": ("corner", "counter"),
     "countertop": ("countertop", "counter"),
 }
-"""scene-synthesizer's name for a kind of furniture: our name for it, and its category."""
+"""Our name and category of each furniture kind of scene-synthesizer."""
 
 ITEMS: Mapping[str, tuple[float, float, float]] = {
     "cup": (0.075, 0.075, 0.095),
@@ -78,53 +77,53 @@ ITEMS: Mapping[str, tuple[float, float, float]] = {
     "cereal_box": (0.06, 0.16, 0.24),
     "bottle": (0.065, 0.065, 0.22),
 }
-"""Small objects that stand on the counters, with their sizes [m]."""
+"""Small objects on the counters, with their sizes [m]."""
 
 NEEDS_WALL = ("fridge", "oven", "dishwasher", "sink_cabinet", "wall_cabinet", "range_hood")
-"""Pieces that have a wall behind them; cabinets and islands may stand free."""
+"""Pieces that need a wall behind them; cabinets and islands can be freestanding."""
 
-LEAST_OPENING = {"revolute": 0.6, "prismatic": 0.2}
-"""A part that opens less than this [rad] or [m] before it hits something is fixed."""
+MIN_OPENING = {"revolute": 0.6, "prismatic": 0.2}
+"""Opening below which a part is fixed instead [rad] or [m]."""
 
-WIDEST = 2.0  # [rad] that doors open at most
-GAP = 0.0015  # [m] that moving parts are made smaller by on each side
+MAX_DOOR_OPENING = 2.0  # maximum opening of doors [rad]
+PART_GAP = 0.0015  # reduction of moving parts on each side [m]
 HANDLE_LENGTHS = (0.12, 0.4)  # [m]
 WALL_HEIGHT, WALL_THICKNESS, WALL_GAP = 2.5, 0.1, 0.005  # [m]
-FREE_FRONT, FREE_SIDE = 2.5, 1.5  # [m] of floor beyond the furniture: facing a wall, elsewhere
-CLEARANCE = 0.8  # [m] around the start pose, where there is that much
+FREE_FRONT, FREE_SIDE = 2.5, 1.5  # floor between furniture and edge: opposite a wall, else [m]
+CLEARANCE = 0.8  # preferred clearance of the start pose [m]
 
 
 def generate_kitchen(layout: str, *, seed: int, out: Path) -> Path:
-    """Make a kitchen and write it as a momapos scene.
+    """Generate a kitchen and write it as a momapos scene.
 
-    The same layout and seed give the same bytes. Nothing is written when anything fails.
+    The result is reproducible to the byte. On an error nothing is written.
 
     Args:
         layout: One of `LAYOUTS`.
-        seed: Seed of everything that is random, 0 or more.
-        out: The scene file; its URDF files go into the folder `<stem>_urdf` beside it.
+        seed: Random seed, 0 or more.
+        out: The scene file; its URDF files are written to `<stem>_urdf` next to it.
 
     Returns:
         The path of the scene file.
 
     Raises:
-        UnknownNameError: There is no such layout.
-        InputError: The seed is negative, or the URDF folder holds files of another kind.
+        UnknownNameError: The layout does not exist.
+        InputError: The seed is negative, or the URDF folder contains other files.
         MissingExtraError: scene-synthesizer is not installed.
     """
     if layout not in LAYOUTS:
         raise unknown_name("layout", layout, LAYOUTS, "the built-in kitchens")
     if seed < 0:
-        raise InputError(f"the seed of a kitchen must be 0 or more, not {seed}")
+        raise InputError(f"seed must be 0 or more, not {seed}")
     pieces, floor = empty_kitchen(layout, seed)
     counters = [piece for piece in pieces if piece.name.startswith("countertop")]
     pieces += _items(counters, seed)
-    pieces = with_joint_ends(pieces)
+    pieces = with_joint_limits(pieces)
     return write_kitchen(out, f"{layout}_{seed}", pieces, floor, free_start(floor, pieces))
 
 
 def empty_kitchen(layout: str, seed: int) -> tuple[list[Piece], list[tuple[float, float]]]:
-    """Furniture and walls of a kitchen with nothing on the counters, and the floor's corners [m].
+    """Return furniture and walls of a kitchen with empty counters, and the floor's corners [m].
 
     Raises:
         MissingExtraError: scene-synthesizer is not installed.
@@ -134,16 +133,13 @@ def empty_kitchen(layout: str, seed: int) -> tuple[list[Piece], list[tuple[float
     return pieces + walls, floor
 
 
-def with_joint_ends(pieces: Sequence[Piece]) -> list[Piece]:
-    """The same furniture, each joint ending before its part hits anything."""
-    return [ending_before_hits(piece, pieces, LEAST_OPENING) for piece in pieces]
-
-
-# ---------------------------------------------------------------- from scene-synthesizer
+def with_joint_limits(pieces: Sequence[Piece]) -> list[Piece]:
+    """Return the furniture with every joint ending before its part hits anything."""
+    return [limit_joints_before_hits(piece, pieces, MIN_OPENING) for piece in pieces]
 
 
 def _furniture(layout: str, seed: int) -> list[Piece]:
-    """Let scene-synthesizer arrange the furniture, and translate it piece by piece."""
+    """Let scene-synthesizer arrange the furniture, and convert it piece by piece."""
     with require("kitchens"):
         from scene_synthesizer import procedural_assets, procedural_scenes
     with _contained(procedural_assets.utils, seed):
@@ -155,10 +151,10 @@ def _furniture(layout: str, seed: int) -> list[Piece]:
 
 @contextmanager
 def _contained(utils: Any, seed: int) -> Iterator[None]:
-    """Keep a generator's side effects in: global random state, and mesh files left in /tmp."""
+    """Contain a generator's side effects: global random state, and mesh files in /tmp."""
     numpy_state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002
     file_name = utils.get_random_filename
-    np.random.seed(seed % 2**32)  # noqa: NPY002 - what others draw from it shall be the same too
+    np.random.seed(seed % 2**32)  # noqa: NPY002 - makes other users of it reproducible
     random.seed(seed)
     with tempfile.TemporaryDirectory() as folder:
 
@@ -176,11 +172,10 @@ def _contained(utils: Any, seed: int) -> Iterator[None]:
 
 
 def _piece(scene: Any, name: str) -> Piece:
-    """Translate one object of scene-synthesizer."""
     kind = next(kind for kind in KINDS if name.startswith(kind))
     new_kind, category = KINDS[kind]
     links, roots, joints = scene.get_links(scene.metadata["object_nodes"][name])
-    frame = f"{name}/corpus" if f"{name}/corpus" in roots else name  # there the front is at -y
+    frame = f"{name}/corpus" if f"{name}/corpus" in roots else name  # its front is at -y
     motions = {
         edge[1]: _motion(scene, frame, edge[1], edge[2]["metadata"]["joint"])
         for edge in joints.values()
@@ -191,7 +186,7 @@ def _piece(scene: Any, name: str) -> Piece:
         boxes = [_box(scene, frame, node) for node in nodes if node in scene.graph.nodes_geometry]
         motion = motions.get(root)
         if motion is None or not any("handle" in box.name for box in boxes):
-            body += _simplified(boxes)  # no handle, nothing to pull: a basket, say
+            body += _simplified(boxes)  # without a handle it cannot be pulled, such as a basket
         else:
             parts.append(_moving_part(root.rsplit("/", maxsplit=1)[-1], _simplified(boxes), motion))
     T = scene.get_transform(frame)
@@ -202,7 +197,7 @@ def _piece(scene: Any, name: str) -> Piece:
 
 
 def _motion(scene: Any, frame: str, node: str, joint: Mapping[str, Any]) -> JointMotion | None:
-    """Translate a joint into the frame of its piece; None for one that does not move."""
+    """Convert a joint into the frame of its piece; None for a fixed one."""
     if joint["type"] not in ("revolute", "prismatic"):
         return None
     T_piece_link = scene.get_transform(node, frame)
@@ -211,7 +206,7 @@ def _motion(scene: Any, frame: str, node: str, joint: Mapping[str, Any]) -> Join
 
 
 def _box(scene: Any, frame: str, node: str) -> Box:
-    """Bound one geometry by a box in the frame of its piece; boxes there are axis-aligned."""
+    """Return the bounding box of a geometry in the frame of its piece."""
     T = scene.get_transform(node, frame)
     low, high = scene.geometry[scene.graph[node][1]].bounds
     center = T[:3, :3] @ (low + high) / 2 + T[:3, 3]
@@ -220,9 +215,9 @@ def _box(scene: Any, frame: str, node: str) -> Box:
 
 
 def _simplified(boxes: Sequence[Box]) -> list[Box]:
-    """Replace wires, baskets and the sink by a few plain boxes; leave out racks inside doors.
+    """Replace wires, baskets and the sink by a few boxes, and remove racks inside doors.
 
-    The racks are left out because scene-synthesizer's scrape along the frame when the door turns.
+    The racks of scene-synthesizer touch the frame when the door rotates.
     """
     groups: dict[str, list[Box]] = {}
     for box in boxes:
@@ -244,7 +239,7 @@ def _simplified(boxes: Sequence[Box]) -> list[Box]:
 
 
 def _sides(outer: Box, inner: Box, wall: float) -> list[Box]:
-    """The four boxes between an outer box and a hole in it, whose walls are `wall` [m] thick."""
+    """Return the four boxes between an outer box and a hole, with walls `wall` [m] thick."""
     (x0, y0, z0), (x1, y1, z1) = outer.low, outer.high
     hx0, hy0 = inner.low[0] + wall, inner.low[1] + wall
     hx1, hy1 = inner.high[0] - wall, inner.high[1] - wall
@@ -257,14 +252,14 @@ def _sides(outer: Box, inner: Box, wall: float) -> list[Box]:
 
 
 def _moving_part(name: str, boxes: Sequence[Box], motion: JointMotion) -> FurniturePart:
-    """Make a door or drawer that stands clear of its frame, with a bar to pull it by."""
+    """Return a door or drawer with a gap to its frame and a bar handle."""
     panels = [box for box in boxes if "handle" not in box.name]
-    front = min(box.low[1] for box in panels) + GAP
-    margin = np.full(3, GAP)
+    front = min(box.low[1] for box in panels) + PART_GAP
+    margin = np.full(3, PART_GAP)
     if motion.kind == "revolute":
-        motion = replace(motion, upper=min(motion.upper, WIDEST))
+        motion = replace(motion, upper=min(motion.upper, MAX_DOOR_OPENING))
     if motion.kind == "revolute" and motion.axis[2]:
-        # hinged at its front edge, a door stays within its width, but for its inner far edge
+        # A door hinged at its front edge stays within its width, except its inner far edge.
         motion = replace(motion, pivot=(motion.pivot[0], front, motion.pivot[2]))
         width, thickness, _ = _size(union("all", panels))
         margin[0] += thickness**2 / (2 * width)
@@ -279,19 +274,18 @@ def _moving_part(name: str, boxes: Sequence[Box], motion: JointMotion) -> Furnit
 
 
 def _size(box: Box) -> Float[np.ndarray, "3"]:
-    """Side lengths of a box [m]."""
     return np.subtract(box.high, box.low)
 
 
 def _smaller(box: Box, margin: Float[np.ndarray, "3"]) -> Box:
-    """Take a margin [m] off each side of a box, but not more than half its size in all."""
+    """Shrink a box by a margin [m] on each side, but by at most half its size in total."""
     low, high = np.array(box.low), np.array(box.high)
     margin = np.minimum(margin, (high - low) / 4)
     return Box(box.name, vec(low + margin), vec(high - margin))
 
 
 def _without_clashes(pieces: Sequence[Piece]) -> list[Piece]:
-    """Leave out wall cabinets that stand in what came before, as in scene-synthesizer's galley."""
+    """Remove wall cabinets that overlap earlier pieces, as in scene-synthesizer's galley."""
     kept: list[Piece] = []
     for piece in pieces:
         low, high = _bounds([piece])
@@ -303,16 +297,13 @@ def _without_clashes(pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def _bounds(pieces: Sequence[Piece]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """The corners of the box around furniture, handles included, in the world [m]."""
+    """Return the corners of the box around furniture with handles, in the world [m]."""
     low, high = obstacles(pieces).bounds()
     return low.min(axis=0), high.max(axis=0)
 
 
-# ---------------------------------------------------------------- the room around the furniture
-
-
 def _room(pieces: Sequence[Piece]) -> tuple[list[tuple[float, float]], list[Piece]]:
-    """Lay out the floor, and put walls where furniture has its back to the edge.
+    """Lay out the floor, with walls behind furniture at its edge.
 
     Returns:
         The corners of the floor [m], counterclockwise, and the walls.
@@ -343,7 +334,7 @@ def _room(pieces: Sequence[Piece]) -> tuple[list[tuple[float, float]], list[Piec
 
 
 def _items(counters: Sequence[Piece], seed: int) -> list[Piece]:
-    """Stand small objects on the front two thirds of counters, apart from each other."""
+    """Place small objects on the front two thirds of counters, apart from each other."""
     rng = np.random.default_rng((seed, 1))
     items: list[Piece] = []
     for name, size in ITEMS.items():
@@ -367,7 +358,7 @@ def _items(counters: Sequence[Piece], seed: int) -> list[Piece]:
 def free_start(
     floor: Sequence[tuple[float, float]], pieces: Sequence[Piece]
 ) -> tuple[float, float, float]:
-    """Choose the free place nearest to the furniture, or the freest; the robot looks at it.
+    """Return the free pose closest to the furniture, or the freest one; the robot faces it.
 
     Returns:
         x [m], y [m], yaw [rad].

@@ -1,4 +1,4 @@
-"""The files that a model is made of, and copies of them."""
+"""Find and copy the files of models."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .scene import Scene
 
 
 def model_files(model: Articulated) -> tuple[Path, ...]:
-    """The URDF and mesh files that a model was read from; none for a box."""
+    """Return the URDF and mesh files of a model; empty for a box."""
     if model.urdf.path is None:
         return ()
     shapes = (s for link in model.urdf.links.values() for s in (*link.collisions, *link.visuals))
@@ -26,10 +26,10 @@ def model_files(model: Articulated) -> tuple[Path, ...]:
 
 
 def package_folder(urdf: Path) -> Path:
-    """The folder that a URDF's own files lie in: its ROS package, or where it lies itself.
+    """Return the folder of a URDF's own files: its ROS package, or the URDF's folder.
 
-    The package is the nearest of five folders with a `package.xml`; without one, the folder above
-    one that is called `urdf` or `robots`.
+    The package is the nearest of five folders with a `package.xml`; without one, the parent of a
+    folder named `urdf` or `robots`.
     """
     folder = urdf.resolve().parent
     for above in (folder, *folder.parents[:4]):
@@ -41,19 +41,19 @@ def package_folder(urdf: Path) -> Path:
 def copy_files(
     models: Iterable[Articulated], target: Path, root: Path | None = None
 ) -> dict[Path, Path]:
-    """Copy the URDF and mesh files of models into a folder; they keep places among each other.
+    """Copy the URDF and mesh files of models into a folder, with their relative paths.
 
     Args:
         models: The models.
         target: The folder.
-        root: Folder that the meshes must lie in; for each URDF its `package_folder` where None.
+        root: Folder that must contain the meshes; None for each URDF's `package_folder`.
 
     Returns:
         The copy of every file.
 
     Raises:
-        SceneError: A mesh lies elsewhere: a URDF of a stranger may name any file.
-        UrdfError: What it names is no mesh.
+        SceneError: A mesh is outside the root; an untrusted URDF can name any file.
+        UrdfError: A file is not a mesh.
         OSError: The folder cannot be written to.
     """
     files: dict[Path, None] = {}
@@ -64,7 +64,7 @@ def copy_files(
                 within = (root or package_folder(model.urdf.path)).resolve()
                 if not file.resolve().is_relative_to(within):
                     raise SceneError(
-                        f"{model.urdf.path}: mesh {file} lies outside {within} and is not copied"
+                        f"{model.urdf.path}: mesh {file} is outside {within} and is not copied"
                     )
                 mesh_points(file)
             files[file] = None
@@ -79,25 +79,25 @@ def copy_files(
 
 @contextmanager
 def copied(scene: Scene, out: Path, root: Path | None = None) -> Iterator[Scene]:
-    """Copy the files of a scene's models into `<stem>_files` beside a new scene file.
+    """Copy the files of a scene's models into `<stem>_files` next to a new scene file.
 
-    The folder appears whole, and stays only if the block that writes the scene file succeeds.
+    The folder appears complete, and remains only if the block that writes the scene succeeds.
 
     Args:
         scene: The scene.
         out: The new scene file.
-        root: Folder that the meshes must lie in; see `copy_files`. What a scene file names was
-            held to that file's own root when it was read.
+        root: Folder that must contain the meshes, see `copy_files`. The files of a scene file were
+            checked against its own root when it was read.
 
     Yields:
-        The scene with its models at their new places.
+        The scene with its models at their new paths.
 
     Raises:
-        SceneError: The folder exists, or a mesh must not be copied; nothing is written then.
+        SceneError: The folder exists, or a mesh must not be copied; then nothing is written.
     """
     target = out.resolve().parent / f"{out.stem}_files"
     if os.path.lexists(target):
-        raise SceneError(f"{target} exists already; remove it or write to another file")
+        raise SceneError(f"{target}: exists already; remove it or write to another file")
     models = list({id(item.model): item.model for item in scene.objects}.values())
     alone = [model.urdf.path for model in models] == [scene.path]  # a URDF, not a scene file
     within = root if root is not None or alone else Path("/")
@@ -122,7 +122,6 @@ def copied(scene: Scene, out: Path, root: Path | None = None) -> Iterator[Scene]
 
 
 def _moved(model: Articulated, places: Mapping[Path, Path]) -> Articulated:
-    """The same model, its files elsewhere."""
     if model.urdf.path is None:
         return model
 

@@ -1,4 +1,4 @@
-"""An object one of whose parts moves otherwise than its URDF says, and the scene file of it."""
+"""Replace the joint of an object's part by another hypothesis, and write the scene file."""
 
 from __future__ import annotations
 
@@ -22,38 +22,38 @@ from .scene_files import save_scene
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-TRAY = 0.08
-"""What of a part reaches farther behind the front of its object is the tray of a drawer [m]."""
+MIN_TRAY_DEPTH = 0.08
+"""Minimum depth behind the object's front at which a shape belongs to a drawer's tray [m]."""
 
 
-def moving_as(item: SceneObject, joint: str, way: Hypothesis) -> SceneObject:
-    """The object with a part that moves in another way; it looks the same while it is shut.
+def with_part_motion(item: SceneObject, joint: str, way: Hypothesis) -> SceneObject:
+    """Return the object with another motion of a part; it looks the same while closed.
 
-    A drawer that turns out to be hinged loses its tray, which could not turn.
+    A drawer that becomes hinged loses its tray, which could not rotate.
 
     Args:
         item: The object.
-        joint: The joint of the part; it keeps its name, is shut at 0 and opens to `way.upper`.
-        way: How the part moves, in the object's frame.
+        joint: Joint of the part; it keeps its name, is closed at 0 and opens to `way.upper`.
+        way: Motion of the part, in the object's frame.
 
     Raises:
-        SceneError: The joint follows another or another follows it, or no file holds it.
+        SceneError: The joint is a mimic joint or has followers, or the object has no URDF.
     """
     path = item.model.urdf.path
     if path is None:
-        raise SceneError(f"{item.name}: a box has no joint")
+        raise SceneError(f"{item.name}: is a box without joints")
     cache = item.model.cache
-    text = _text(item, joint, way)
+    text = _urdf_text(item, joint, way)
     urdf = read_urdf(path, scale=item.model.urdf.scale, cache=cache, text=text)
     model = Articulated(urdf, item.model.held, cache)
     others = {name: value for name, value in item.joints.items() if name != joint}
     return replace(item, model=model, joints=others)
 
 
-def scene_moving_as(scene: Scene, name: str, joint: str, way: Hypothesis) -> Scene:
-    """The room with one object that is `moving_as`, the part shut."""
+def scene_with_part_motion(scene: Scene, name: str, joint: str, way: Hypothesis) -> Scene:
+    """Return the room with another motion of a part (see `with_part_motion`), the part closed."""
     target = scene.object(name)
-    other = moving_as(target, joint, way)
+    other = with_part_motion(target, joint, way)
     set_here = {k: v for k, v in scene.joints_set.get(name, {}).items() if k != joint}
     return replace(
         scene,
@@ -62,32 +62,32 @@ def scene_moving_as(scene: Scene, name: str, joint: str, way: Hypothesis) -> Sce
     )
 
 
-def way_about(
+def hypothesis_about(
     item: SceneObject,
     joint: str,
     direction: Float[np.ndarray, "3"],
     point: Float[np.ndarray, "3"],
     moved: float,
 ) -> Hypothesis:
-    """The way in which a part moves about another axis than believed, in its object's frame.
+    """Return the hypothesis for a part that moves about another axis, in its object's frame.
 
     Args:
-        item: The object as it is believed to be.
+        item: The object as believed.
         joint: Its joint.
-        direction: Of the axis in the world; the joint's value rises about it, or along it.
-        point: On the axis, in the world [m].
-        moved: How far the part was opened [rad] or [m].
+        direction: Direction of the axis in the world; the joint opens about or along it.
+        point: Point on the axis, in the world [m].
+        moved: Observed opening of the part [rad] or [m].
     """
     opening = opening_of(item.model, joint)
     back = invert(item.T_world_object)
     axis = opening.sign * back[:3, :3] @ direction
     upper = max(abs(opening.wide - opening.closed), moved)
     on_axis = apply(back, point[None])[0]
-    return Hypothesis(_kind(item, joint, axis), 1.0, _triple(on_axis), _triple(axis), upper)
+    return Hypothesis(_part_kind(item, joint, axis), 1.0, _triple(on_axis), _triple(axis), upper)
 
 
-def _kind(item: SceneObject, joint: str, axis: Float[np.ndarray, "3"]) -> PartKind:
-    """What kind of part it is, by its joint; of flaps, by what the scene says."""
+def _part_kind(item: SceneObject, joint: str, axis: Float[np.ndarray, "3"]) -> PartKind:
+    """Return the kind of part by its joint; for flaps the closest hypothesis of the scene."""
     slides = item.joint(joint).kind == "prismatic"
     ways = item.hypotheses.get(joint, ())
     near = [way for way in ways if (way.kind == "drawer") == slides]
@@ -103,25 +103,25 @@ def _triple(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def scene_taking(scene: Scene, name: str, joint: str, index: int) -> Scene:
-    """The room with one part taken for another of its hypotheses; likelier ones are ruled out.
+def scene_with_hypothesis(scene: Scene, name: str, joint: str, index: int) -> Scene:
+    """Return the room with one of a part's hypotheses; more probable ones are ruled out.
 
     Args:
         scene: The room.
-        name, joint: The object and the joint of the part, which is shut then.
-        index: Which of the joint's hypotheses, counted from 0.
+        name, joint: Object and joint of the part, which is then closed.
+        index: Index of the hypothesis, from 0.
 
     Raises:
-        UnknownNameError: There is no such object.
-        SceneError: The joint has no such hypothesis, or see `moving_as`.
+        UnknownNameError: The object does not exist.
+        SceneError: The hypothesis does not exist, or see `with_part_motion`.
     """
     ways = scene.object(name).hypotheses.get(joint, ())
     if not 0 <= index < len(ways):
-        raise SceneError(f"{name}/{joint}: hypothesis {index} of {len(ways)}; they count from 0")
+        raise SceneError(f"{name}/{joint}: no hypothesis {index}; it has {len(ways)}, from 0")
     left = ways[index:]
     total = sum(way.probability for way in left)
     left = tuple(replace(way, probability=way.probability / total) for way in left)
-    other = scene_moving_as(scene, name, joint, left[0])
+    other = scene_with_part_motion(scene, name, joint, left[0])
     item = other.object(name)
     known = replace(item, hypotheses={**item.hypotheses, joint: left})
     taken = scene.hypotheses_set.get(name, {})
@@ -135,38 +135,38 @@ def scene_taking(scene: Scene, name: str, joint: str, index: int) -> Scene:
 
 
 def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
-    """A scene as its file has it, with the hypotheses and the joint values of a plan.
+    """Return a scene with the hypotheses and joint values of a plan.
 
     Raises:
         UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
     """
     for name, taken in plan.scene_hypotheses.items():
         for joint, index in taken.items():
-            scene = scene_taking(scene, name, joint, index)
+            scene = scene_with_hypothesis(scene, name, joint, index)
     return scene.with_joints(plan.scene_joints)
 
 
-def save_moving_as(
+def save_with_part_motion(
     scene: Scene, name: str, joint: str, way: Hypothesis, value: float, out: Path
 ) -> Scene:
-    """Write a scene in which a part is known to move so, with copies of all its files.
+    """Write a scene with a known motion of a part, and copies of all its files.
 
     Args:
-        scene: The room as it was believed to be.
-        name, joint, way: See `moving_as`.
-        value: Where the joint is [rad] or [m].
-        out: The new scene file; the copies lie in `<stem>_files` beside it.
+        scene: The room as believed.
+        name, joint, way: See `with_part_motion`.
+        value: Value of the joint [rad] or [m].
+        out: The new scene file; the copies are written to `<stem>_files` next to it.
 
     Returns:
-        The scene as of that file.
+        The scene of that file.
 
     Raises:
-        SceneError: The file or that folder exists, or they cannot be written.
+        SceneError: The file or that folder exists, or cannot be written.
     """
     if out.exists():
-        raise SceneError(f"{out}: exists already; remove it or name another file")
+        raise SceneError(f"{out}: exists already; remove it or write to another file")
     target = scene.object(name)
-    text = _text(target, joint, way)
+    text = _urdf_text(target, joint, way)
     with copied(scene, out) as near:
         item = near.object(name)
         assert item.model.urdf.path is not None
@@ -186,31 +186,28 @@ def save_moving_as(
         return save_scene(replace(near, objects=objects), out)
 
 
-# ---------------------------------------------------------------------------------------- the URDF
-
-
-def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
-    """The URDF of an object with the joint of one part replaced."""
+def _urdf_text(item: SceneObject, joint: str, way: Hypothesis) -> str:
+    """Return the URDF of an object with the joint of a part replaced."""
     path, scale = item.model.urdf.path, item.model.urdf.scale
     assert path is not None
-    # As the file has it: the object may have been made to move in another way before.
+    # Read the file again: the object may already have another motion.
     model = Articulated(
         read_urdf(path, scale=scale, cache=item.model.cache), item.model.held, item.model.cache
     )
     record = model.joint(joint)
     if record.mimic is not None or model.followers(joint):
-        raise SceneError(f"{item.name}: {joint} moves together with others and is left as it is")
+        raise SceneError(f"{item.name}: {joint} is coupled to other joints and can't be replaced")
     tree = parse_xml(read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError), path)
     slides = way.kind == "drawer"
-    shut = model.link_poses({**item.values(), joint: opening_of(model, joint).closed})
-    T_root_child, T_root_parent = shut[record.child], shut[record.parent]
+    closed_poses = model.link_poses({**item.values(), joint: opening_of(model, joint).closed})
+    T_root_child, T_root_parent = closed_poses[record.child], closed_poses[record.parent]
     R = (T_root_parent @ record.T_parent_joint)[:3, :3]
     T_root_joint = pose(np.array(way.point), R)
     shift = invert(T_root_joint) @ T_root_child
     child = _named(tree, "link", record.child, path)
     moved = [child.find("inertial"), *child.findall("collision"), *child.findall("visual")]
     if not slides and record.kind == "prismatic":
-        for shape in _tray(model, joint, shut, child):
+        for shape in _tray(model, joint, closed_poses, child):
             child.remove(shape)
             moved.remove(shape)
     moved += [j for j in tree.findall("joint") if _link(j, "parent") == record.child]
@@ -232,21 +229,25 @@ def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
 def _tray(
     model: Articulated,
     joint: str,
-    shut: Mapping[str, Float[np.ndarray, "4 4"]],
+    closed_poses: Mapping[str, Float[np.ndarray, "4 4"]],
     child: Element,
 ) -> list[Element]:
-    """The collision elements of a drawer that reach far behind the front of the rest."""
+    """Return the collision elements of a drawer that reach far behind the front."""
     record = model.joint(joint)
-    out = (shut[record.parent] @ record.T_parent_joint)[:3, :3] @ record.axis
+    out = (closed_poses[record.parent] @ record.T_parent_joint)[:3, :3] @ record.axis
     out = opening_of(model, joint).sign * out
     still = [name for name in model.links if name not in model.moved_by(joint)]
-    rest = [float((apply(shut[n], h.vertices) @ out).max()) for n in still for h in model.hulls[n]]
+    rest = [
+        float((apply(closed_poses[n], h.vertices) @ out).max())
+        for n in still
+        for h in model.hulls[n]
+    ]
     front = max(rest, default=-np.inf)
     elements, hulls = child.findall("collision"), model.hulls[record.child]
     if len(elements) != len(hulls):
         return []
-    ends = [float((apply(shut[record.child], h.vertices) @ out).min()) for h in hulls]
-    return [e for e, end in zip(elements, ends, strict=True) if end < front - TRAY]
+    ends = [float((apply(closed_poses[record.child], h.vertices) @ out).min()) for h in hulls]
+    return [e for e, end in zip(elements, ends, strict=True) if end < front - MIN_TRAY_DEPTH]
 
 
 def _named(tree: Element, tag: str, name: str, path: Path) -> Element:
@@ -267,7 +268,6 @@ def _child(element: Element, tag: str) -> Element:
 
 
 def _origin(element: Element, scale: float) -> Float[np.ndarray, "4 4"]:
-    """Pose of an element, its place in meters."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)
@@ -279,7 +279,7 @@ def _origin(element: Element, scale: float) -> Float[np.ndarray, "4 4"]:
 
 
 def _set_origin(element: Element, T: Float[np.ndarray, "4 4"], scale: float) -> None:
-    from scipy.spatial.transform import Rotation  # takes long to load
+    from scipy.spatial.transform import Rotation  # slow to import
 
     origin = _child(element, "origin")
     origin.set("xyz", _numbers(T[:3, 3] / scale))

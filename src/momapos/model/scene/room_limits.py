@@ -1,4 +1,4 @@
-"""How large a room may be."""
+"""Limits of the size of a room."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from momapos.core import SceneError
 from .scene import Scene
 
 MAX_ROOM = (50.0, 50.0, 10.0)
-"""Size of what stands in a room, and of its floor [m]: the arm is kept from it on a grid of
-10 cm, and driving lengths are measured on one of 5 cm."""
-MAX_FILLED = 50_000.0
-"""Space that all collision elements take, with `AROUND` around each [m^3]; the grid lists them."""
-AROUND = 0.3
+"""Maximum size of a room with its floor [m]: clearance uses a grid of 10 cm, driving one of
+5 cm."""
+MAX_FILLED_VOLUME = 50_000.0
+"""Maximum volume of all collision elements, each with `FILL_MARGIN` around it [m^3]; a grid lists
+them."""
+FILL_MARGIN = 0.3
 
 
-def refuse_vast(scene: Scene) -> None:
-    """Refuse rooms that no grid of a planner could hold.
+def check_room_size(scene: Scene) -> None:
+    """Refuse rooms that are too large for the planner's grids.
 
     Raises:
-        SceneError: The room is larger than `MAX_ROOM`, or its elements take more than
-            `MAX_FILLED`; the message names what lies farthest off.
-        UrdfError: A mesh of an object cannot be used.
+        SceneError: The room is larger than `MAX_ROOM`, or its elements fill more than
+            `MAX_FILLED_VOLUME`; the message names the farthest object.
+        UrdfError: A mesh of an object is invalid.
     """
     bounds = np.array([item.bounds for item in scene.objects]).reshape(-1, 2, 3)
     corners = bounds.reshape(-1, 3)
@@ -37,12 +38,13 @@ def refuse_vast(scene: Scene) -> None:
         name = repr(scene.objects[worst].name) if worst < len(bounds) else "the floor"
         raise SceneError(
             f"{scene.path}: the room measures {' x '.join(f'{v:.4g}' for v in size)} m; at most "
-            f"{' x '.join(f'{v:g}' for v in MAX_ROOM)} m are supported; look at {name}"
+            f"{' x '.join(f'{v:g}' for v in MAX_ROOM)} m are supported; check {name}"
         )
     elements = np.array([sum(map(len, item.model.hulls.values())) for item in scene.objects])
-    filled = float(elements @ np.prod(np.ptp(bounds, axis=1) + 2 * AROUND, axis=1))
-    if filled > MAX_FILLED:
+    filled = float(elements @ np.prod(np.ptp(bounds, axis=1) + 2 * FILL_MARGIN, axis=1))
+    if filled > MAX_FILLED_VOLUME:
         raise SceneError(
-            f"{scene.path}: its {elements.sum()} collision elements take {filled:.3g} m^3 with "
-            f"{AROUND:g} m around each; at most {MAX_FILLED:g} m^3 are supported; use fewer"
+            f"{scene.path}: its {elements.sum()} collision elements fill {filled:.3g} m^3 with "
+            f"{FILL_MARGIN:g} m around each; at most {MAX_FILLED_VOLUME:g} m^3 are supported; use "
+            "fewer elements"
         )

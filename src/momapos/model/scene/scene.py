@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import SceneError, unknown_name
+from momapos.core import SceneError, as_path, finite_array, finite_number, unknown_name
 from momapos.core.geometry import apply, pose, pose_planar, upright_frame
 from momapos.model.records import Confidence, Hypothesis, Outline
 from momapos.model.urdf import Articulated, Boxes, box_urdf, read_urdf
@@ -21,24 +21,26 @@ if TYPE_CHECKING:
 
     from momapos.model.urdf import Joint
 
-SMALLEST = 1e-4
-"""Edges of a box are at least this [m]."""
+MIN_BOX_EDGE = 1e-4
+"""Minimum edge of a box [m]."""
+MIN_SCALE = 1e-6
+"""Minimum scale of a model, for models in micrometers [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SceneObject:
-    """One thing in the room; a rigid box is a model with one link."""
+    """An object in the room; a rigid box is a model with one link."""
 
     name: str
     category: str
     T_world_object: Float[np.ndarray, "4 4"]
     model: Articulated
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Joint values [rad] or [m] in this scene; joints not named are at rest."""
+    """Joint values [rad] or [m] in this scene; other joints are at rest."""
     hypotheses: Mapping[str, tuple[Hypothesis, ...]] = field(default_factory=dict)
-    """Ways in which parts may move, by joint, where that was guessed from how they look."""
+    """Possible motions of parts by joint, if inferred from appearance."""
     confidence: Confidence | None = None
-    """How sure a scan is of it; None of what was not scanned."""
+    """Confidence of a scan in the object; None if it was not scanned."""
 
     @classmethod
     def box(
@@ -50,23 +52,24 @@ class SceneObject:
         yaw: float = 0.0,
         category: str = "",
     ) -> SceneObject:
-        """A rigid box.
+        """Return a rigid box.
 
         Args:
-            name: Unique in its scene.
-            size: Edges along its own x, y and z [m].
-            xyz: Its center in the world [m].
-            yaw: Turn about the world's z [rad].
-            category: What it is, such as "table".
+            name: Unique name in its scene.
+            size: Edge lengths along its own x, y and z [m].
+            xyz: Center in the world [m].
+            yaw: Rotation about the world's z [rad].
+            category: For example "table".
 
         Raises:
             SceneError: An edge is not positive and finite.
         """
-        x, y, z = (float(edge) for edge in size)
-        if not (np.isfinite([x, y, z]).all() and min(x, y, z) >= SMALLEST):
-            raise SceneError(f"box {name!r}: edges must be at least {SMALLEST:g} m, not {size}")
-        T = pose_planar(np.array([xyz[0], xyz[1], yaw], float))
-        T[2, 3] = xyz[2]
+        x, y, z = finite_array(f"size of box {name!r}", size, (3,)).tolist()
+        if min(x, y, z) < MIN_BOX_EDGE:
+            raise SceneError(
+                f"size of box {name!r} must be at least {MIN_BOX_EDGE:g} m, not {size}"
+            )
+        T = _planar_pose(xyz, yaw)
         return cls(name, category, T, Articulated(box_urdf(name, (x, y, z))))
 
     @classmethod
@@ -81,26 +84,26 @@ class SceneObject:
         joints: Mapping[str, float] | None = None,
         category: str = "",
     ) -> SceneObject:
-        """Furniture, an appliance or any other thing from a URDF.
+        """Return an object from a URDF, such as furniture or an appliance.
 
         Args:
-            name: Unique in its scene.
-            path: The URDF; its meshes lie in its folder or below.
+            name: Unique name in its scene.
+            path: The URDF; its meshes are in its folder or below.
             xyz: Origin of its root link in the world [m].
-            yaw: Turn about the world's z [rad].
+            yaw: Rotation about the world's z [rad].
             scale: Factor on all lengths [-].
-            joints: Values that are not at rest [rad] or [m].
-            category: What it is, such as "fridge".
+            joints: Values of joints that are not at rest [rad] or [m].
+            category: For example "fridge".
 
         Raises:
-            UrdfError: The file is not a usable URDF.
-            UnknownNameError: It has no such joint.
+            UrdfError: The URDF is invalid.
+            UnknownNameError: A joint does not exist.
         """
-        model = Articulated(read_urdf(Path(path), scale=scale))
+        scale = finite_number("scale", scale, MIN_SCALE)
+        model = Articulated(read_urdf(as_path("path", path), scale=scale))
         for joint in joints or {}:
             model.joint(joint)
-        T = pose_planar(np.array([xyz[0], xyz[1], yaw], float))
-        T[2, 3] = xyz[2]
+        T = _planar_pose(xyz, yaw)
         return cls(name, category, T, model, dict(joints or {}))
 
     def __repr__(self) -> str:
@@ -110,16 +113,16 @@ class SceneObject:
         return f"<SceneObject {self.name!r} ({self.category}) {at}{joints and f', {joints}'}>"
 
     def joint(self, name: str) -> Joint:
-        """Look a movable joint up by name.
+        """Return a movable joint by name.
 
         Raises:
-            UnknownNameError: There is none; the message names the object, not its model's file.
+            UnknownNameError: The joint does not exist; the message names the object.
         """
         return self.model.joint(name, self.name)
 
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
-        """All joint values, with some of them changed."""
-        return self.model.settled({**self.joints, **(change or {})})
+        """Return all joint values, some of them changed."""
+        return self.model.all_values({**self.joints, **(change or {})})
 
     def link_poses(
         self, change: Mapping[str, float] | None = None
@@ -151,7 +154,7 @@ class SceneObject:
 
     @cached_property
     def vertices(self) -> Float[np.ndarray, "v 3"]:
-        """Corners of all hulls in the world [m]; the origin where there is no geometry."""
+        """Vertices of all hulls in the world [m]; the origin if there is no geometry."""
         points = [
             apply(T, hull.vertices)
             for name, T in self.link_poses().items()
@@ -161,22 +164,30 @@ class SceneObject:
 
     @cached_property
     def box_proxy(self) -> SceneObject:
-        """The same thing as one rigid box, upright and turned as the thing is."""
+        """The object as one rigid upright box, with the object's yaw."""
         R = upright_frame(self.T_world_object[:3, :3])
         local = self.vertices @ R
         low, high = local.min(0), local.max(0)
-        x, y, z = np.maximum(high - low, SMALLEST).tolist()
+        x, y, z = np.maximum(high - low, MIN_BOX_EDGE).tolist()
         model = Articulated(box_urdf(self.name, (x, y, z)))
         return SceneObject(self.name, self.category, pose(R @ ((low + high) / 2), R), model)
 
     @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """Axis-aligned box in the world: lower and upper corner [m]."""
+        """Lower and upper corner of the world-aligned bounding box [m]."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
 
+def _planar_pose(xyz: Sequence[float], yaw: float) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of an upright frame at a point."""
+    x, y, z = finite_array("xyz", xyz, (3,)).tolist()
+    T = pose_planar(np.array([x, y, finite_number("yaw", yaw)]))
+    T[2, 3] = z
+    return T
+
+
 def upright_boxes(items: Sequence[SceneObject]) -> Boxes:
-    """The upright box around each object, turned with the object's frame."""
+    """Return the upright box around each object, aligned with the object's frame."""
     boxed = [item.box_proxy for item in items]
     T = np.array([item.T_world_object for item in boxed]).reshape(-1, 4, 4)
     size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
@@ -186,24 +197,24 @@ def upright_boxes(items: Sequence[SceneObject]) -> Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A room; one is equal to itself alone."""
+    """A room. Equality is identity."""
 
     name: str
     objects: tuple[SceneObject, ...]
     path: Path | None = None
-    """The file it came from; plans name it. `save_scene` gives a scene made in code its own."""
+    """Scene file, which plans name; `save_scene` sets it for a scene made in code."""
     floor_polygon: Float[np.ndarray, "k 2"] | None = None
-    """Outline of the floor [m]; None where the room has no known end."""
+    """Outline of the floor [m]; None for an unbounded floor."""
     start: Float[np.ndarray, "3"] | None = None
-    """Where the robot stands at first: x [m], y [m], yaw [rad]."""
+    """Initial pose of the robot: x [m], y [m], yaw [rad]."""
     warnings: tuple[str, ...] = ()
-    """What the reader had to assume."""
+    """Assumptions of the reader."""
     areas: Mapping[str, Outline] = field(default_factory=dict)
-    """Parts of the floor that have names."""
+    """Named areas of the floor."""
     joints_set: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Values that differ from the file's, by object and joint [rad] or [m]."""
+    """Joint values that differ from the file, by object and joint [rad] or [m]."""
     hypotheses_set: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    """Which of the file's hypotheses is taken, by object and joint; the first by default."""
+    """Index of the used hypothesis of the file, by object and joint; 0 by default."""
 
     def __repr__(self) -> str:
         floor = (
@@ -214,16 +225,15 @@ class Scene:
         return f"<Scene {self.name!r}: {len(self.objects)} objects, {floor}, {self.path}>"
 
     def _repr_png_(self) -> bytes:
-        """The picture that a notebook shows."""
-        # By name: what draws records is downstream of them.
+        # Import by name, because drawing depends on records.
         png: bytes = import_module("momapos.apps.plots.notebook_images").scene_png(self)
         return png
 
     def object(self, name: str) -> SceneObject:
-        """Look an object up by name.
+        """Return an object by name.
 
         Raises:
-            UnknownNameError: There is none; the message offers the nearest.
+            UnknownNameError: The object does not exist; the message suggests similar names.
         """
         for item in self.objects:
             if item.name == name:
@@ -231,17 +241,18 @@ class Scene:
         raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
 
     def with_box_proxies(self, keep: Collection[str]) -> Scene:
-        """The same room in which only the objects named keep their joints and their shape.
+        """Return the room with all objects as boxes except the named ones.
 
-        All others are boxes, so what is free in it is free in the room.
+        Boxes enclose their objects, so free space in it is free in the room, too.
         """
         objects = (item if item.name in keep else item.box_proxy for item in self.objects)
         return replace(self, objects=tuple(objects))
 
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
-        """The same scene with one joint of one object at another value."""
+        """Return the scene with one joint of one object at another value."""
         target = self.object(name)
         target.joint(joint)
+        value = finite_number(f"value of {name}/{joint}", value)
         changed = replace(target, joints={**target.joints, joint: value})
         return replace(
             self,
@@ -250,10 +261,10 @@ class Scene:
         )
 
     def with_joints(self, values: Mapping[str, Mapping[str, float]]) -> Scene:
-        """The same scene with joints at other values, by object and joint.
+        """Return the scene with other joint values, by object and joint.
 
         Raises:
-            UnknownNameError: There is no such object or joint.
+            UnknownNameError: An object or joint does not exist.
             SceneError: A value is outside its joint's limits.
         """
         scene = self

@@ -1,7 +1,7 @@
-"""Scene files: reading whatever kind is given, and writing momapos scenes.
+"""Read scene files of several kinds, and write momapos scenes.
 
-What a file is, its content says: a JSON object is a momapos scene, a JSON list a BestMan scene,
-XML a URDF, which is a scene of one object.
+The content determines the kind: a JSON object is a momapos scene, a JSON list a BestMan scene, XML
+a URDF, which is a scene of one object.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from momapos.core import (
     Cache,
     FileFormatError,
     SceneError,
+    as_path,
+    expect,
     read_text_bounded,
     unknown_name,
     write_atomic,
@@ -32,7 +34,7 @@ from .confidence import confidence_to_json, read_confidence
 from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from .hypotheses import hypotheses_to_json, read_hypotheses
 from .model_copies import model_files
-from .room_limits import refuse_vast
+from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_names import FORMAT, MAX_BYTES, find_scene
 
@@ -41,8 +43,8 @@ if TYPE_CHECKING:
 
 VERSION = 1
 MAX_OBJECTS = 2_000
-"""Relations are looked for between all pairs of objects: that many take some 5 s [-]."""
-MAX_EDGE = 1e3  # of a box [m]
+"""Maximum number of objects; relations between all pairs of them take about 5 s [-]."""
+MAX_EDGE = 1e3  # maximum edge of a box [m]
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
 _OBJECT_KEYS = {
     "name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses", "confidence",
@@ -50,30 +52,31 @@ _OBJECT_KEYS = {
 
 
 def load_scene(
-    source: str | Path, *, root: Path | None = None, cache: Cache | None = None
+    source: str | Path, *, root: str | Path | None = None, cache: Cache | None = None
 ) -> Scene:
     """Load a scene.
 
     Args:
         source: Name of a built-in kitchen, or a file: a momapos scene, a BestMan scene, or the
-            URDF of a single object, which is put on the floor at the origin.
-        root: Folder that no path in the scene may leave. Where None: the file's own folder; for
-            a BestMan scene the folder above it that holds `Asset`.
-        cache: Where the geometry of its models is kept, so that it is computed once.
+            URDF of a single object, which is placed on the floor at the origin.
+        root: Folder that no path in the scene may leave; by default the file's folder, for a
+            BestMan scene the parent folder that contains `Asset`.
+        cache: Stores expensive geometry.
 
     Raises:
-        UnknownNameError, FileFormatError, SceneError, UrdfError: It cannot be used; one line
+        UnknownNameError, FileFormatError, SceneError, UrdfError: The scene is invalid; one line
             says what is wrong and where.
     """
-    path = find_scene(source)
+    path = find_scene(as_path("source", source) if not isinstance(source, str) else source)
+    root = None if root is None else as_path("root", root)
     text = read_text_bounded(path, MAX_BYTES)
     if not text.strip():
         raise FileFormatError(f"{path}: is empty")
     start, kind = text.lstrip("\ufeff \t\r\n")[:1], foreign_kind(text)
     if kind is not None:
         raise FileFormatError(
-            f"{path}: is in the format {kind}; convert it first: "
-            f"momapos scene convert {path} {path.stem}.json"
+            f"{path}: is in the format {kind}; convert it first with "
+            f"'momapos scene convert {path} {path.stem}.json'"
         )
     if start == "<":
         scene = _read_single(path, root, cache)
@@ -85,22 +88,22 @@ def load_scene(
         raise FileFormatError(
             f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
         )
-    _refuse_twins(scene)
-    refuse_vast(scene)
+    _check_unique_names(scene)
+    check_room_size(scene)
     return scene
 
 
 def _parse_json(text: str, path: Path) -> Any:
     def refuse(constant: str) -> NoReturn:
-        raise FileFormatError(f"{path}: holds {constant}, which is not a finite number")
+        raise FileFormatError(f"{path}: contains {constant}, which is not a finite number")
 
     try:
         return json.loads(text.lstrip("\ufeff"), parse_constant=refuse)
     except (json.JSONDecodeError, RecursionError, ValueError) as error:
-        raise FileFormatError(f"{path}: damaged JSON ({error})") from error
+        raise FileFormatError(f"{path}: invalid JSON ({error})") from error
 
 
-def _refuse_twins(scene: Scene) -> None:
+def _check_unique_names(scene: Scene) -> None:
     seen: dict[str, int] = {}
     for index, item in enumerate(scene.objects):
         if item.name in seen:
@@ -126,11 +129,8 @@ class _Models:
         return self.read[key]
 
 
-# ------------------------------------------------------------------------- the kinds of scene files
-
-
 def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
-    """A scene of one object, its lowest point on the floor."""
+    """Read a URDF as a scene of one object that stands on the floor."""
     model = _Models(root, cache)(path, 1.0)
     category = bestman.category_of("", str(path.resolve()))
     plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
@@ -200,7 +200,7 @@ class _ObjectReader:
     def read(self) -> SceneObject:
         category = self.item.get("category", "")
         if not isinstance(category, str):
-            raise SceneError(f"{self.where}: category must be a text")
+            raise SceneError(f"{self.where}: category must be a string")
         model = self.model()
         joints, names = self.joints(model), list(model.joints)
         found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
@@ -276,14 +276,14 @@ def _unknown_keys(item: Mapping[str, Any], known: set[str], where: str) -> list[
     warnings = []
     for key in sorted(set(item) - known):
         near = difflib.get_close_matches(key, known, n=1)
-        hint = f"; is {near[0]!r} meant?" if near else ""
-        warnings.append(f"{where}: {key!r} is not known and was left out{hint}")
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        warnings.append(f"{where}: {key!r} is not known and was ignored{hint}")
     return warnings
 
 
 def _text(value: object, where: str) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
-        raise SceneError(f"{where} must be a printable text")
+        raise SceneError(f"{where} must be a printable string of 1 to 1000 characters")
     return value
 
 
@@ -295,38 +295,37 @@ def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
     if value is None:
         return None
     if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
-        raise SceneError(f"{path}: start must be {{'x', 'y', 'yaw'}}")
+        raise SceneError(f"{path}: start must be {{'x': ..., 'y': ..., 'yaw': ...}}")
     start = read_numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
     if np.abs(start).max() > MAX_DISTANCE:
         raise SceneError(f"{path}: start is more than 10 km away")
     return start
 
 
-# ------------------------------------------------------------------------------------------ writing
-
-
-def save_scene(scene: Scene, path: Path) -> Scene:
-    """Write a scene in momapos' own format, the whole file or nothing.
+def save_scene(scene: Scene, path: str | Path) -> Scene:
+    """Write a scene in the momapos format atomically.
 
     Returns:
-        The scene as of that file, so that plans in it can be verified.
+        The scene of that file, so that plans in it can be verified.
 
     Raises:
-        SceneError: A URDF or mesh lies outside the file's folder, so that the file could not be
-            read again; the message says which and where the scene could stand.
+        SceneError: A URDF or mesh is outside the file's folder, so the file could not be read
+            again; the message suggests another folder.
     """
+    expect("scene", scene, Scene)
+    path = as_path("path", path)
     folder = path.resolve().parent
     objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
     for key, value in room_members(scene).items():
         text += f',\n "{key}": {json.dumps(value)}'
-    write_whole(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
+    write_text_atomic(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
     return replace(scene, path=path)
 
 
 def room_members(scene: Scene) -> dict[str, Any]:
-    """What a scene file says of the room itself: floor, start and areas, where they are known."""
+    """Return the members of a scene file about the room: floor, start and areas, if known."""
     members: dict[str, Any] = {}
     if scene.floor_polygon is not None:
         members["floor"] = np.asarray(scene.floor_polygon, float).tolist()
@@ -338,7 +337,7 @@ def room_members(scene: Scene) -> dict[str, Any]:
 
 
 def object_members(item: SceneObject) -> dict[str, Any]:
-    """What a scene file says of an object beside its pose and model."""
+    """Return the members of a scene file about an object, without its pose and model."""
     members: dict[str, Any] = {"category": item.category}
     if item.confidence is not None:
         members["confidence"] = confidence_to_json(item.confidence)
@@ -349,8 +348,12 @@ def object_members(item: SceneObject) -> dict[str, Any]:
     return members
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file so that a reader sees the old file or the new one, never half of it."""
+def write_text_atomic(path: Path, text: str) -> None:
+    """Write a text file atomically.
+
+    Raises:
+        SceneError: The file cannot be written.
+    """
     try:
         write_atomic(path, text.encode())
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The names of built-in kitchens and of objects; nothing heavy is imported to look one up."""
+"""Names of built-in kitchens and of objects; looking one up imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _SUFFIXES = (".json", ".urdf", ".xml")
 
 
 def builtin_names() -> tuple[str, ...]:
-    """Names of the kitchens that come with the package."""
+    """Return the names of the built-in kitchens."""
     return tuple(sorted(path.stem for path in LIBRARY.glob("*.json")))
 
 
 def find_scene(source: str | Path) -> Path:
-    """The scene file that a built-in kitchen's name or a path stands for.
+    """Return the scene file of a built-in kitchen's name or a path.
 
     Raises:
-        UnknownNameError: It is neither; the message offers the nearest names.
-        FileFormatError: There is no such file.
+        UnknownNameError: The source is neither; the message suggests similar names.
+        FileFormatError: The file does not exist.
     """
     text = str(source)
     names = builtin_names()
@@ -34,7 +34,7 @@ def find_scene(source: str | Path) -> Path:
     try:
         is_folder, is_file = path.is_dir(), path.is_file()
         is_special = path.exists() and not (is_folder or is_file)
-    except OSError as error:  # a name that is too long, say
+    except OSError as error:  # for example a name that is too long
         raise FileFormatError(f"{text:.80}: no such scene file ({error.strerror})") from error
     if is_special:
         raise FileFormatError(f"{path}: is a fifo, a socket or a device; give a regular file")
@@ -48,13 +48,13 @@ def find_scene(source: str | Path) -> Path:
 
 
 def refuse_unknown_object(path: Path, name: str) -> None:
-    """Refuse an object that a momapos scene does not hold, before its models are read.
+    """Refuse an object that a momapos scene does not contain, before reading its models.
 
-    Whatever else may be wrong with the file is left to its reader to say, and so are the objects
-    of other kinds of scenes, whose names their readers make.
+    Other errors in the file are left to its reader, and so are other kinds of scenes, because
+    their readers make the object names.
 
     Raises:
-        UnknownNameError: There is no such object; the message offers the nearest.
+        UnknownNameError: The object does not exist; the message suggests similar names.
     """
     data = _glance(path)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -68,7 +68,7 @@ def refuse_unknown_object(path: Path, name: str) -> None:
 
 
 def builtin_size(name: str) -> tuple[int, int]:
-    """How many objects a built-in kitchen has, and how many joints that move."""
+    """Return the numbers of objects and of movable joints of a built-in kitchen."""
     from defusedxml import ElementTree
 
     items = json.loads((LIBRARY / f"{name}.json").read_text(encoding="utf-8"))["objects"]
@@ -78,7 +78,6 @@ def builtin_size(name: str) -> tuple[int, int]:
 
 
 def _glance(path: Path) -> Any:
-    """What a JSON file holds; None where it is none."""
     try:
         if path.stat().st_size > MAX_BYTES:
             return None

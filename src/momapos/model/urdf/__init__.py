@@ -1,4 +1,4 @@
-"""Trees of links and joints with their shapes, read from URDF files."""
+"""Read URDF files: trees of links and joints with their shapes."""
 
 import lazy_loader
 

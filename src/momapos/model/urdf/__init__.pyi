@@ -9,9 +9,9 @@ from .hulls import cover as cover
 from .hulls import fit_box as fit_box
 from .hulls import hull_of as hull_of
 from .hulls import slab as slab
-from .joint_opening import Opening as Opening
+from .joint_opening import JointOpening as JointOpening
 from .joint_opening import opening_of as opening_of
-from .mesh_files import PARENTS as PARENTS
+from .mesh_files import MAX_MESH_PARENTS as MAX_MESH_PARENTS
 from .mesh_files import MeshFinder as MeshFinder
 from .meshes import MAX_MESH_BYTES as MAX_MESH_BYTES
 from .meshes import MAX_POINTS as MAX_POINTS

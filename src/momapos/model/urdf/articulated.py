@@ -1,4 +1,4 @@
-"""A URDF with its collision geometry: what scenes and robots are made of."""
+"""A URDF with its kinematics and collision geometry, for scenes and robots."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Articulated:
-    """A tree of links with named joints; geometry is made when it is first asked for."""
+    """A tree of links with named joints; geometry is computed on first use."""
 
     urdf: Urdf
     held: Mapping[str, float] = field(default_factory=dict)
-    """Where joints rest that do not rest at zero [rad] or [m]."""
+    """Rest values of joints that do not rest at zero [rad] or [m]."""
 
     cache: Cache | None = field(default=None, repr=False)
-    """Where its geometry is kept, which is dear to compute."""
+    """Cache for its geometry, which is expensive to compute."""
 
     def __repr__(self) -> str:
         counts = f"{len(self.urdf.links)} links, {len(self.joints)} movable joints"
@@ -41,23 +41,23 @@ class Articulated:
 
     @cached_property
     def links(self) -> tuple[str, ...]:
-        """Link names, the root first, parents before children."""
+        """Return the link names, parents before children."""
         return (self.urdf.root, *(joint.child for joint in self.urdf.joints))
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
-        """The movable joints by name, parents before children."""
+        """Return the movable joints by name, parents before children."""
         return {joint.name: joint for joint in self.urdf.joints if joint.movable}
 
     def joint(self, name: str, of: str | None = None) -> Joint:
-        """Look a movable joint up by name.
+        """Return a movable joint by name.
 
         Args:
             name: The joint.
-            of: What a message calls the model; as its file does by default.
+            of: The model's name in messages; by default that of its file.
 
         Raises:
-            UnknownNameError: There is none; the message offers the nearest.
+            UnknownNameError: There is no such joint.
         """
         if name not in self.joints:
             raise unknown_name("movable joint", name, self.joints, of or self.urdf.name)
@@ -65,8 +65,10 @@ class Articulated:
 
     @cached_property
     def rest(self) -> dict[str, float]:
-        """Where it is held or zero, or the limit nearest to that, for every movable joint; what
-        follows another is where that one has it."""
+        """Return the rest value of each movable joint: as in `held` or zero, within its limits.
+
+        Mimic joints follow their leaders.
+        """
         rest = {
             name: float(np.clip(self.held.get(name, 0.0), joint.lower, joint.upper))
             for name, joint in self.joints.items()
@@ -78,22 +80,22 @@ class Articulated:
         }
 
     def followers(self, joint: str) -> tuple[Joint, ...]:
-        """The joints that follow one."""
+        """Return the mimic joints of a leader."""
         return tuple(j for j in self.joints.values() if j.mimic and j.mimic.joint == joint)
 
-    def settled(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Where all movable joints are: as named or at rest, what follows others after them."""
+    def all_values(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the values of all movable joints, given some; see `value_of`."""
         return {name: self.value_of(joint, values) for name, joint in self.joints.items()}
 
     def value_of(self, joint: Joint, values: Mapping[str, float]) -> float:
-        """Where a joint is: as the one that it follows has it, as named, or at rest."""
+        """Return a joint's value: from its leader, as given, or at rest."""
         if joint.mimic is not None:
             leader = joint.mimic.joint
             return joint.mimic.at(values.get(leader, self.rest[leader]))
         return values.get(joint.name, self.rest[joint.name])
 
     def link_poses(self, values: Mapping[str, float]) -> dict[str, Float[np.ndarray, "4 4"]]:
-        """Poses of all links in the root's frame; joints not named are at rest."""
+        """Return poses of all links in the root's frame; other joints are at rest."""
         poses = {self.urdf.root: np.eye(4)}
         for joint in self.urdf.joints:
             T = poses[joint.parent] @ joint.T_parent_joint
@@ -104,7 +106,7 @@ class Articulated:
 
     @cached_property
     def rest_poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
-        """Poses of all links in the root's frame, all joints at rest."""
+        """Return poses of all links in the root's frame, with all joints at rest."""
         return self.link_poses({})
 
     @cached_property
@@ -115,7 +117,7 @@ class Articulated:
         return children
 
     def links_below(self, link: str) -> tuple[str, ...]:
-        """The link and everything that hangs from it."""
+        """Return a link and all links below it."""
         below, queue = {link}, [link]
         while queue:
             children = [joint.child for joint in self._children.get(queue.pop(), [])]
@@ -124,14 +126,14 @@ class Articulated:
         return tuple(name for name in self.links if name in below)
 
     def moved_by(self, joint: str) -> tuple[str, ...]:
-        """Names of the links that move when the joint does, and what follows it."""
+        """Return the links that move with a joint and with its mimic joints."""
         moving = (self.joint(joint), *self.followers(joint))
         below = {link for one in moving for link in self.links_below(one.child)}
         return tuple(name for name in self.links if name in below)
 
     @cached_property
     def hulls(self) -> dict[str, tuple[Hull, ...]]:
-        """Convex hulls of the collision elements by link, in the link's frame."""
+        """Return convex hulls of the collision elements by link, in the link's frame."""
 
         def compute() -> dict[str, tuple[Hull, ...]]:
             return {
@@ -139,11 +141,11 @@ class Articulated:
                 for name, link in self.urdf.links.items()
             }
 
-        return self.kept("hulls", compute)
+        return self.cached("hulls", compute)
 
     @cached_property
     def boxes(self) -> dict[str, tuple[Boxes, ...]]:
-        """Boxes that cover each hull, by link, in the link's frame."""
+        """Return boxes that cover each hull, by link, in the link's frame."""
 
         def compute() -> dict[str, tuple[Boxes, ...]]:
             return {
@@ -154,18 +156,18 @@ class Articulated:
                 for name, link in self.urdf.links.items()
             }
 
-        return self.kept("boxes", compute)
+        return self.cached("boxes", compute)
 
     def pieces(self, link: str, element: int) -> tuple[Hull, ...]:
-        """Convex pieces of a collision element of a link, made once; see `convex_pieces`.
+        """Return the convex pieces of a collision element, cached; see `convex_pieces`.
 
         Raises:
-            UrdfError: The faces of its mesh cannot be read.
+            UrdfError: The faces of its mesh are unreadable.
         """
         key = link, element
         if key not in self._pieces:
             shape, hull = self.urdf.links[link].collisions[element], self.hulls[link][element]
-            self._pieces[key] = self.kept("pieces", lambda: pieces_of(shape, hull), link, element)
+            self._pieces[key] = self.cached("pieces", lambda: pieces_of(shape, hull), link, element)
         return self._pieces[key]
 
     @cached_property
@@ -173,7 +175,7 @@ class Articulated:
         return {}
 
     def hull(self, link: str, shape: Geometry) -> Hull:
-        """The hull of a shape of a link, visual or for collision."""
+        """Return the hull of a link's shape, visual or collision."""
         hulls = zip(self.urdf.links[link].collisions, self.hulls[link], strict=True)
         return next((hull for known, hull in hulls if known is shape), None) or hull_of(shape, link)
 
@@ -183,16 +185,16 @@ class Articulated:
         """Fit a box around points of the model, see `fit_box`."""
         return once(self.cache, "fit", (points,), lambda: fit_box(points))
 
-    def kept(
+    def cached(
         self, what: str, compute: Callable[[], T], *parts: object, records: tuple[type, ...] = ()
     ) -> T:
-        """Compute something from joints and shapes, or take what was computed from the same.
+        """Compute a value from joints and shapes, or return the cached one.
 
         Args:
-            what: Begins its key.
-            compute: Makes it; see `once`.
-            parts: What it depends on beside joints and shapes.
-            records: The kinds of records in it, beside hulls and boxes.
+            what: Prefix of the key.
+            compute: Returns the value; see `once`.
+            parts: What the value depends on besides joints and shapes.
+            records: Record types in the value besides hulls and boxes.
         """
         if self.cache is None:
             return compute()
@@ -200,7 +202,7 @@ class Articulated:
 
     @cached_property
     def _content(self) -> bytes:
-        """All of the model that its geometry is computed from; meshes by what is in them."""
+        """Serialize all inputs of the geometry; meshes by their content."""
         shapes = {name: link.collisions for name, link in self.urdf.links.items()}
         meshes = [shape.mesh for group in shapes.values() for shape in group if shape.mesh]
         digests = {mesh: mesh_digest(mesh) for mesh in dict.fromkeys(meshes)}
@@ -209,7 +211,7 @@ class Articulated:
         return freeze((self.urdf.root, self.urdf.joints, held, bare, [digests[m] for m in meshes]))
 
     def shapes_named(self, word: str, links: tuple[str, ...]) -> list[tuple[str, Geometry]]:
-        """Shapes whose link, collision or visual is named so, without regard to case."""
+        """Return shapes with a word in the name of their link or element, ignoring case."""
         found = []
         for name in links:
             link = self.urdf.links[name]
@@ -223,7 +225,7 @@ class Articulated:
 def joint_motion(
     joint: Joint, value: float | Float[np.ndarray, " *batch"]
 ) -> Float[np.ndarray, "*batch 4 4"]:
-    """Transform of a joint's child at values [rad] or [m], in the joint's frame."""
+    """Return transforms of a joint's child at values [rad] or [m], in the joint's frame."""
     values = np.asarray(value)
     T = np.tile(np.eye(4), (*values.shape, 1, 1))
     if joint.kind == "prismatic":

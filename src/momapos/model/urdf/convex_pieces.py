@@ -1,10 +1,10 @@
-"""A mesh that is not convex as convex pieces, none of which leaves any of its surface out.
+"""Divide a nonconvex mesh into convex pieces that cover its whole surface.
 
-A handle and its panel are often one mesh, and its hull fills the room behind the handle. What lines
-along the axes of a box around the mesh reach from outside, before they meet its surface, is room.
-The mesh is cut into slabs across one axis, what hangs together in a slab is a piece, and neighbors
-whose common hull holds no more room are joined again. Pieces whose hull holds room are cut across
-another axis. Nothing is asked of the mesh: it may be open, doubled, or turned inside out.
+A handle and its panel are often one mesh, whose hull fills the space behind the handle. Free space
+is what lines along the axes of the mesh's box reach from outside before they meet the surface. The
+mesh is cut into slabs across one axis, and the connected parts of a slab are pieces. Neighbors are
+merged again if their common hull contains no more free space. Pieces whose hull contains free space
+are cut across another axis. The mesh may be open, duplicated, or inside out.
 """
 
 from __future__ import annotations
@@ -19,54 +19,53 @@ from momapos.core.geometry import apply
 from .hulls import Hull, fit_box, hull_around
 from .meshes import mesh_triangles
 from .reader import Geometry
-from .triangles import TOUCH, closed_up, connected_parts, double_areas, hits_along, split_at
+from .triangles import TOUCH, close_rims, connected_parts, double_areas, hits_along, split_at
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-HOLLOW = 3e-6
-"""A hull that holds more room than this is cut: a fingertip takes as much [m^3]."""
-DEEP = 0.005
-"""Room counts where its middle is so deep in the hull [m]."""
+MAX_VOID = 3e-6
+"""A hull that contains more free space is cut; about the volume of a fingertip [m^3]."""
+MIN_DEPTH = 0.005
+"""A free cell counts if its center is at least this deep in the hull [m]."""
 MAX_TRIANGLES = 20_000
-"""Meshes with more stay one hull: cutting them would take seconds [-]."""
+"""Larger meshes stay one hull, since cutting them takes seconds [-]."""
 MAX_PIECES = 24
-"""No mesh becomes more pieces [-]."""
-SLABS = 10
-"""Slabs of the same thickness that an axis is cut into, beside those that flat faces end [-]."""
-FLATS = 8
-"""Flat faces that end slabs, the largest ones [-]."""
-BESIDE = 2e-4
-"""A cut is this far beside a flat face, on both sides of it [m]."""
-LEAST_SLAB = 0.003
-"""Flat faces that are nearer to each other end one slab [m]."""
-LEAST_EVEN = 0.012
-"""No slab of those of the same thickness is thinner [m]."""
-GAIN = 0.98
-"""A cut is worth it where at most this share of the room, or of the volume that holds any, is left
-[-]."""
-NEAR = 8
-"""Pieces of one slab that another is compared with [-]."""
+"""Largest number of pieces of a mesh [-]."""
+MAX_SLABS = 10
+"""Largest number of slabs of equal thickness per axis, in addition to those at flat faces [-]."""
+MAX_FLAT_FACES = 8
+"""Number of flat faces that bound slabs, largest first [-]."""
+CUT_OFFSET = 2e-4
+"""Distance of the two cuts on both sides of a flat face [m]."""
+MIN_SLAB = 0.003
+"""Smallest distance of flat faces that bound different slabs [m]."""
+MIN_EVEN_SLAB = 0.012
+"""Smallest thickness of slabs of equal thickness [m]."""
+MAX_REMAINING = 0.98
+"""A cut is kept if at most this share of the free space, or of the hollow volume, remains [-]."""
+MAX_COMPARED = 8
+"""Number of pieces of a slab that a new piece is compared with [-]."""
 
 
-@dataclass(frozen=True)
-class _Room:
+@dataclass(frozen=True, eq=False)
+class _FreeCells:
     """Cells around a mesh that lines along the axes reach from outside."""
 
     center: Float[np.ndarray, "n 3"]
     volume: Float[np.ndarray, " n"]
 
-    def inside(self, hull: _Hull, depth: float) -> _Room:
-        """The cells whose middle lies inside a hull, by a depth at least [m]."""
+    def inside(self, hull: _HullPlanes, depth: float) -> _FreeCells:
+        """Return the cells whose center is inside a hull by at least a depth [m]."""
         near = ((self.center > hull.low) & (self.center < hull.high)).all(1)
         away = (self.center[near] @ hull.planes[:, :3].T + hull.planes[:, 3]).max(1)
         rows = np.flatnonzero(near)[away < -depth]
-        return _Room(self.center[rows], self.volume[rows])
+        return _FreeCells(self.center[rows], self.volume[rows])
 
 
-@dataclass(frozen=True)
-class _Hull:
-    """Of some of the surface."""
+@dataclass(frozen=True, eq=False)
+class _HullPlanes:
+    """The convex hull of a part of the surface."""
 
     low: Float[np.ndarray, "3"]
     high: Float[np.ndarray, "3"]
@@ -75,22 +74,22 @@ class _Hull:
     volume: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Piece:
-    """Some of the surface."""
+    """A part of the surface."""
 
     triangles: Float[np.ndarray, "t 3 3"]
-    hull: _Hull
-    room: float
-    """That its hull holds [m^3]."""
+    hull: _HullPlanes
+    void: float
+    """Free space in its hull [m^3]."""
 
     @property
     def hollow(self) -> bool:
-        return self.room > HOLLOW
+        return self.void > MAX_VOID
 
 
 def pieces_of(geometry: Geometry, hull: Hull) -> tuple[Hull, ...]:
-    """The convex pieces of a shape, in the link frame: its hull, or those of a hollow mesh.
+    """Return the convex pieces of a shape in the link frame; one hull if it is nearly convex.
 
     Raises:
         UrdfError: As for `mesh_triangles`.
@@ -106,119 +105,121 @@ def pieces_of(geometry: Geometry, hull: Hull) -> tuple[Hull, ...]:
 
 
 def convex_pieces(triangles: Float[np.ndarray, "t 3 3"]) -> list[Float[np.ndarray, "n 3"]]:
-    """Corners of pieces whose hulls hold all of a surface, and little of the room around it.
+    """Divide a surface into pieces whose hulls contain little free space.
 
     Args:
-        triangles: The surface, in any order and direction [m].
+        triangles: The surface, in any order and orientation [m].
 
     Returns:
-        Points of each piece; of a surface that is nearly convex, or of too many triangles, all.
+        Points of each piece; one piece if the surface is nearly convex or has too many triangles.
     """
     points = triangles.reshape(-1, 3)
-    if not 0 < len(triangles) <= MAX_TRIANGLES or not _folds_in(triangles):
+    if not 0 < len(triangles) <= MAX_TRIANGLES or not _is_concave(triangles):
         return [points]
     rotation = fit_box(points)[1]
-    surface = closed_up(triangles) @ rotation
-    queue = [_piece(surface, _room_in(surface, surface))]
+    surface = close_rims(triangles) @ rotation
+    queue = [_piece(surface, _free_cells(surface, surface))]
     done: list[_Piece] = []
     while queue:
         piece = queue.pop()
-        room = _room_in(piece.triangles, surface).inside(piece.hull, DEEP)
-        parts = _cut(_piece(piece.triangles, room), room)
+        free = _free_cells(piece.triangles, surface).inside(piece.hull, MIN_DEPTH)
+        parts = _cut(_piece(piece.triangles, free), free)
         if not parts or len(queue) + len(done) + len(parts) > MAX_PIECES:
             done.append(piece)
         else:
-            queue = sorted([*queue, *parts], key=lambda p: p.room)
+            queue = sorted([*queue, *parts], key=lambda p: p.void)
     if len(done) == 1:
         return [points]
     return [piece.triangles.reshape(-1, 3) @ rotation.T for piece in done]
 
 
-def _hull(triangles: Float[np.ndarray, "t 3 3"]) -> _Hull:
+def _hull_planes(triangles: Float[np.ndarray, "t 3 3"]) -> _HullPlanes:
     from scipy.spatial import ConvexHull, QhullError
 
     corners = triangles.reshape(-1, 3)
     low, high = corners.min(0), corners.max(0)
     try:
         hull = ConvexHull(corners)
-    except QhullError:  # flat: nothing lies inside
-        return _Hull(low, high, np.array([[0.0, 0.0, 0.0, 1.0]]), 0.0)
-    return _Hull(low, high, np.unique(np.round(hull.equations, 5), axis=0), float(hull.volume))
+    except QhullError:  # flat: no point is inside
+        return _HullPlanes(low, high, np.array([[0.0, 0.0, 0.0, 1.0]]), 0.0)
+    return _HullPlanes(
+        low, high, np.unique(np.round(hull.equations, 5), axis=0), float(hull.volume)
+    )
 
 
-def _folds_in(triangles: Float[np.ndarray, "t 3 3"]) -> bool:
-    """Whether corners and middles of a surface lie deep in its hull, and not on it alone."""
+def _is_concave(triangles: Float[np.ndarray, "t 3 3"]) -> bool:
+    """Return whether corners or midpoints of a surface are deep inside its hull."""
     middles = (triangles + triangles[:, [1, 2, 0]]).reshape(-1, 3) / 2
     points = np.concatenate([triangles.reshape(-1, 3), middles, triangles.mean(1)])
-    planes = _hull(triangles).planes
-    return bool((points @ planes[:, :3].T + planes[:, 3]).max(1).min() < -DEEP)
+    planes = _hull_planes(triangles).planes
+    return bool((points @ planes[:, :3].T + planes[:, 3]).max(1).min() < -MIN_DEPTH)
 
 
-def _piece(triangles: Float[np.ndarray, "t 3 3"], room: _Room) -> _Piece:
-    hull = _hull(triangles)
-    return _Piece(triangles, hull, float(room.inside(hull, BESIDE).volume.sum()))
+def _piece(triangles: Float[np.ndarray, "t 3 3"], free: _FreeCells) -> _Piece:
+    hull = _hull_planes(triangles)
+    return _Piece(triangles, hull, float(free.inside(hull, CUT_OFFSET).volume.sum()))
 
 
-def _both(a: _Piece, b: _Piece, room: _Room) -> _Piece:
-    return _piece(np.concatenate([a.triangles, b.triangles]), room)
+def _merge(a: _Piece, b: _Piece, free: _FreeCells) -> _Piece:
+    return _piece(np.concatenate([a.triangles, b.triangles]), free)
 
 
-def _cut(piece: _Piece, room: _Room) -> list[_Piece]:
-    """The pieces across the axis that leaves the least room in them; none where it is no use."""
+def _cut(piece: _Piece, free: _FreeCells) -> list[_Piece]:
+    """Cut a piece across the axis that leaves the least free space; [] if no cut helps."""
     if not piece.hollow:
         return []
 
     def left(parts: list[_Piece]) -> tuple[float, float, float]:
         hollow = sum(p.hull.volume for p in parts if p.hollow)
-        # Of cuts as good as each other the one that leaves the body whole, and its handle apart.
+        # Among equally good cuts, prefer the one that keeps the body whole and its handle apart.
         body = max(p.hull.volume for p in parts)
         shares = round(hollow / piece.hull.volume, 2), -body / piece.hull.volume
-        return round(sum(p.room for p in parts) / piece.room, 1), *shares
+        return round(sum(p.void for p in parts) / piece.void, 1), *shares
 
-    best = min((_across(piece, axis, room) for axis in range(3)), key=left)
-    return best if len(best) > 1 and min(left(best)[:2]) <= GAIN else []
+    best = min((_cut_across(piece, axis, free) for axis in range(3)), key=left)
+    return best if len(best) > 1 and min(left(best)[:2]) <= MAX_REMAINING else []
 
 
-def _across(piece: _Piece, axis: int, room: _Room) -> list[_Piece]:
-    """The pieces of slabs across an axis, joined where their common hull holds no more room."""
+def _cut_across(piece: _Piece, axis: int, free: _FreeCells) -> list[_Piece]:
+    """Cut a piece into slabs across an axis, and merge pieces where that adds no free space."""
     edges, thin = _slab_edges(piece, axis)
     slabs, rest = [], piece.triangles
     for edge in edges:
         below, rest = split_at(rest, rest[..., axis] - edge)
-        slabs.append(_bodies(below, room))
-    slabs.append(_bodies(rest, room))
-    # What lies in the plane of a flat face belongs to the side on which it closes a body.
+        slabs.append(_slab_pieces(below, free))
+    slabs.append(_slab_pieces(rest, free))
+    # A flat face belongs to the side on which it closes a body.
     for k in np.flatnonzero(thin):
         for face in slabs[k]:
-            _give_away(face, [slabs[k - 1], slabs[k + 1]], axis, room)
+            _merge_thin(face, [slabs[k - 1], slabs[k + 1]], axis, free)
         slabs[k] = []
-    return _joined([slab for slab in slabs if slab], axis, room)
+    return _merge_slabs([slab for slab in slabs if slab], axis, free)
 
 
-def _bodies(triangles: Float[np.ndarray, "t 3 3"], room: _Room) -> list[_Piece]:
-    """The pieces of a slab: what hangs together, and both sides of what has no room between."""
-    kept: list[_Piece] = []
-    for triangles_of_one in connected_parts(triangles):
-        piece = _piece(triangles_of_one, room)
-        for k, other in enumerate(kept[-NEAR:]):
-            both = _both(other, piece, room)
-            if both.room <= piece.room + other.room:
+def _slab_pieces(triangles: Float[np.ndarray, "t 3 3"], free: _FreeCells) -> list[_Piece]:
+    """Return the connected parts of a slab, merged where there is no free space in between."""
+    pieces: list[_Piece] = []
+    for part in connected_parts(triangles):
+        piece = _piece(part, free)
+        for k, other in enumerate(pieces[-MAX_COMPARED:]):
+            both = _merge(other, piece, free)
+            if both.void <= piece.void + other.void:
                 piece = both
-                del kept[len(kept) - len(kept[-NEAR:]) + k]
+                del pieces[len(pieces) - len(pieces[-MAX_COMPARED:]) + k]
                 break
-        kept.append(piece)
-    return kept
+        pieces.append(piece)
+    return pieces
 
 
-def _give_away(face: _Piece, sides: list[list[_Piece]], axis: int, room: _Room) -> None:
-    """Join what is thin to the neighbor that takes in the least room by it, a solid one rather."""
+def _merge_thin(face: _Piece, sides: list[list[_Piece]], axis: int, free: _FreeCells) -> None:
+    """Merge a flat face with the neighbor that gains the least free space, preferably solid."""
     found: list[tuple[float, float, list[_Piece], int, _Piece]] = []
     for side in sides:
         for k, other in enumerate(side):
-            if _touch(face, other, axis):
-                both = _both(other, face, room)
-                more = round((both.room - other.room) / (0.1 * HOLLOW))
-                found.append((more, other.room, side, k, both))
+            if _are_adjacent(face, other, axis):
+                both = _merge(other, face, free)
+                more = round((both.void - other.void) / (0.1 * MAX_VOID))
+                found.append((more, other.void, side, k, both))
     if found:
         _, _, side, k, both = min(found, key=lambda way: way[:2])
         side[k] = both
@@ -226,19 +227,19 @@ def _give_away(face: _Piece, sides: list[list[_Piece]], axis: int, room: _Room) 
         sides[0].append(face)
 
 
-def _joined(slabs: list[list[_Piece]], axis: int, room: _Room) -> list[_Piece]:
-    """Join pieces of neighboring slabs, solid ones and hollow ones, while that adds no room."""
+def _merge_slabs(slabs: list[list[_Piece]], axis: int, free: _FreeCells) -> list[_Piece]:
+    """Merge solid pieces of neighboring slabs, and hollow ones, if that adds no free space."""
     done: list[_Piece] = []
     last: list[_Piece] = []
     for slab in slabs:
         now: list[_Piece] = []
         for piece in slab:
             for k, other in enumerate(last):
-                if piece.hollow != other.hollow or not _touch(piece, other, axis):
+                if piece.hollow != other.hollow or not _are_adjacent(piece, other, axis):
                     continue
-                both = _both(other, piece, room)
-                limit = 1.02 * (piece.room + other.room) if piece.hollow else HOLLOW / 4
-                if both.room <= limit:
+                both = _merge(other, piece, free)
+                limit = 1.02 * (piece.void + other.void) if piece.hollow else MAX_VOID / 4
+                if both.void <= limit:
                     piece = both
                     del last[k]
                     break
@@ -248,49 +249,53 @@ def _joined(slabs: list[list[_Piece]], axis: int, room: _Room) -> list[_Piece]:
     return done + last
 
 
-def _touch(a: _Piece, b: _Piece, axis: int) -> bool:
-    """Whether pieces of neighboring slabs lie on each other."""
+def _are_adjacent(a: _Piece, b: _Piece, axis: int) -> bool:
     gap = np.maximum(a.hull.low - b.hull.high, b.hull.low - a.hull.high)
     gap[axis] = 0.0
     return bool((gap <= TOUCH).all())
 
 
 def _flat_levels(triangles: Float[np.ndarray, "t 3 3"], axis: int) -> list[float]:
-    """Where the largest flat faces across an axis are, but those at its ends."""
+    """Return the positions of the largest flat faces across an axis, except at the ends."""
     z = triangles[..., axis]
     low, high = float(z.min()), float(z.max())
-    flat = np.ptp(z, axis=1) < BESIDE
-    level, number = np.unique(np.round(z[flat].mean(1) / BESIDE), return_inverse=True)
-    level, area = level * BESIDE, np.bincount(number, double_areas(triangles[flat]))
-    inside = (level > low + LEAST_SLAB) & (level < high - LEAST_SLAB)
+    flat = np.ptp(z, axis=1) < CUT_OFFSET
+    level, number = np.unique(np.round(z[flat].mean(1) / CUT_OFFSET), return_inverse=True)
+    level, area = level * CUT_OFFSET, np.bincount(number, double_areas(triangles[flat]))
+    inside = (level > low + MIN_SLAB) & (level < high - MIN_SLAB)
     kept: list[float] = []
     for x in level[inside][np.argsort(-area[inside])]:
-        if len(kept) < FLATS and all(abs(x - y) > LEAST_SLAB for y in kept):
+        if len(kept) < MAX_FLAT_FACES and all(abs(x - y) > MIN_SLAB for y in kept):
             kept.append(float(x))
     return kept
 
 
 def _even_levels(low: float, high: float, flats: list[float]) -> list[float]:
-    """Ends of slabs of the same thickness, but those beside flat faces."""
-    count = min(SLABS, int((high - low) / LEAST_EVEN))
+    """Return the ends of slabs of equal thickness, except near flat faces."""
+    count = min(MAX_SLABS, int((high - low) / MIN_EVEN_SLAB))
     levels = np.linspace(low, high, max(count, 1) + 1)[1:-1]
-    return [float(x) for x in levels.tolist() if all(abs(x - y) > LEAST_SLAB for y in flats)]
+    return [float(x) for x in levels.tolist() if all(abs(x - y) > MIN_SLAB for y in flats)]
 
 
 def _slab_edges(
     piece: _Piece, axis: int
 ) -> tuple[Float[np.ndarray, " e"], Bool[np.ndarray, " e_1"]]:
-    """Where slabs end, and which of the slabs hold nothing but a flat face."""
+    """Return the ends of slabs, and which of the slabs contain only a flat face."""
     flats = _flat_levels(piece.triangles, axis)
     even = _even_levels(float(piece.hull.low[axis]), float(piece.hull.high[axis]), flats)
-    ends = np.array([*even, *(x - BESIDE for x in flats), *(x + BESIDE for x in flats)])
+    ends = np.array([*even, *(x - CUT_OFFSET for x in flats), *(x + CUT_OFFSET for x in flats)])
     closes_flat = np.repeat([False, True], [len(even) + len(flats), len(flats)])
     order = np.argsort(ends)
     return ends[order], np.append(closes_flat[order], False)
 
 
-def _room_in(piece: Float[np.ndarray, "k 3 3"], surface: Float[np.ndarray, "t 3 3"]) -> _Room:
-    """Cells between flat faces and even steps of a piece that the surface does not hide."""
+def _free_cells(
+    piece: Float[np.ndarray, "k 3 3"], surface: Float[np.ndarray, "t 3 3"]
+) -> _FreeCells:
+    """Return the cells of a piece that the surface does not hide.
+
+    Flat faces and equal steps divide the piece's box into cells.
+    """
     low, high = piece.min((0, 1)), piece.max((0, 1))
     edges = []
     for axis in range(3):
@@ -307,4 +312,4 @@ def _room_in(piece: Float[np.ndarray, "k 3 3"], surface: Float[np.ndarray, "t 3 
         free |= np.moveaxis(seen, -1, axis)
     cells = np.stack(np.meshgrid(*middle, indexing="ij"), -1)
     size = np.prod(np.stack(np.meshgrid(*map(np.diff, edges), indexing="ij"), -1), axis=-1)
-    return _Room(cells[free], size[free])
+    return _FreeCells(cells[free], size[free])

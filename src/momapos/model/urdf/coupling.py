@@ -1,4 +1,4 @@
-"""Joints that follow others: URDF's `mimic`, and what a robot file couples."""
+"""Mimic joints: those of a URDF, and joints that a robot file couples."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from .urdf_records import Joint, Mimic, Urdf
 
 
 def check_coupled(urdf: Urdf, names: Iterable[str], where: str) -> None:
-    """Refuse joints that were made to follow others and cannot.
+    """Check joints that a robot file couples to leaders.
 
     Args:
-        urdf: The model in which they follow.
-        names: The joints.
-        where: Begins the messages: what the couplings come from.
+        urdf: The model with the couplings.
+        names: The coupled joints.
+        where: Source of the couplings, for messages.
 
     Raises:
-        UnknownNameError: One of them, or what it follows, cannot move.
-        RobotError: The limits leave what is followed no way to go.
+        UnknownNameError: A coupled joint or its leader does not exist or is fixed.
+        RobotError: The limits of a coupled joint leave its leader no range.
     """
     moving = {joint.name: joint for joint in urdf.joints if joint.movable}
     for name in names:
@@ -30,27 +30,24 @@ def check_coupled(urdf: Urdf, names: Iterable[str], where: str) -> None:
         mimic = joint.mimic
         if not _shared(moving[mimic.joint], joint, mimic):
             raise RobotError(
-                f"{where}: the limits of {name!r} leave {mimic.joint!r} no way to go; is the ratio "
-                f"{mimic.ratio:g} or the offset {mimic.offset:g} wrong?"
+                f"{where}: the limits of {name!r} leave {mimic.joint!r} no range; check the ratio "
+                f"{mimic.ratio:g} and the offset {mimic.offset:g}"
             )
 
 
 def follow(
-    joints: Sequence[Joint],
-    follows: Mapping[str, Mimic],
-    where: str,
-    error: type[Exception],
+    joints: Sequence[Joint], follows: Mapping[str, Mimic], where: str, error: type[Exception]
 ) -> tuple[Joint, ...]:
-    """Joints with what each follows: a joint that follows none, and keeps the limits of all.
+    """Return joints with mimic relations resolved: leaders are no mimic joints themselves.
 
-    Limits that would leave it no way to go do not count: few programs read those of a joint that
-    follows, so that files hold anything there.
+    A leader's limits are narrowed to those of its mimic joints. Limits that would leave it no range
+    are ignored: few programs read the limits of mimic joints, so files often have wrong ones.
 
     Args:
         joints: All joints of a model.
-        follows: By the name of the joint that follows.
-        where: Begins the messages.
-        error: What to raise where joints follow each other in a circle.
+        follows: Mimic relations by the name of the mimic joint.
+        where: Prefix of messages.
+        error: Class of the error to raise if relations are cyclic.
     """
     leaders = {name: leader_of(name, follows, where, error) for name in follows}
     narrowed = {joint.name: joint for joint in joints}
@@ -60,7 +57,7 @@ def follow(
 
 
 def leader_of(name: str, follows: Mapping[str, Mimic], where: str, error: type[Exception]) -> Mimic:
-    """What a joint follows in the end; an error where that is itself, see `follow`."""
+    """Return a joint's relation to its final leader; see `follow` for the arguments."""
     mimic, seen = follows[name], {name}
     while mimic.joint in follows:
         if mimic.joint in seen:
@@ -73,7 +70,7 @@ def leader_of(name: str, follows: Mapping[str, Mimic], where: str, error: type[E
 
 
 def _shared(leader: Joint, follower: Joint, mimic: Mimic) -> tuple[float, float] | None:
-    """Limits of a joint within which what follows it keeps its own; None: there are none."""
+    """Return the leader's limits within which the follower keeps its own, or None."""
     if mimic.ratio == 0.0:
         return leader.lower, leader.upper
     ends = sorted((end - mimic.offset) / mimic.ratio for end in (follower.lower, follower.upper))
@@ -82,7 +79,7 @@ def _shared(leader: Joint, follower: Joint, mimic: Mimic) -> tuple[float, float]
 
 
 def _narrowed(leader: Joint, follower: Joint, mimic: Mimic) -> Joint:
-    """The leader with the limits of the other one too, in position and speed."""
+    """Return the leader with position and speed limits narrowed to the follower's."""
     shared = _shared(leader, follower, mimic)
     if shared is None or mimic.ratio == 0.0:
         return leader

@@ -1,11 +1,12 @@
-"""Collision shapes as convex hulls, and the boxes that cover them.
+"""Convex hulls of collision shapes, and boxes that cover them.
 
-One convex hull per collision element is the exact geometry everywhere in momapos (as in most
-physics engines); the boxes are what the batched kernels test.
+Throughout momapos, as in most physics engines, the exact geometry is one convex hull per collision
+element. The batched kernels test the boxes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,44 +22,44 @@ from .reader import Geometry
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-SLACK = 1.25
-"""A covering box may hold this many times the volume of its piece of hull [-]."""
-FLAT = 1e-3
+MAX_VOLUME_RATIO = 1.25
+"""Largest ratio of a covering box's volume to that of its part of the hull [-]."""
+FLAT_THICKNESS = 1e-3
 """Thickness given to flat meshes [m]."""
 MAX_FRAMES = 12
-"""Face directions that a box is tried along [-]."""
-SMALL = 1e-5
-"""Boxes of less than this are never cut [m^3]."""
-WORTH = 0.1
-"""Share of a box's volume that a cut must save [-]."""
-STRIPS_FROM = 0.08
+"""Number of face directions to try for a box [-]."""
+MIN_CUT_VOLUME = 1e-5
+"""Smaller boxes are not cut [m^3]."""
+MIN_SAVING = 0.1
+"""Smallest share of a box's volume that a cut must save [-]."""
+MIN_STRIP_RADIUS = 0.08
 """Upright cylinders with a larger radius are covered by strips [m]."""
 STRIPS = 10
-"""Strips across a wide cylinder; they stick out by 5 % of the radius [-]."""
-THIN = 1e-4
-"""Boxes with an edge up to this may be flat [m]."""
+"""Number of strips across a wide cylinder; they protrude by 5 % of the radius [-]."""
+MIN_BOX_EDGE = 1e-4
+"""Boxes with a shorter edge may count as flat [m]."""
 _BOX_FACES = np.array([
     [0, 2, 6], [6, 4, 0], [0, 4, 5], [5, 1, 0], [4, 6, 5], [5, 6, 7],
     [3, 2, 0], [0, 1, 3], [3, 6, 2], [7, 6, 3], [1, 5, 3], [3, 5, 7],
 ])  # fmt: skip
-"""How Qhull divides the faces of every box with its corners in order."""
+"""Qhull's triangles of a box whose corners are in order."""
 _CIRCLE = 24
 _Box = tuple[np.ndarray, np.ndarray, np.ndarray, float]
 """Center, rotation, half edges, and the volume of the body inside."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hull:
     """A convex body fixed to a link."""
 
     vertices: Float[np.ndarray, "n 3"]
-    """In the link frame [m]."""
+    """Vertices in the link frame [m]."""
     faces: Int[np.ndarray, "f 3"]
-    """Vertex indices, counterclockwise seen from outside."""
+    """Vertex indices, counterclockwise as seen from outside."""
     name: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Boxes:
     """Oriented boxes."""
 
@@ -71,10 +72,28 @@ class Boxes:
     def __len__(self) -> int:
         return len(self.center)
 
+    def take(self, rows: Int[np.ndarray, " k"]) -> Boxes:
+        """Return a subset of the boxes."""
+        return Boxes(self.center[rows], self.rotation[rows], self.half[rows])
 
-@dataclass(frozen=True)
+    def moved(self, T: Float[np.ndarray, "4 4"]) -> Boxes:
+        """Transform the boxes."""
+        return Boxes(apply(T, self.center), T[:3, :3] @ self.rotation, self.half)
+
+    @classmethod
+    def join(cls, parts: Iterable[Boxes]) -> Boxes:
+        """Concatenate sets of boxes."""
+        every = [cls(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))), *parts]
+        return cls(
+            np.concatenate([part.center for part in every]),
+            np.concatenate([part.rotation for part in every]),
+            np.concatenate([part.half for part in every]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class MovingBoxes:
-    """Oriented boxes at each of the values that a joint takes."""
+    """Oriented boxes at each of several joint values."""
 
     center: Float[np.ndarray, "v m 3"]
     rotation: Float[np.ndarray, "v m 3 3"]
@@ -83,11 +102,11 @@ class MovingBoxes:
     """Half edges [m]."""
 
     def at(self, value: int) -> Boxes:
-        """The boxes at one value, given by its index."""
+        """Return the boxes at the value with an index."""
         return Boxes(self.center[value], self.rotation[value], self.half[value])
 
     def sweep(self) -> Boxes:
-        """The boxes at all values, as one set."""
+        """Return the boxes at all values, as one set."""
         return Boxes(
             self.center.reshape(-1, 3), self.rotation.reshape(-1, 3, 3), self.half.reshape(-1, 3)
         )
@@ -97,14 +116,14 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
     """Return the convex hull of a shape, in the link frame.
 
     Raises:
-        UrdfError: The mesh cannot be read, is empty, or holds NaN.
+        UrdfError: The mesh is unreadable, empty, or contains NaN.
     """
     if geometry.kind == "mesh":
         assert geometry.mesh is not None
         points = mesh_points(geometry.mesh) * np.array(geometry.size)
     else:
         points = _primitive_points(geometry)
-    if geometry.kind == "box" and min(geometry.size) > THIN:
+    if geometry.kind == "box" and min(geometry.size) > MIN_BOX_EDGE:
         vertices, faces = _unique_rows(np.round(points, 7)), _BOX_FACES.copy()
     else:
         vertices, faces = _convex(points, geometry.mesh)
@@ -112,7 +131,7 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
 
 
 def hull_around(points: Float[np.ndarray, "n 3"], name: str) -> Hull:
-    """Return the convex hull of points; flat ones get 1 mm of thickness."""
+    """Return the convex hull of points; flat sets get a thickness of 1 mm."""
     return Hull(*_convex(points, None), name)
 
 
@@ -136,7 +155,7 @@ def _primitive_points(geometry: Geometry) -> Float[np.ndarray, "n 3"]:
 
 
 def _convex(points: Float[np.ndarray, "n 3"], path: Path | None) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and outward faces of the convex hull; flat point sets get 1 mm of thickness."""
+    """Return vertices and outward faces of the convex hull; see `hull_around`."""
     from scipy.spatial import ConvexHull, QhullError
 
     points = _unique_rows(np.round(points, 7))
@@ -159,23 +178,23 @@ def _convex(points: Float[np.ndarray, "n 3"], path: Path | None) -> tuple[np.nda
 
 
 def _unique_rows(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Sort rows and drop repetitions, as `np.unique` does, but faster."""
+    """Sort rows and drop duplicates, faster than `np.unique`."""
     rows = points[np.lexsort(points.T[::-1])]
     return rows[np.r_[True, (rows[1:] != rows[:-1]).any(1)]]
 
 
 def _thicken(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     _, _, basis = np.linalg.svd(points - points.mean(0), full_matrices=True)
-    a, b = FLAT / 2 * basis[-1], FLAT / 2 * basis[-2]
+    a, b = FLAT_THICKNESS / 2 * basis[-1], FLAT_THICKNESS / 2 * basis[-2]
     return np.vstack([points + s * a + t * b for s in (-1, 1) for t in (-1, 1)])
 
 
 def cover_shape(geometry: Geometry, hull: Hull) -> Boxes:
-    """Cover a shape by boxes: a box by itself, a wide upright cylinder by strips, else its hull."""
+    """Cover a shape by boxes: a wide upright cylinder by strips, other shapes as in `cover`."""
     T = geometry.T_link_geometry
     if geometry.kind == "box":
         return Boxes(T[None, :3, 3], T[None, :3, :3], np.array([geometry.size]) / 2)
-    if geometry.kind == "cylinder" and geometry.size[0] > STRIPS_FROM and T[2, 2] > 0.99:
+    if geometry.kind == "cylinder" and geometry.size[0] > MIN_STRIP_RADIUS and T[2, 2] > 0.99:
         radius, length = geometry.size
         edge = radius * np.cos(np.linspace(np.pi, 0, STRIPS + 1))
         nearest = np.where(
@@ -191,10 +210,10 @@ def cover_shape(geometry: Geometry, hull: Hull) -> Boxes:
 
 
 def cover(hull: Hull, *, depth: int = 3) -> Boxes:
-    """Cover a hull by oriented boxes, few and tight.
+    """Cover a hull by few, tight oriented boxes.
 
-    The hull is cut in half across its longest axis while one box would hold more than `SLACK`
-    times its volume, at most `depth` times.
+    The hull is halved across its longest axis, up to `depth` times, while its box has more than
+    `MAX_VOLUME_RATIO` times its volume.
     """
     boxes = _cover(hull.vertices, hull.faces, depth, _fit_box(hull.vertices, hull.faces))
     center, rotation, half, _ = zip(*boxes, strict=True)
@@ -216,15 +235,15 @@ def slab(
     low: float,
     high: float = np.inf,
 ) -> Float[np.ndarray, "n 3"]:
-    """Points whose hull is the part of a convex body between two planes across an axis.
+    """Return points whose hull is the part of a convex body between two planes across an axis.
 
     Args:
         vertices, faces: The body.
         axis: Unit vector.
-        low, high: Where the planes are along the axis [m].
+        low, high: Positions of the planes along the axis [m].
 
     Returns:
-        None, as an array (0, 3), where nothing of the body is there.
+        The points, (0, 3) if no part of the body is between the planes.
     """
     at = vertices @ axis
     a, b = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T
@@ -241,7 +260,7 @@ def _cover(
 ) -> list[_Box]:
     center, rotation, half, volume = box
     size = _volume(box)
-    if depth == 0 or size < SLACK * volume or size < SMALL:
+    if depth == 0 or size < MAX_VOLUME_RATIO * volume or size < MIN_CUT_VOLUME:
         return [box]
     axis = rotation[:, int(np.argmax(half))]
     pieces = [
@@ -250,8 +269,8 @@ def _cover(
     if any(piece is None for piece in pieces):
         return [box]
     halves = [(*piece, _fit_box(*piece)) for piece in pieces if piece]
-    # A cut that saves nothing at once is not followed further: it would cost many boxes.
-    if sum(_volume(fit) for _, _, fit in halves) > (1 - WORTH) * size:
+    # Stop if this cut saves too little: further cuts would add many boxes.
+    if sum(_volume(fit) for _, _, fit in halves) > (1 - MIN_SAVING) * size:
         return [box]
     return [part for v, f, fit in halves for part in _cover(v, f, depth - 1, fit)]
 
@@ -263,11 +282,11 @@ def _volume(box: _Box) -> float:
 def _clip(
     vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray, offset: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The part of a convex body with normal . x <= offset; None where it has no volume."""
+    """Return the part of a convex body with normal . x <= offset, or None if it has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     side = vertices @ normal - offset
-    # Both ways, as qhull does not orient the faces of a piece.
+    # Both directions, since qhull does not orient the faces of a piece.
     edges = faces[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
     a, b = edges[(side[edges[:, 0]] < 0) & (side[edges[:, 1]] > 0)].T
     t = side[a] / (side[a] - side[b])
@@ -282,9 +301,9 @@ def _clip(
 def _fit_box(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> _Box:
     """Fit a small oriented box around a convex body given by its surface.
 
-    Of the frame's own axes, and frames built on the largest faces with each of their edges (the
-    longest of a triangle may be the diagonal of a rectangle), the one whose box is smallest; the
-    frame's own axes win ties, so that boxes stay recognisable.
+    Candidates are the frame's own axes, and frames from the largest faces with each of their edges
+    (the longest edge of a triangle may be the diagonal of a rectangle). The frame's own axes win
+    ties, so that boxes stay recognizable.
 
     Returns:
         Center (3,), rotation (3, 3) with the axes as columns, half edges (3,) [m], and the
@@ -311,5 +330,5 @@ def _fit_box(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) 
 
 
 def _cross(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Row-wise a x b; `np.cross` takes ten times as long on few rows."""
+    """Return a x b per row; `np.cross` takes 10 times as long for few rows."""
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]

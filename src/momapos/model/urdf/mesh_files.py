@@ -1,4 +1,4 @@
-"""Find the mesh files that a URDF names, within the folders that they may come from."""
+"""Find the mesh files that a URDF names, within the allowed folders."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 
 from momapos.core import UrdfError
 
-PARENTS = 4
-"""How many folders above the URDF's own its meshes may lie; packages keep them beside `urdf`."""
+MAX_MESH_PARENTS = 4
+"""Meshes may be up to this many folders above the URDF's; packages have them next to `urdf` [-]."""
 _SCHEME = re.compile(r"^(package|file|model)://")
 
 
@@ -22,35 +22,35 @@ class MeshFinder:
     path: Path
     """The URDF."""
     root: Path | None = None
-    """Folder that no mesh may leave; None: `PARENTS` folders above the URDF."""
+    """Folder that must contain all meshes; None: `MAX_MESH_PARENTS` folders above the URDF."""
     packages: Mapping[str, Path] = field(default_factory=dict)
-    """Folders of packages by name; meshes may come from these too."""
+    """Folders of packages by name, which may contain meshes, too."""
 
     def find(self, filename: str) -> Path:
-        """Resolve a mesh name; `package://` is looked for in parent folders where it is not known.
+        """Find a mesh; unknown packages are searched in the URDF's parent folders.
 
         Raises:
-            UrdfError: It is in none of the folders, or outside all of them.
+            UrdfError: The mesh does not exist, or is outside the allowed folders.
         """
         scheme, relative = _SCHEME.match(filename), _SCHEME.sub("", filename)
         try:
             found = self._look(scheme[1] if scheme else "", relative)
             folder, *_ = self._folders
             outside = not self._allowed((folder / relative).resolve())
-        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, NUL
+        except (OSError, RuntimeError, ValueError) as error:  # too long, cyclic links, NUL
             raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
         if found is not None:
             return found
         if outside:
             raise UrdfError(
-                f"{self.path}: mesh {filename!r} leaves {self._root}; keep meshes inside it"
+                f"{self.path}: mesh {filename!r} is outside {self._root}; move it inside"
             )
         name = relative.partition("/")[0]
         if scheme and scheme[1] == "package" and name not in self.packages:
             looked = ", ".join(str(folder) for folder in self._folders)
             raise UrdfError(
-                f"{self.path}: package {name!r} of mesh {filename!r} was not found (looked in "
-                f"{looked}); put it there, or say where it is: --package {name}=DIR of momapos "
+                f"{self.path}: package {name!r} of mesh {filename!r} was not found (searched in "
+                f"{looked}); move it there, or give its folder: --package {name}=DIR of momapos "
                 "robot check, [packages] in a robot file"
             )
         beside = self.path.resolve().parent
@@ -60,7 +60,7 @@ class MeshFinder:
     @cached_property
     def _folders(self) -> list[Path]:
         folder = self.path.resolve().parent
-        return [folder, *list(folder.parents)[:PARENTS]]
+        return [folder, *list(folder.parents)[:MAX_MESH_PARENTS]]
 
     @cached_property
     def _root(self) -> Path:

@@ -1,7 +1,7 @@
-"""Read the vertices of mesh files that come from strangers.
+"""Read untrusted mesh files.
 
-trimesh parses; this module bounds what goes in: size, number of parts once all references are
-followed, and no file beside the mesh is opened.
+trimesh parses them. This module limits their size and the number of placed parts, and prevents
+that they open other files.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 MAX_MESH_BYTES = 50_000_000
-"""A collision mesh of a robot or of furniture has some megabytes."""
+"""Largest mesh file; collision meshes of robots and furniture have some megabytes [bytes]."""
 MESH_SUFFIXES = (".obj", ".stl", ".dae", ".ply", ".off", ".glb")
 MAX_PARTS = 1_000
-"""Nodes of a scene within a mesh file, each counted as often as it is placed [-]."""
+"""Largest number of placed nodes in a mesh file [-]."""
 MAX_POINTS = 10_000_000
-"""Vertices and indices in a mesh file, each counted as often as it is placed [-]."""
+"""Largest number of placed vertices and indices in a mesh file [-]."""
 MAX_COORDINATE = 1e7
+"""Largest coordinate in a mesh file, in its own unit."""
 
 
 def mesh_points(path: Path) -> Float[np.ndarray, "n 3"]:
     """Read the vertices of a mesh.
 
     Raises:
-        UrdfError: It cannot be read, is too large, is empty, or holds NaN.
+        UrdfError: The mesh is unreadable, too large, empty, or contains NaN.
     """
     try:
         return _points(path, os.stat(path).st_mtime_ns)
@@ -57,17 +58,19 @@ def _points(path: Path, _stamp: int) -> Float[np.ndarray, "n 3"]:
     if points.ndim != 2 or points.shape[1] != 3:
         raise UrdfError(f"{path}: not a usable mesh (its vertices do not have 3 coordinates)")
     if not np.isfinite(points).all():
-        raise UrdfError(f"{path}: the mesh holds NaN or infinite vertices")
+        raise UrdfError(f"{path}: the mesh contains NaN or infinite vertices")
     far = np.abs(points).max()
     if far > MAX_COORDINATE:
-        raise UrdfError(f"{path}: the mesh has a vertex at {far:g}; is it damaged?")
+        raise UrdfError(
+            f"{path}: the mesh has a coordinate {far:g}; the limit is {MAX_COORDINATE:g}"
+        )
     return points
 
 
 def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
     if path.suffix.lower() != ".obj":
         return np.array(parse_mesh(path, data).vertices, float)
-    # Vertices alone: materials and textures are neither needed nor trusted.
+    # Read vertices only: materials and textures are neither needed nor trusted.
     lines = data.decode(errors="replace").splitlines()
     try:
         rows = [[*map(float, x.split()[1:4])] for x in lines if x.startswith("v ")]
@@ -77,10 +80,10 @@ def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
 
 
 def mesh_triangles(path: Path) -> Float[np.ndarray, "t 3 3"]:
-    """Read the surface of a mesh; polygons are divided into fans, and points alone have none.
+    """Read the triangles of a mesh; polygons become fans.
 
     Raises:
-        UrdfError: As for `mesh_points`, or a face names a corner that is not there.
+        UrdfError: As for `mesh_points`, or a face uses a vertex that does not exist.
     """
     points = mesh_points(path)
     if path.suffix.lower() == ".obj":
@@ -90,12 +93,12 @@ def mesh_triangles(path: Path) -> Float[np.ndarray, "t 3 3"]:
     wrong = (faces < 0) | (faces >= len(points))
     if wrong.any():
         worst = int(faces[wrong][0]) + 1
-        raise UrdfError(f"{path}: a face names corner {worst}, and the mesh has {len(points)}")
+        raise UrdfError(f"{path}: a face uses vertex {worst}, but the mesh has {len(points)}")
     return points[faces]
 
 
 def _obj_faces(path: Path, count: int) -> Int[np.ndarray, "t 3"]:
-    """Corners of the faces of an OBJ file, from 0; relative numbers count back from their line."""
+    """Return the triangles of an OBJ file as vertex indices; negative ones count backwards."""
     seen, faces = 0, []
     try:
         for line in mesh_bytes(path).decode(errors="replace").splitlines():
@@ -107,42 +110,38 @@ def _obj_faces(path: Path, count: int) -> Int[np.ndarray, "t 3"]:
                 faces += [(corners[0], a, b) for a, b in pairwise(corners[1:])]
     except ValueError as error:
         raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
-    _refuse_more(0, count + 3 * len(faces))
+    _check_size(0, count + 3 * len(faces))
     return np.array(faces, np.int64).reshape(-1, 3)
 
 
 def mesh_digest(path: Path) -> bytes:
-    """What stands for the content of a mesh.
-
-    Raises:
-        UrdfError: As for `mesh_bytes`.
-    """
+    """Return a hash of the content of a mesh file."""
     return hashlib.sha256(mesh_bytes(path)).digest()
 
 
 def mesh_bytes(path: Path) -> bytes:
-    """Content of a mesh file of a kind that can be read.
+    """Read the content of a mesh file of a supported format.
 
     Raises:
-        UrdfError: It is of another kind, too large, or no regular file.
+        UrdfError: The format is not supported, or the file is too large or not regular.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise UrdfError(f"{path}: not a mesh that can be read; use {', '.join(MESH_SUFFIXES)}")
+        raise UrdfError(f"{path}: unsupported mesh format; use {', '.join(MESH_SUFFIXES)}")
     return read_bytes_bounded(path, MAX_MESH_BYTES, error=UrdfError)
 
 
 def parse_mesh(path: Path, data: bytes) -> Any:
-    """Parse the content of a mesh file other than OBJ; files that it names are not opened.
+    """Parse the content of a mesh file other than OBJ, without opening files that it names.
 
     Args:
-        path: Its name, for messages and the kind.
-        data: Its content.
+        path: Name of the file, for messages and the format.
+        data: Content of the file.
 
     Returns:
-        One trimesh of all its parts, where they are placed.
+        One trimesh of all placed parts.
 
     Raises:
-        UrdfError: It is damaged, or too much.
+        UrdfError: The file is damaged, or has too many parts or points.
     """
     import trimesh
 
@@ -156,17 +155,17 @@ def parse_mesh(path: Path, data: bytes) -> Any:
             data = _checked_collada(data)
         with _silence():
             return trimesh.load(
-                io.BytesIO(data), file_type=kind, force="mesh", resolver=_Nothing(), **options
+                io.BytesIO(data), file_type=kind, force="mesh", resolver=_NoFiles(), **options
             )
     except UrdfError as error:
         raise UrdfError(f"{path}: {error}") from error
-    except Exception as error:  # trimesh raises whatever its many readers met
-        raise UrdfError(f"{path}: damaged, or no {kind.upper()} mesh ({_reason(error)})") from error
+    except Exception as error:  # trimesh's readers raise errors of any class
+        raise UrdfError(
+            f"{path}: damaged, or not a {kind.upper()} mesh ({_reason(error)})"
+        ) from error
 
 
-class _Nothing(Mapping[str, bytes]):
-    """The files beside a mesh: none."""
-
+class _NoFiles(Mapping[str, bytes]):
     def __getitem__(self, name: str) -> bytes:
         raise KeyError(f"names another file, {name!r:.80}")
 
@@ -178,15 +177,15 @@ class _Nothing(Mapping[str, bytes]):
 
 
 def _reason(error: Exception) -> str:
-    """What a reader says, where it tells more than where its own code stopped."""
+    """Return a reader's message, or the type of an error in the reader's own code."""
     if isinstance(error, AttributeError | TypeError | KeyError | IndexError | MemoryError):
-        return f"what it should hold is missing or of another kind: {type(error).__name__}"
+        return f"content is missing or of the wrong type: {type(error).__name__}"
     return str(error) or type(error).__name__
 
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Keep readers' own remarks on a damaged file off the terminal."""
+    """Suppress the readers' own warnings about damaged files."""
     loggers = [logging.getLogger(name) for name in ("trimesh", "collada")]
     before = [logger.disabled for logger in loggers]
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -200,15 +199,15 @@ def _silence() -> Iterator[None]:
                 logger.disabled = was
 
 
-def _refuse_more(parts: int, points: int) -> None:
+def _check_size(parts: int, points: int) -> None:
     if parts > MAX_PARTS:
-        raise UrdfError(f"places more than {MAX_PARTS} parts; join them, or simplify the mesh")
+        raise UrdfError(f"has more than {MAX_PARTS} parts; merge them, or simplify the mesh")
     if points > MAX_POINTS:
-        raise UrdfError(f"holds more than {MAX_POINTS} points; simplify the mesh")
+        raise UrdfError(f"has more than {MAX_POINTS} points; simplify the mesh")
 
 
 def _check_glb(data: bytes) -> None:
-    """Refuse a GLB that is more than it looks: counts without data, parts placed very often."""
+    """Reject a GLB whose declared counts or repeated parts are too large."""
     length, kind = struct.unpack_from("<I4s", data, 12)
     if data[:4] != b"glTF" or kind != b"JSON":
         raise UrdfError("not a GLB mesh")
@@ -219,7 +218,7 @@ def _check_glb(data: bytes) -> None:
     meshes = head.get("meshes", [])
     nodes = head.get("nodes", [])
     pieces = [mesh["primitives"] for mesh in meshes]
-    _refuse_more(max(len(nodes), sum(map(len, pieces))), sum(accessors))
+    _check_size(max(len(nodes), sum(map(len, pieces))), sum(accessors))
 
     def size(piece: Mapping[str, Any]) -> int:
         used = [*piece["attributes"].values(), *([piece["indices"]] if "indices" in piece else [])]
@@ -227,11 +226,11 @@ def _check_glb(data: bytes) -> None:
 
     sizes = [sum(map(size, piece)) for piece in pieces]
     placed = [int(node["mesh"]) for node in nodes if "mesh" in node]
-    _refuse_more(sum(len(pieces[k]) for k in placed), sum(sizes[k] for k in placed))
+    _check_size(sum(len(pieces[k]) for k in placed), sum(sizes[k] for k in placed))
 
 
 def _checked_collada(data: bytes) -> bytes:
-    """Refuse entities, and nodes that place each other very often; as it was parsed here."""
+    """Reject COLLADA with entities or too many placed parts; return it as parsed here."""
     from defusedxml import DefusedXmlException, ElementTree
 
     try:
@@ -257,9 +256,9 @@ def _placed(
     element: Any, named: Mapping[str, Any], sizes: Mapping[str, int],
     known: dict[int, tuple[int, int]], depth: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """How many nodes and how many indices a COLLADA node places, references followed."""
+    """Return how many nodes and indices a COLLADA node places, following references."""
     if depth > 50:
-        raise UrdfError("nodes are nested deeper than 50, or hold themselves")
+        raise UrdfError("nodes are nested deeper than 50, or contain themselves")
     if id(element) not in known:
         parts = points = 0
         for child in element:
@@ -271,7 +270,7 @@ def _placed(
                     parts, points = parts + found[0] + 1, points + found[1]
             elif kind == "instance_geometry":
                 parts, points = parts + 1, points + sizes.get(target, 0)
-        _refuse_more(parts, points)
+        _check_size(parts, points)
         known[id(element)] = parts, points
     return known[id(element)]
 

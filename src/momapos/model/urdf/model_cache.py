@@ -1,4 +1,4 @@
-"""What is dear to compute about a model, kept in the cache under the content it came from."""
+"""Cache expensive values of a model under the content that they are computed from."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from momapos.core import Cache, content_key, geometry
 T = TypeVar("T")
 _ARRAY, _RECORD = 1, 2
 _PACKAGES = ("urdf", "kinematics", "collision")
-"""Packages of `momapos.model` that compute what is cached here."""
+"""Packages of `momapos.model` that compute cached values."""
 
 
 def once(
@@ -28,18 +28,17 @@ def once(
     compute: Callable[[], T],
     records: tuple[type, ...] = (),
 ) -> T:
-    """Compute a value, or take the one that was computed from the same parts before.
+    """Compute a value, or return the one cached for the same parts.
 
-    The key holds the code of kinematics and geometry too, so that no older way to compute it is
-    ever believed.
+    The key includes the code of kinematics and geometry, so that code changes invalidate values.
 
     Args:
-        cache: Where values are kept; None: nowhere.
-        what: Begins the key.
-        parts: All that the value depends on, as `content_key` takes it.
-        compute: Makes the value: numbers, texts, arrays, tuples, dictionaries with texts as keys,
-            and records of these.
-        records: The kinds of records that may be in it.
+        cache: The cache; None to always compute.
+        what: Prefix of the key.
+        parts: Everything that the value depends on, see `content_key`.
+        compute: Returns the value: numbers, strings, arrays, tuples, dictionaries with string
+            keys, and records of these.
+        records: Record types that the value may contain.
     """
     if cache is None:
         return compute()
@@ -48,13 +47,13 @@ def once(
     if data is not None:
         return _thaw(data, {kind.__name__: kind for kind in records})
     value = compute()
-    with contextlib.suppress(OSError):  # a cache that cannot be written is no reason to stop
+    with contextlib.suppress(OSError):  # a read-only cache is not an error
         cache.put(key, freeze(value))
     return value
 
 
 def freeze(value: object) -> bytes:
-    """A value as bytes, the same ones for the same value."""
+    """Serialize a value deterministically."""
     return msgspec.msgpack.encode(_plain(value))
 
 
@@ -85,7 +84,7 @@ def _thaw(data: bytes, records: dict[str, type]) -> Any:
 
 
 def _tuples(value: Any) -> Any:
-    """Sequences come back as lists; frozen records hold tuples."""
+    """Convert lists to tuples, as in frozen records."""
     if isinstance(value, list):
         return tuple(map(_tuples, value))
     if isinstance(value, dict):
@@ -95,7 +94,7 @@ def _tuples(value: Any) -> Any:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Version of all that computes what is kept."""
+    """Return a hash of all code that computes cached values."""
     model = Path(__file__).parents[1]
     folders = (*(model / name for name in _PACKAGES), *map(Path, geometry.__path__))
     files = sorted(file for folder in folders for file in folder.glob("*.py"))

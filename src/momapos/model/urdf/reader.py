@@ -1,8 +1,7 @@
-"""Read URDF files that come from strangers.
+"""Read untrusted URDF files into frozen records, scaled to meters.
 
-yourdfpy parses; `urdf_tree` guards what goes in, this module which files it names (no path out of
-the root folder) and what comes out (a tree, finite numbers, ordered limits), and hands on frozen
-records with everything scaled to meters.
+yourdfpy parses. `urdf_tree` checks its input; this module checks which files the URDF names (none
+outside the root folder) and the result (a tree, finite numbers, ordered limits).
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ __all__ = [
 
 
 FindMesh = Callable[[str], Path]
-"""Finds the file of a mesh that a URDF names."""
+"""Returns the path of a mesh that a URDF names."""
 
 
 def read_urdf(
@@ -61,16 +60,16 @@ def read_urdf(
 
     Args:
         path: The file.
-        root: Folder that no mesh may leave; the file's own folder and every parent up to four
-            levels where None (packages keep meshes beside the `urdf` folder).
+        root: Folder that must contain all meshes; by default the folder four levels above the file
+            (packages have meshes next to the `urdf` folder).
         scale: Uniform scale of all lengths [-].
-        cache: Where what was parsed is kept, so that a file is parsed once.
-        text: What is read instead of the file's content, by one who changed it.
-        find_mesh: Finds meshes instead of `MeshFinder`, for one who knows more folders.
-        visuals: Whether visual elements are read; where not, their meshes need not exist.
+        cache: Cache for parsed files.
+        text: Content to parse instead of the file's.
+        find_mesh: Function to find meshes instead of `MeshFinder`.
+        visuals: Whether to read visual elements; if not, their meshes need not exist.
 
     Raises:
-        UrdfError: The file cannot be used; the message says where and why.
+        UrdfError: The file is unusable.
     """
     if not (math.isfinite(scale) and scale > 0):
         raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
@@ -89,7 +88,7 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
 
 
 def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
-    """A checked URDF, its meshes without their files, and how it names these, in order."""
+    """Return a checked URDF without mesh files, and the names of these in order."""
     tree = read_tree(text, path)
     rigid, follows = fix_root_joints(tree), mimics(tree, path, scale)
     robot = _with_yourdfpy(tree, path)
@@ -98,12 +97,12 @@ def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
     if len(links) != len(robot.links):
         raise UrdfError(f"{path}: two links share a name; link names must be unique")
     joints = [reader.joint(joint) for joint in robot.joints]
-    twin = next((n for n, k in Counter(joint.name for joint in joints).items() if k > 1), None)
-    if twin is not None:
-        raise UrdfError(f"{path}: two joints are named {twin!r}; names must be unique")
+    duplicate = next((n for n, k in Counter(joint.name for joint in joints).items() if k > 1), None)
+    if duplicate is not None:
+        raise UrdfError(f"{path}: two joints are named {duplicate!r}; names must be unique")
     root_link, ordered = _order(path, links, joints)
     movable = {joint.name for joint in ordered if joint.movable}
-    # A joint that follows one that cannot move is left to itself.
+    # A mimic joint with a fixed leader moves by itself.
     follows = {n: m for n, m in follows.items() if n in movable and m.joint in movable}
     ordered = follow(ordered, follows, str(path), UrdfError)
     urdf = Urdf(robot.name or path.stem, None, root_link, links, ordered, scale, rigid)
@@ -116,7 +115,7 @@ def _with_yourdfpy(tree: Element, path: Path) -> Any:
     text = tostring(needed(tree))
     try:
         urdf = yourdfpy.URDF.load(io.BytesIO(text), build_scene_graph=False, load_meshes=False)
-    except Exception as error:  # yourdfpy raises whatever its parser met
+    except Exception as error:  # yourdfpy raises errors of any class
         raise UrdfError(f"{path}: not a usable URDF ({error})") from error
     if not urdf.robot.links:
         raise UrdfError(f"{path}: has no links")
@@ -124,7 +123,7 @@ def _with_yourdfpy(tree: Element, path: Path) -> Any:
 
 
 class _Reader:
-    """Turns yourdfpy's records into ours, scaled and checked."""
+    """Converts yourdfpy's records to ours, scaled and checked."""
 
     def __init__(self, path: Path, scale: float) -> None:
         self.path, self.scale = path, scale
@@ -196,7 +195,7 @@ class _Reader:
 def _with_meshes(
     urdf: Urdf, path: Path, names: Iterator[str], find: FindMesh, visuals: bool
 ) -> Urdf:
-    """Put the files of a URDF and of its meshes, in the order they were parsed, into a record."""
+    """Add the paths of a URDF and of its meshes to its record."""
 
     def found(shapes: tuple[Geometry, ...], wanted: bool = True) -> tuple[Geometry, ...]:
         meshes = [next(names) if shape.kind == "mesh" else None for shape in shapes]
@@ -217,7 +216,7 @@ def _with_meshes(
 def _order(
     path: Path, links: dict[str, Link], joints: list[Joint]
 ) -> tuple[str, tuple[Joint, ...]]:
-    """Sort joints parents first and make sure that they form one tree."""
+    """Sort joints with parents first, and check that they form one tree."""
     by_parent: dict[str, list[Joint]] = {}
     parents: dict[str, str] = {}
     for joint in joints:

@@ -1,4 +1,4 @@
-"""Surfaces as triangles, in any order and direction: cut, closed, divided, met by lines."""
+"""Triangle soups: intersect with lines, cut, close rims, find connected parts."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _WELD = 1e-5
-"""Corners that are nearer to each other are one [m]."""
+"""Grid to which corners are rounded to find equal ones [m]."""
 TOUCH = 5e-4
-"""Surfaces whose upright boxes come this near hang together [m]."""
+"""Surfaces are connected if the distance of their bounding boxes is at most this [m]."""
 _SLIVER = 1e-13
-"""A triangle of half this area is none [m^2]."""
+"""Triangles with less than this double area are ignored [m^2]."""
 
 
 def hits_along(
@@ -23,7 +23,7 @@ def hits_along(
     u: Float[np.ndarray, " a"],
     v: Float[np.ndarray, " b"],
 ) -> tuple[Float[np.ndarray, "a b"], Float[np.ndarray, "a b"]]:
-    """Where lines along an axis first and last meet the surface; inf and -inf where they do not."""
+    """Return where lines along an axis first and last hit a surface; inf and -inf for no hit."""
     first, last = np.full((len(u), len(v)), np.inf), np.full((len(u), len(v)), -np.inf)
     x, y = [triangles[..., k] for k in range(3) if k != axis]
     i, j, which = _lines_of(x, y, u, v)
@@ -31,7 +31,7 @@ def hits_along(
     point = np.stack([u[i], v[j]], -1)
     area = _turn(b - a, c - a)
     weight = np.stack([_turn(b - point, c - point), _turn(c - point, a - point)], -1)
-    upright = np.abs(area) < _SLIVER  # seen on edge: lines pass beside it
+    upright = np.abs(area) < _SLIVER  # parallel to the lines
     weight = weight / np.where(upright, 1.0, area)[:, None]
     weight = np.column_stack([weight, 1.0 - weight.sum(1)])
     met = ~upright & (weight >= -1e-9).all(1)
@@ -47,7 +47,7 @@ def _lines_of(
     u: Float[np.ndarray, " a"],
     v: Float[np.ndarray, " b"],
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Lines that pass through the boxes of triangles: their rows, their columns, the triangle."""
+    """Return which lines (row, column) pass through the bounding box of which triangle."""
     i0, i1 = np.searchsorted(u, x.min(1) - 1e-9), np.searchsorted(u, x.max(1) + 1e-9)
     j0, j1 = np.searchsorted(v, y.min(1) - 1e-9), np.searchsorted(v, y.max(1) + 1e-9)
     width = j1 - j0
@@ -62,7 +62,7 @@ def _turn(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.
 
 
 def double_areas(triangles: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, " t"]:
-    """Twice the areas of triangles [m^2]."""
+    """Return twice the areas of triangles [m^2]."""
     a, b, c = triangles.transpose(1, 0, 2)
     return np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
@@ -70,7 +70,7 @@ def double_areas(triangles: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, " t
 def split_at(
     triangles: Float[np.ndarray, "t 3 3"], height: Float[np.ndarray, "t 3"]
 ) -> tuple[Float[np.ndarray, "a 3 3"], Float[np.ndarray, "b 3 3"]]:
-    """Cut triangles at height zero: what is below, what is above."""
+    """Cut triangles at height zero; return those below and those above."""
     above = height >= 0
     count = above.sum(1)
     crossing = (count == 1) | (count == 2)
@@ -91,10 +91,10 @@ def split_at(
     return below[double_areas(below) > _SLIVER], over[double_areas(over) > _SLIVER]
 
 
-def closed_up(triangles: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "u 3 3"]:
-    """A surface with its rims closed by fans: bars without ends and fronts without backs are solid.
+def close_rims(triangles: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "u 3 3"]:
+    """Close the rims of a surface by fans, so that bars without ends and fronts become solid.
 
-    Triangles that are there twice, mostly once for each side, count once.
+    Duplicate triangles, usually one for each side, count once.
     """
     corners, corner = _welded(triangles)
     faces = np.unique(np.sort(corner, axis=1), axis=0)
@@ -116,7 +116,7 @@ def closed_up(triangles: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "u 3 3
 def _welded(
     triangles: Float[np.ndarray, "t 3 3"],
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "t 3"]]:
-    """Corners, each once, and their numbers in the triangles."""
+    """Return the distinct corners, and the triangles as indices into them."""
     points = triangles.reshape(-1, 3)
     rounded = np.round(points / _WELD).astype(np.int64)
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -124,7 +124,7 @@ def _welded(
 
 
 def _linked(edges: Int[np.ndarray, "e 2"], size: int) -> Int[np.ndarray, " n"]:
-    """Of each of some things, the number of the group that edges link it to."""
+    """Return the connected component of each node of a graph."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -133,7 +133,7 @@ def _linked(edges: Int[np.ndarray, "e 2"], size: int) -> Int[np.ndarray, " n"]:
 
 
 def connected_parts(triangles: Float[np.ndarray, "t 3 3"]) -> list[Float[np.ndarray, "k 3 3"]]:
-    """What hangs together: shares corners, or has upright boxes that touch."""
+    """Divide a surface into parts connected by shared corners or touching bounding boxes."""
     from scipy.sparse.csgraph import connected_components
 
     if not len(triangles):

@@ -1,4 +1,4 @@
-"""What a URDF holds: links with their shapes, and the joints between them."""
+"""Records of a URDF: links with their shapes, and joints."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Geometry:
     """One shape of a link."""
 
@@ -40,20 +40,20 @@ class Link:
 
 @dataclass(frozen=True)
 class Mimic:
-    """How a joint follows another: its value is ratio times the other's, plus an offset."""
+    """Mimic relation: a joint's value is ratio times the leader's, plus an offset."""
 
     joint: str
-    """The joint that it follows, which follows none."""
+    """The leader, which is not a mimic joint itself."""
     ratio: float = 1.0
     offset: float = 0.0
-    """[rad] or [m]"""
+    """Offset [rad] or [m]."""
 
     def at(self, value: float) -> float:
-        """Where the joint is when the one that it follows is at a value."""
+        """Return the joint's value for a value of the leader."""
         return self.ratio * value + self.offset
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Joint:
     """A joint between two links."""
 
@@ -68,15 +68,15 @@ class Joint:
     upper: float
     """Limits [rad] or [m]; infinite for continuous joints."""
     velocity: float
-    """Speed limit [rad/s] or [m/s]; infinite when the file gives none."""
+    """Speed limit [rad/s] or [m/s]; infinite if the file has none."""
     mimic: Mimic | None = None
-    """What it follows; None where it moves by itself."""
+    """Mimic relation, if any."""
     effort: float = math.inf
-    """Greatest torque [Nm] or force [N]; infinite when the file gives none."""
+    """Largest torque [Nm] or force [N]; infinite if the file has none."""
 
     @property
     def movable(self) -> bool:
-        """Whether the joint moves at all."""
+        """Return whether the joint is not fixed."""
         return self.kind != "fixed"
 
 
@@ -90,7 +90,6 @@ class Urdf:
     links: dict[str, Link]
     joints: tuple[Joint, ...]
     scale: float = 1.0
-    """What all lengths of the file were multiplied by [-]."""
+    """Factor applied to all lengths of the file [-]."""
     rigid: tuple[str, ...] = ()
-    """Joints that the file calls planar or floating and that carry the whole model: taken as
-    fixed."""
+    """Planar or floating joints that carry the whole model, treated as fixed."""

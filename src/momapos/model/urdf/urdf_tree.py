@@ -1,4 +1,4 @@
-"""The tree of a URDF from strangers: what is refused, and what of it is handed on to be parsed."""
+"""Check the XML tree of an untrusted URDF, and reduce it to the elements to parse."""
 
 from __future__ import annotations
 
@@ -15,62 +15,61 @@ from .urdf_records import Mimic
 MAX_URDF_BYTES = 20_000_000
 MAX_LINKS = 5_000
 MAX_SHAPES = 2_000
-"""Collision elements of a URDF, and visual ones [-]; detailed furniture has some 150."""
+"""Largest number of collision elements, and of visual ones; detailed furniture has 150 [-]."""
 MAX_SIZE = 1e4
-"""Edge, radius or length of a shape may be this at most [m]; distances too."""
+"""Largest edge, radius, length or distance [m]."""
 MAX_DEPTH = 50
 _COUNTS = {
     "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
     "lower": (1,), "upper": (1,), "velocity": (1,), "effort": (1,),
 }  # fmt: skip
-"""How many numbers an attribute holds."""
+"""Allowed numbers of values in an attribute."""
 _LENGTHS = {"xyz", "size", "radius", "length", "scale"}
 _SHAPES = {
     "box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
     "mesh": ("filename",),
 }  # fmt: skip
-"""The shapes of a URDF and the attributes that each must have."""
+"""Shapes of a URDF and their required attributes."""
 _PARTS: dict[str, tuple[str, ...]] = {
     "robot": ("link", "joint"), "link": ("collision", "visual"),
     "collision": ("origin", "geometry"), "visual": ("origin", "geometry"),
     "geometry": tuple(_SHAPES), "joint": ("parent", "child", "origin", "axis", "limit"),
 }  # fmt: skip
-"""The elements that are used, by the one that holds them."""
+"""Child elements that are used, by element."""
 _ATTRIBUTES = {*_COUNTS, "name", "type", "link", "filename"}
-"""The attributes that are used."""
+"""Attributes that are used."""
 _PREFIXES = re.compile(r"[<\s]([A-Za-z]\w{0,30}):(?=[A-Za-z])")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
 _OPTENV = re.compile(r"\$\(optenv\s([^()]{0,1000}+)\)")
 
 
 def read_tree(text: str, path: Path) -> Element:
-    """Parse a URDF and check what the parser of URDFs would choke on or take in silence.
+    """Parse the XML of a URDF, and check what the URDF parser would accept silently or crash on.
 
     Raises:
-        UrdfError: It cannot be used.
+        UrdfError: The URDF is unusable.
     """
-    tree: Element = parse_xml(_declared(_OPTENV.sub(_default, text)), path, error=UrdfError)
+    tree: Element = parse_xml(_with_prefixes(_OPTENV.sub(_default, text)), path, error=UrdfError)
     if tree.tag != "robot":
-        raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
+        raise UrdfError(f"{path}: the root element must be <robot>, not <{tree.tag}>")
     _check_tree(path, tree)
     return tree
 
 
-def _declared(text: str) -> str:
-    """Declare prefixes that a file uses undeclared, as `drake:`; ROS does not mind them."""
+def _with_prefixes(text: str) -> str:
+    """Declare undeclared prefixes, such as `drake:`, which ROS accepts."""
     unknown = set(_PREFIXES.findall(text)) - set(_DECLARED.findall(text)) - {"xmlns", "xml"}
     names = "".join(f' xmlns:{prefix}="{prefix}"' for prefix in sorted(unknown))
     return re.sub(r"<robot(?=[\s>])", f"<robot{names}", text, count=1) if names else text
 
 
 def _default(optenv: re.Match[str]) -> str:
-    """What `$(optenv NAME DEFAULT)` says where NAME is not set, which here it never is."""
+    """Return the default of `$(optenv NAME DEFAULT)`; environment variables are not read."""
     words = optenv[1].split(None, 1)
     return words[1] if len(words) == 2 else ""
 
 
 def _check_tree(path: Path, tree: Element) -> None:
-    """Refuse what a parser would choke on or, worse, take in silence."""
     if not tree.get("name"):
         raise UrdfError(f"{path}: <robot> has no name")
     if len(tree.findall("link")) > MAX_LINKS or len(tree.findall("joint")) > MAX_LINKS:
@@ -87,7 +86,9 @@ def _check_tree(path: Path, tree: Element) -> None:
         if not isinstance(part.tag, str):
             continue
         if "xacro" in part.tag:
-            raise UrdfError(f"{path}: holds xacro macros; expand it first: xacro IN > OUT.urdf")
+            raise UrdfError(
+                f"{path}: contains xacro macros; expand them first: xacro IN > OUT.urdf"
+            )
         if part.tag in ("link", "joint"):
             name = part.get("name", "")
             if not name.strip() or not name.isprintable() or len(name) > 500:
@@ -96,7 +97,7 @@ def _check_tree(path: Path, tree: Element) -> None:
 
 
 def _check_part(part: Any, where: str) -> None:
-    """Check the numbers and shapes of a link or joint; commas stand for spaces."""
+    """Check the numbers and shapes of a link or joint; commas count as spaces."""
     for element in part.iter():
         if element.tag == "geometry":
             _check_geometry(element, where)
@@ -130,7 +131,7 @@ def _check_geometry(geometry: Any, where: str) -> None:
     tags = [child.tag for child in geometry]
     if len(tags) != 1 or tags[0] not in _SHAPES:
         found, shapes = ", ".join(map(str, tags)) or "nothing", ", ".join(_SHAPES)
-        raise UrdfError(f"{where}: <geometry> holds {found:.80}; it must be one of {shapes}")
+        raise UrdfError(f"{where}: <geometry> must contain one of {shapes}, not {found:.80}")
     for key in _SHAPES[tags[0]]:
         if not geometry[0].get(key):
             raise UrdfError(f"{where}: <{tags[0]}> has no {key}")
@@ -144,7 +145,7 @@ def _float(word: str) -> float:
 
 
 def needed(element: Element) -> Element:
-    """A tree or a part of the tree with what is needed alone, so that no parser meets the rest."""
+    """Return a tree with only the elements and attributes that are used."""
     found = Element(element.tag)
     for key, value in element.items():
         if key in _ATTRIBUTES:
@@ -156,21 +157,21 @@ def needed(element: Element) -> Element:
 
 
 def fix_root_joints(tree: Element) -> tuple[str, ...]:
-    """Fix the planar and floating joints at the root, which stand for a base that drives.
+    """Fix planar and floating joints at the root, which represent a mobile base.
 
     Returns:
-        Their names.
+        The names of these joints.
     """
     joints = tree.findall("joint")
     children = {_link(joint, "child") for joint in joints}
-    loose = [
+    fixed = [
         joint
         for joint in joints
         if joint.get("type") in ("planar", "floating") and _link(joint, "parent") not in children
     ]
-    for joint in loose:
+    for joint in fixed:
         joint.set("type", "fixed")
-    return tuple(joint.get("name", "") for joint in loose)
+    return tuple(joint.get("name", "") for joint in fixed)
 
 
 def _link(joint: Element, end: str) -> str:
@@ -179,10 +180,10 @@ def _link(joint: Element, end: str) -> str:
 
 
 def mimics(tree: Element, path: Path, scale: float) -> dict[str, Mimic]:
-    """What each joint follows, by its name, everything scaled.
+    """Return the scaled mimic relations by joint name.
 
     Raises:
-        UrdfError: It is no usable number, or no joint.
+        UrdfError: A number is unusable, or the leader does not exist.
     """
     slides = {
         joint.get("name", ""): joint.get("type") == "prismatic" for joint in tree.findall("joint")
@@ -199,7 +200,7 @@ def mimics(tree: Element, path: Path, scale: float) -> dict[str, Mimic]:
         ratio, offset = map(_float, texts)
         if not (abs(ratio) <= MAX_SIZE and abs(offset) <= MAX_SIZE):
             raise UrdfError(
-                f"{where}: mimic has multiplier={texts[0]!r:.40} and offset={texts[1]!r:.40}; they "
+                f"{where}: mimic has multiplier={texts[0]!r:.40} and offset={texts[1]!r:.40}; both "
                 "must be finite numbers"
             )
         lengths = scale if slides[name] else 1.0

@@ -1,4 +1,4 @@
-"""What the color images show: detectors, their files, and votes of all images for each thing."""
+"""2-D detection of objects in color images, and votes of all images on each object's label."""
 
 import lazy_loader
 

@@ -3,10 +3,10 @@ from .coco import WITHOUT_DOORS as WITHOUT_DOORS
 from .coco_results import read_coco as read_coco
 from .detector_models import MODELS as MODELS
 from .detector_models import ModelFile as ModelFile
+from .detector_models import cached_models as cached_models
+from .detector_models import cached_path as cached_path
 from .detector_models import fetch as fetch
 from .detector_models import find_model as find_model
-from .detector_models import kept_at as kept_at
-from .detector_models import kept_models as kept_models
 from .frames import detect as detect
 from .relabel import parse_labels as parse_labels
 from .relabel import relabeled as relabeled

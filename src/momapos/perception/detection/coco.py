@@ -1,4 +1,4 @@
-"""The 80 classes of COCO, in the order of detectors, and what we call them."""
+"""The 80 classes of COCO, in the order of detectors, and our labels for them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COCO80: tuple[str, ...] = (
     "keyboard", "cell phone", "microwave", "oven", "toaster", "sink", "refrigerator", "book",
     "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush",
 )  # fmt: skip
-"""Position k is class k of a detector trained on COCO."""
+"""Class names by class number of a detector trained on COCO."""
 
 RENAMED: Mapping[str, str] = {
     "dining table": "table",
@@ -31,16 +31,16 @@ INDOORS = frozenset((
     "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard", "cell phone",
     "microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors",
 ))  # fmt: skip
-"""Classes that stand in homes; people, animals, traffic and meals are none of a room's things."""
+"""Classes of objects in homes, without people, animals, traffic and meals."""
 LABELS: frozenset[str] = frozenset(RENAMED.get(name, name) for name in INDOORS)
-"""All labels that a detector of COCO's classes can give a thing."""
+"""All labels of a detector of COCO's classes."""
 
 
 WITHOUT_DOORS: frozenset[str] = LABELS - {"fridge", "oven", "microwave", "sink", "table"}
-"""Labels of what has neither doors nor drawers."""
+"""Labels of objects without doors and drawers."""
 
 
 def label_of_class(index: int) -> str:
-    """Our label for a class of COCO; "" for what is no thing of a room, or no class."""
+    """Return our label for a class of COCO; "" for other classes and numbers."""
     name = COCO80[index] if 0 <= index < len(COCO80) else ""
     return RENAMED.get(name, name) if name in INDOORS else ""

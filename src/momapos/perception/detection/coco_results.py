@@ -1,4 +1,4 @@
-"""What a 2-D detector found in the images of a scan: Detectron2's COCO results."""
+"""Read 2-D detections in the images of a scan: Detectron2's COCO results."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ from momapos.model.records import Frame, ImageDetection
 from .coco import label_of_class
 
 MAX_BYTES = 200_000_000
-"""Detector files larger than this are refused [B]."""
+"""Larger files are refused [B]."""
 
 
 def read_coco(path: Path, frames: Sequence[Frame]) -> dict[str, list[ImageDetection]]:
     """Read Detectron2's `coco_instances_results.json`.
 
-    A result belongs to the frame whose name is its `image_id`, or to the frame of that position
-    in the scan.
+    A result belongs to the frame whose name is its `image_id`, or whose index in the scan it is.
 
     Raises:
-        FileFormatError: The file is no list of COCO results; the message names the entry.
+        FileFormatError: The file is not a list of COCO results; the message names the entry.
     """
     try:
         data = json.loads(read_bytes_bounded(path, MAX_BYTES))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: no JSON list of COCO detections ({error})") from error
+        raise FileFormatError(f"{path}: not a JSON list of COCO detections ({error})") from error
     if not isinstance(data, list):
         raise FileFormatError(f"{path}: must be a list of COCO detections")
     names = {str(index): frame.name for index, frame in enumerate(frames)}
@@ -58,12 +57,12 @@ def _coco_entry(item: Any, where: str) -> tuple[str, ImageDetection]:
         score, category = float(item["score"]), int(item["category_id"])
         image = item["image_id"]
         if type(image) not in (str, int):
-            raise TypeError("image_id must be a text or a whole number")
+            raise TypeError("image_id must be a string or an integer")
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FileFormatError(
             f"{where}: needs image_id, category_id, bbox and score ({error})"
         ) from error
     if not np.isfinite([left, top, width, height, score]).all() or width <= 0 or height <= 0:
-        raise FileFormatError(f"{where}: bbox and score must be finite, its size above 0")
+        raise FileFormatError(f"{where}: bbox and score must be finite, and bbox not empty")
     box = (left, top, left + width, top + height)
     return str(image), ImageDetection(box, label_of_class(category), score)

@@ -1,4 +1,4 @@
-"""Weights of detectors: fetched once, checked by their hash, kept in the cache folder."""
+"""Download detector weights, check their hash, and cache them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from urllib.parse import urlsplit
 from momapos.core import InputError, unknown_name, write_atomic
 
 Opener = Callable[[str], AbstractContextManager[IO[bytes]]]
-"""Opens an address for reading; raises OSError where that fails."""
+"""Opens a URL for reading; raises OSError on failure."""
 MAX_BYTES = 500_000_000
-"""Larger downloads are given up [B]."""
+"""Larger downloads are aborted [B]."""
 TIMEOUT = 30.0
-"""Without an answer for so long, a server is given up [s]."""
+"""Time limit for a server's answer [s]."""
 _CHUNK = 1 << 18
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}")
 _HASH = re.compile(r"[0-9a-f]{64}")
@@ -28,21 +28,21 @@ _HASH = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class ModelFile:
-    """One file of weights, and where it is published."""
+    """One file of weights and its source."""
 
     name: str
     url: str
     sha256: str
-    """Of the file, 64 small hexadecimal digits."""
+    """Hash of the file, 64 lowercase hexadecimal digits."""
     about: str = ""
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise InputError(
-                f"model name {self.name!r:.80}: must be letters, digits, '_', '.' and '-'"
+                f"model name {self.name!r:.80} must be letters, digits, '_', '.' and '-'"
             )
         if not _HASH.fullmatch(self.sha256):
-            raise InputError(f"SHA-256 {self.sha256!r:.80}: must be 64 small hexadecimal digits")
+            raise InputError(f"SHA-256 {self.sha256!r:.80} must be 64 lowercase hexadecimal digits")
 
 
 MODELS: Mapping[str, ModelFile] = {
@@ -57,53 +57,53 @@ MODELS: Mapping[str, ModelFile] = {
         ),
     )
 }
-"""What can be fetched by name."""
+"""Models that can be downloaded by name."""
 
 
-def kept_at(name: str, cache: Path) -> Path:
-    """Where the weights of that name are kept."""
+def cached_path(name: str, cache: Path) -> Path:
+    """Return the path of cached weights."""
     return cache / "models" / f"{name}.onnx"
 
 
-def kept_models(cache: Path) -> list[str]:
-    """Names of the weights that were fetched."""
-    folder = kept_at("any", cache).parent
+def cached_models(cache: Path) -> list[str]:
+    """Return the names of cached weights."""
+    folder = cached_path("any", cache).parent
     return sorted(path.stem for path in folder.glob("*.onnx")) if folder.is_dir() else []
 
 
 def find_model(name: str, cache: Path) -> Path:
-    """The file of a detector that is named by its path, or by the name it was fetched by.
+    """Return the file of a detector, given by its path or by the name of cached weights.
 
     Raises:
         InputError: There is neither.
     """
     if Path(name).suffix or Path(name).exists() or not _NAME.fullmatch(name):
         return Path(name)
-    kept = kept_at(name, cache)
-    if kept.is_file():
-        return kept
+    cached = cached_path(name, cache)
+    if cached.is_file():
+        return cached
     if name in MODELS:
         raise InputError(
-            f"model {name} is not on this machine; momapos models get {name}, or give its file"
+            f"model {name} is not downloaded; run `momapos models get {name}`, or give its file"
         )
-    raise unknown_name("model", name, {*MODELS, *kept_models(cache)}, "momapos models list")
+    raise unknown_name("model", name, {*MODELS, *cached_models(cache)}, "momapos models list")
 
 
 def fetch(model: ModelFile, cache: Path, open_url: Opener | None = None) -> Path:
-    """Download weights, and keep them if they are the right ones.
+    """Download weights and cache them if their hash is right.
 
     Args:
-        model: What to get.
+        model: The model.
         cache: The cache folder.
-        open_url: How an address is opened; over https only by default.
+        open_url: Opens a URL; if None, over https only.
 
     Returns:
-        The file. It is not loaded again where it is there already.
+        The file. It is not downloaded again if it is already there.
 
     Raises:
-        InputError: It cannot be downloaded, is too large, or has another hash; nothing is kept.
+        InputError: The download fails, is too large, or has another hash; nothing is stored.
     """
-    file = kept_at(model.name, cache)
+    file = cached_path(model.name, cache)
     if file.is_file() and hashlib.sha256(file.read_bytes()).hexdigest() == model.sha256:
         return file
     data = bytearray()
@@ -113,27 +113,27 @@ def fetch(model: ModelFile, cache: Path, open_url: Opener | None = None) -> Path
                 data += chunk
     except (OSError, HTTPException, ValueError) as error:
         raise InputError(
-            f"{model.url}: cannot be downloaded ({error}); load it by other means and give the file"
+            f"{model.url}: download failed ({error}); download it by other means and give the file"
         ) from error
     if len(data) > MAX_BYTES:
-        raise InputError(f"{model.url}: is larger than {MAX_BYTES // 10**6} MB; nothing was kept")
+        raise InputError(f"{model.url}: is larger than {MAX_BYTES // 10**6} MB; nothing was stored")
     digest = hashlib.sha256(data).hexdigest()
     if digest != model.sha256:
         raise InputError(
-            f"{model.url}: has the SHA-256 {digest}, not {model.sha256}; nothing was kept"
+            f"{model.url}: has the SHA-256 {digest}, not {model.sha256}; nothing was stored"
         )
     try:
         write_atomic(file, bytes(data))
     except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror})") from error
+        raise InputError(f"{file}: not writable ({error.strerror})") from error
     return file
 
 
 def open_https(url: str) -> AbstractContextManager[IO[bytes]]:
-    """Open an address over https, and follow it to no other kind of address.
+    """Open an https URL; redirects must be https, too.
 
     Raises:
-        OSError: It is of another kind, or does not answer.
+        OSError: It is not https, or does not answer.
     """
     _refuse_other(url)
     opener = urllib.request.build_opener(_HttpsOnly)
@@ -151,4 +151,4 @@ class _HttpsOnly(urllib.request.HTTPRedirectHandler):
 
 def _refuse_other(url: str) -> None:
     if urlsplit(url).scheme != "https":
-        raise OSError(f"{url:.200} is no https address")
+        raise OSError(f"{url:.200} is not an https URL")

@@ -1,4 +1,4 @@
-"""A detector over all images of a scan, each turned so that up is up."""
+"""Run a detector on all images of a scan, each rotated upright."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Rectangle = tuple[float, float, float, float]
 
 
 def detect(frames: Sequence[Frame], detector: Detector) -> dict[str, list[ImageDetection]]:
-    """What a detector finds in all images, by the frame's name.
+    """Return the detections in all images, by frame name.
 
-    Detectors learned from upright photographs; a phone is often held on its side.
+    Detectors are trained on upright images, but a phone is often held on its side.
 
     Args:
         frames: With poses in a world whose z points up.
@@ -41,20 +41,20 @@ def detect(frames: Sequence[Frame], detector: Detector) -> dict[str, list[ImageD
 
 
 def turns_to_upright(T_world_camera: Float[np.ndarray, "4 4"]) -> int:
-    """Quarter turns counterclockwise that bring an image's top nearest to the world's up."""
-    right, down, _ = T_world_camera[2, :3]  # how much each axis of the camera points up
-    if max(abs(right), abs(down)) < 0.1:  # straight up or down: nothing is upright
+    """Return the counterclockwise quarter turns that rotate an image upright."""
+    right, down, _ = T_world_camera[2, :3]  # upward component of the camera's axes
+    if max(abs(right), abs(down)) < 0.1:  # looking straight up or down
         return 0
     return int(np.round(np.arctan2(right, -down) / (np.pi / 2))) % 4
 
 
 def turned_back(box: Rectangle, turns: int, size: tuple[int, int]) -> Rectangle:
-    """A rectangle of an image that was turned, in the image as it was taken.
+    """Map a rectangle of a rotated image back to the original image.
 
     Args:
-        box: In the turned image.
-        turns: Quarter turns counterclockwise that it was turned by.
-        size: Width and height of the image as it was taken [px].
+        box: In the rotated image.
+        turns: Counterclockwise quarter turns of the rotation.
+        size: Width and height of the original image [px].
     """
     left, top, right, bottom = box
     width, height = size

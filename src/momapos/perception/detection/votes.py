@@ -1,7 +1,7 @@
-"""What a thing is, by the votes of all images that show it.
+"""Label objects by the votes of all images that show them.
 
-Each detection in an image votes for the thing whose visible points it holds and whose rectangle
-is its own: rectangle and depth together, since what stands before or behind lies in it as well.
+A detection in an image votes for an object if it contains the object's visible points and overlaps
+its rectangle. Both are required, since rectangles also contain what is in front of and behind it.
 """
 
 from __future__ import annotations
@@ -29,86 +29,86 @@ LONGEST_EDGE: Mapping[str, tuple[float, float]] = {
     "spoon": (0.08, 0.4), "suitcase": (0.3, 1.2), "table": (0.35, 5.0), "toaster": (0.15, 0.6),
     "toilet": (0.3, 1.2), "umbrella": (0.15, 1.5), "vase": (0.06, 0.8), "wine glass": (0.08, 0.35),
 }  # fmt: skip
-"""Least and greatest longest edge of things, of what is seen of them in part as well [m]: to a
-small network a lunch box on a table is a telephone."""
+"""Range of the longest edge of an object, also if seen in part [m]: a small network takes a lunch
+box on a table for a cell phone."""
 
 
 Votes = dict[str, dict[str, float]]
-"""Of one thing: weights in [0, 1] by label and by the image's name, one an image."""
+"""Weights in [0, 1] of one object, by label and image name; one per image."""
 
 
 @dataclass(frozen=True)
 class VoteConfig:
-    """When images are believed."""
+    """How votes are counted."""
 
     points: int = 400
-    """Points of a thing that are looked up in every image [-]."""
+    """Number of points of an object that are projected into every image [-]."""
     near: float = 0.03
-    """Depth agrees with a point within this [m], and 2 % of its distance."""
+    """Depth agrees with a point within this plus 2 % of its distance [m]."""
     shown: float = 0.2
-    """An image shows a thing where at least this share of its points is visible [-]."""
+    """Minimum share of an object's points that an image shows [-]."""
     least_pixels: float = 20.0
-    """Things whose image is smaller are not seen in it [px]."""
+    """Minimum size of an object in an image [px]."""
     inside: float = 0.5
-    """A detection votes for things with this share of their visible points in it [-]."""
+    """Minimum share of an object's visible points in a detection [-]."""
     overlap: float = 0.25
-    """And whose rectangle it overlaps this much (IoU) [-]."""
+    """Minimum IoU of a detection and the object's rectangle [-]."""
     blur: float = 0.01
-    """Rectangles are widened by this share of the image's width: color and depth of many
-    sensors are a few pixels off [-]."""
+    """Rectangles are widened by this share of the image's width: color and depth of many sensors
+    are a few pixels off [-]."""
     hits: int = 2
-    """Least number of images that give the label [-]."""
+    """Minimum number of images that give the label [-]."""
     sure: float = 0.35
-    """Least confidence of a label [-]."""
+    """Minimum confidence of a label [-]."""
     misses: int = 5
-    """In so many images of a thing a detector would have told what it knows [-]."""
+    """After this many images without a detection, an object is none that the detector knows [-]."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the images say of one thing."""
+    """Result of the votes for one object."""
 
     label: str
-    """"" where they do not agree on one."""
+    """"" without agreement."""
     confidence: float
-    """Of the label, in [0, 1]."""
+    """Confidence of the label, in [0, 1]."""
     hits: int
-    """Images that gave it [-]."""
+    """Number of images that gave it [-]."""
     seen: int
-    """Images that show the thing [-]."""
+    """Number of images that show the object [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Some points of all things."""
+    """Some points of all objects."""
 
     points: Float[np.ndarray, "n 3"]
     owner: Int[np.ndarray, " n"]
-    count: Int[np.ndarray, " things"]
+    count: Int[np.ndarray, " objects"]
 
 
 def vote(
-    things: Sequence[Detection],
+    objects: Sequence[Detection],
     cloud: Cloud,
     frames: Sequence[Frame],
     found: Mapping[str, Sequence[ImageDetection]],
     config: VoteConfig | None = None,
 ) -> list[Verdict]:
-    """What the images say of each thing.
+    """Count the votes of all images for each object.
 
     Args:
-        things: With members in the cloud; what has none is in no image.
+        objects: Objects with members in the cloud; those without are in no image.
         cloud: In the world of the frames.
-        frames: The images that were looked at.
-        found: What was found in them, by the frame's name.
+        frames: The examined images.
+        found: 2-D detections by frame name.
         config: Constants.
     """
     config = config or VoteConfig()
-    samples = _sampled(things, cloud, config.points)
-    votes: list[Votes] = [{} for _ in things]
-    seen = np.zeros(len(things), int)
+    samples = _sampled(objects, cloud, config.points)
+    votes: list[Votes] = [{} for _ in objects]
+    seen = np.zeros(len(objects), int)
     if len(samples.points):
-        longest = np.array([item.box.size.max() for item in things])
+        longest = np.array([item.box.size.max() for item in objects])
         for frame in frames:
             _count(frame, found.get(frame.name, ()), samples, longest, votes, seen, config)
     return [_verdict(weights, int(n), config) for weights, n in zip(votes, seen, strict=True)]
@@ -118,12 +118,11 @@ def _count(
     frame: Frame,
     found: Sequence[ImageDetection],
     samples: _Samples,
-    longest: Float[np.ndarray, " things"],
+    longest: Float[np.ndarray, " objects"],
     votes: list[Votes],
-    seen: Int[np.ndarray, " things"],
+    seen: Int[np.ndarray, " objects"],
     config: VoteConfig,
 ) -> None:
-    """Add the votes of one image."""
     pixels, visible = visible_points(frame, samples.points, config.near)
     owner, at = samples.owner[visible], pixels[visible]
     number = np.bincount(owner, minlength=len(samples.count))
@@ -153,9 +152,9 @@ def _count(
 
 
 def _verdict(votes: Votes, seen: int, config: VoteConfig) -> Verdict:
-    """The label with most votes, where enough images agree on it.
+    """Return the label with most votes, if enough images agree on it.
 
-    Each vote is taken as the probability that it is right, and votes against it as doubt.
+    Each vote is the probability that it is right, and votes for other labels are doubt.
     """
     if not votes:
         return Verdict("", 0.0, 0, seen)
@@ -171,10 +170,10 @@ def _verdict(votes: Votes, seen: int, config: VoteConfig) -> Verdict:
 def visible_points(
     frame: Frame, points: Float[np.ndarray, "n 3"], near: float
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Where points are in an image [px], and which of them it shows.
+    """Project points into an image [px], and tell which of them it shows.
 
-    A point is hidden where something else was measured at its pixel. Where nothing was measured,
-    as on black and mirroring surfaces, it may be seen; an image without depth hides nothing.
+    A point is hidden if another depth was measured at its pixel. Pixels without depth, as on black
+    and mirroring surfaces, may show it; an image without depth hides nothing.
     """
     local = apply(invert(frame.T_world_camera), points)
     before = local[:, 2] > 0.05
@@ -191,13 +190,12 @@ def visible_points(
     return pixels, visible
 
 
-def _sampled(things: Sequence[Detection], cloud: Cloud, most: int) -> _Samples:
-    """Points of all things, evenly among those of each."""
+def _sampled(objects: Sequence[Detection], cloud: Cloud, most: int) -> _Samples:
     chosen = []
-    for item in things:
+    for item in objects:
         members = np.asarray(item.members, int)
         keep = np.linspace(0, len(members) - 1, min(most, len(members))).astype(int)
         chosen.append(members[keep])
     count = np.array([len(members) for members in chosen], int)
     among = np.concatenate([np.zeros(0, int), *chosen])
-    return _Samples(cloud.points[among], np.repeat(np.arange(len(things)), count), count)
+    return _Samples(cloud.points[among], np.repeat(np.arange(len(objects)), count), count)

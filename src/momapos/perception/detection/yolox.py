@@ -1,8 +1,8 @@
-"""A detector of COCO's classes from an ONNX file, in the layout of YOLOX (Ge et al., 2021).
+"""Detect COCO's classes with an ONNX file in the layout of YOLOX (Ge et al., 2021).
 
-Input (1, 3, height, width): BGR from 0 to 255, the image scaled to fit and padded with grey at its
-right and bottom. Output (1, cells, 5 + classes): of each cell of three grids the box's middle
-relative to the cell, the logarithm of its size, whether there is anything, and what.
+Input (1, 3, height, width): BGR from 0 to 255, the image scaled to fit and padded with gray at its
+right and bottom. Output (1, cells, 5 + classes): for each cell of three grids the box's center
+relative to the cell, the logarithm of its size, the objectness, and the class scores.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
 
 MAX_BYTES = 500_000_000
-"""Files larger than this are refused [B]."""
+"""Larger files are refused [B]."""
 STRIDES = (8, 16, 32)
-"""Edges of the cells of the three grids [px]."""
+"""Edge lengths of the cells of the three grids [px]."""
 PADDING = 114
-"""Grey around an image of other proportions."""
-LARGEST_INPUT = 2048
-"""Of a network's input [px]."""
+"""Gray value around an image of another aspect ratio."""
+MAX_INPUT = 2048
+"""Edge length of a network's input [px]."""
 
 
 class YoloxDetector:
@@ -35,18 +35,20 @@ class YoloxDetector:
 
     Args:
         path: The file.
-        score: Detections that are less sure are left out [-].
-        overlap: Of two boxes of one class that overlap more than this (IoU) the weaker goes [-].
+        score: Minimum score of a detection [-].
+        overlap: Of two boxes of one class with a larger IoU, the weaker is dropped [-].
 
     Raises:
-        FileFormatError: It is no ONNX file, or the network of another layout or other classes.
+        FileFormatError: It is not an ONNX file, or has another layout or other classes.
         InputError: A threshold is out of range.
         MissingExtraError: onnxruntime is not installed.
     """
 
     def __init__(self, path: Path, *, score: float = 0.2, overlap: float = 0.45) -> None:
         if not (0 < score < 1 and 0 < overlap <= 1):
-            raise InputError(f"thresholds must be between 0 and 1, not {score:g} and {overlap:g}")
+            raise InputError(
+                f"score and overlap must be between 0 and 1, not {score:g} and {overlap:g}"
+            )
         self.path, self.score, self.overlap = Path(path), score, overlap
         self._session = _open(self.path)
         self._input, self.size = _check(self._session, self.path)
@@ -57,7 +59,7 @@ class YoloxDetector:
         return LABELS
 
     def __call__(self, color: UInt8[np.ndarray, "h w 3"]) -> list[ImageDetection]:
-        """Find the things of a room in an upright image; may be called by several threads."""
+        """Detect the objects of a room in an upright image; may be called by several threads."""
         padded, scale = letterbox(color, self.size)
         (rows,) = self._session.run(None, {self._input: padded})
         boxes, scores, classes = decode(rows[0], self._centers, self._strides, self.score)
@@ -77,7 +79,7 @@ class YoloxDetector:
 def letterbox(
     color: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]
 ) -> tuple[Float[np.ndarray, "1 3 y x"], float]:
-    """An image as the network takes it, and by what it was scaled.
+    """Return an image as the network's input, and its scale.
 
     Args:
         color: RGB.
@@ -100,13 +102,13 @@ def decode(
     strides: Float[np.ndarray, "cells 1"],
     least: float,
 ) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Boxes (left, top, right, bottom) in the network's pixels, scores, and classes.
+    """Return boxes (left, top, right, bottom) in the network's pixels, scores, and classes.
 
     Args:
-        rows: What the network says of each cell.
-        centers: Corners of the cells, counted in cells.
-        strides: Edges of the cells [px].
-        least: Smallest score that counts [-].
+        rows: Output of the network for each cell.
+        centers: Corners of the cells, in cells.
+        strides: Edge lengths of the cells [px].
+        least: Minimum score [-].
     """
     possible = rows[:, 4] > least  # a product is no larger than its factors
     rows, centers, strides = rows[possible], centers[possible], strides[possible]
@@ -115,8 +117,8 @@ def decode(
     best = scores[np.arange(len(scores)), classes]
     sure = best > least
     middle = (rows[sure, :2] + centers[sure]) * strides[sure]
-    # Sizes beyond the largest input are no boxes; what damaged weights say must not overflow.
-    half = np.exp(np.minimum(rows[sure, 2:4], np.log(LARGEST_INPUT))) * strides[sure] / 2
+    # Sizes beyond the largest input are not boxes; the output of damaged weights must not overflow.
+    half = np.exp(np.minimum(rows[sure, 2:4], np.log(MAX_INPUT))) * strides[sure] / 2
     boxes = np.hstack([middle - half, middle + half])
     return boxes.astype(float), best[sure].astype(float), classes[sure]
 
@@ -127,7 +129,7 @@ def suppress(
     classes: Int[np.ndarray, " n"],
     most: float,
 ) -> Int[np.ndarray, " k"]:
-    """Indices of the boxes to keep, the surest first: non-maximum suppression in each class."""
+    """Return the indices of the kept boxes, best first: non-maximum suppression per class."""
     area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
     order = np.argsort(-scores, kind="stable")
     kept = []
@@ -145,7 +147,7 @@ def suppress(
 def _cells(
     size: tuple[int, int],
 ) -> tuple[Float[np.ndarray, "cells 2"], Float[np.ndarray, "cells 1"]]:
-    """Corners and edges of the cells of all grids, in the network's order."""
+    """Return the corners and edge lengths of the cells of all grids, in the network's order."""
     corners, strides = [], []
     for stride in STRIDES:
         y, x = np.mgrid[: size[0] // stride, : size[1] // stride]
@@ -160,36 +162,36 @@ def _open(path: Path) -> Any:
     data = read_bytes_bounded(path, MAX_BYTES)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what is wrong is told in one line of ours
+    options.log_severity_level = 4  # the error below is enough
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime has no common class of its errors
-        raise FileFormatError(f"{path}: is no ONNX network that can be read ({error})") from error
+    except Exception as error:  # onnxruntime has no common error class
+        raise FileFormatError(f"{path}: not a readable ONNX network ({error})") from error
 
 
 def _check(session: Any, path: Path) -> tuple[str, tuple[int, int]]:
-    """The name of the input, and its height and width.
+    """Return the name, height and width of the input.
 
     Raises:
-        FileFormatError: It takes or gives something else.
+        FileFormatError: Input or output have another shape.
     """
     inputs, outputs = session.get_inputs(), session.get_outputs()
     wanted = (
         "a detector in the layout of YOLOX takes one float image (1, 3, height, width) and "
-        f"gives (1, cells, {5 + len(COCO80)}) for the {len(COCO80)} classes of COCO"
+        f"returns (1, cells, {5 + len(COCO80)}) for the {len(COCO80)} classes of COCO"
     )
     shapes = [tuple(one.shape) for one in (*inputs, *outputs)]
-    said = f"{path}: takes and gives {', '.join(map(str, shapes[:6]))}; {wanted}"
+    message = f"{path}: input and output are {', '.join(map(str, shapes[:6]))}; {wanted}"
     if len(inputs) != 1 or len(outputs) != 1 or inputs[0].type != "tensor(float)":
-        raise FileFormatError(said)
+        raise FileFormatError(message)
     taken, given = shapes
     fixed = len(taken) == 4 and all(isinstance(edge, int) for edge in taken)
     if not fixed or taken[:2] != (1, 3):
-        raise FileFormatError(said)
+        raise FileFormatError(message)
     height, width = taken[2:]
-    if not all(0 < edge <= LARGEST_INPUT and edge % STRIDES[-1] == 0 for edge in (height, width)):
-        raise FileFormatError(f"{said}; edges are multiples of 32 up to {LARGEST_INPUT}")
+    if not all(0 < edge <= MAX_INPUT and edge % STRIDES[-1] == 0 for edge in (height, width)):
+        raise FileFormatError(f"{message}; edges are multiples of 32 up to {MAX_INPUT}")
     cells = sum((height // stride) * (width // stride) for stride in STRIDES)
     if given != (1, cells, 5 + len(COCO80)):
-        raise FileFormatError(said)
+        raise FileFormatError(message)
     return inputs[0].name, (height, width)

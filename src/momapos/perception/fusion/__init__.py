@@ -1,4 +1,4 @@
-"""From posed depth images to one upright cloud."""
+"""Fuse posed depth images into one upright cloud."""
 
 import lazy_loader
 

@@ -1,9 +1,9 @@
-"""Surfaces without depth: black, mirrored and glass fronts, completed from the planes around them.
+"""Complete surfaces without depth (black, mirrored and glass fronts) from the planes around them.
 
-A hole in a depth image has measured pixels around it. Where many of these lie in one upright plane,
-and the others behind it, the hole shows that plane: the front of a dark dishwasher between two
-cabinets, or of a fridge above the line where it meets the floor. What only one image claims, or any
-image sees through, is left open.
+A hole in a depth image is surrounded by measured pixels. If many of them lie in one upright plane,
+and the others behind it, the hole shows that plane, such as the front of a dark dishwasher between
+two cabinets, or of a fridge above the line where it meets the floor. Holes that only one image
+shows, or that any image sees through, stay open.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Float32, Int, UInt8
 
 TILE = 4
-"""Pixels along a square that counts as one [-]."""
+"""Edge length of the tiles that a hole is made of [px]."""
 RING = 3
-"""So wide is what is looked at around a hole [squares]."""
-SQUARE = 0.8
-"""Surfaces of a plane have at least this along its normal [-]."""
-FINEST = 0.005
-"""What is added has points no nearer to each other [m]."""
-STRAIGHT = 0.5
-"""Share of a line of the floor that is where it is believed, at least [-]."""
+"""Width of the surroundings of a hole [tiles]."""
+MIN_COSINE = 0.8
+"""Between the normal of a surface and that of its plane [-]."""
+MIN_SPACING = 0.005
+"""Of added points [m]."""
+MIN_STRAIGHT = 0.5
+"""Share of the floor's edge that must be on one line [-]."""
 
 
 @dataclass(frozen=True)
@@ -38,45 +38,45 @@ class CompletionConfig:
     """Which holes are surfaces."""
 
     least_area: float = 0.04
-    """Of a hole, on its plane [m2]."""
+    """Minimum area of a hole on its plane [m2]."""
     least_ring: int = 20
-    """Squares around a hole with depth, at least [-]."""
+    """Minimum number of tiles of a hole, and of tiles with depth around it [-]."""
     on_plane: float = 0.03
-    """What is this near to a plane lies in it [m]."""
+    """Points this close to a plane lie in it [m]."""
     support: float = 0.02
-    """Share of a hole's surroundings in its plane, at least [-]."""
+    """Minimum share of a hole's surroundings in its plane [-]."""
     side: tuple[float, float] = (0.5, 0.12)
-    """Share of what is at one side of a hole in its plane, at least, for that side to speak for
-    it: two must, or one by the second share where the hole ends on the floor [-]."""
+    """Minimum share of a hole's surroundings on one side that lie in its plane. Two sides must have
+    the first, or one side the second if the hole ends at the floor [-]."""
     plinth: float = 0.15
-    """A front stands so far before the line where the floor ends below it, at most [m]."""
+    """Maximum distance of a front from the line below it where the floor ends [m]."""
     toe: tuple[float, float] = (0.15, 0.3)
-    """Share of what is seen below a front that may lie farther behind it than the first [m], at
-    most the second [-]: what stands on the floor hides what is behind it, legs do not."""
+    """Below a front, at most the second share [-] lies farther behind it than the first [m]:
+    standing furniture hides what is behind it, legs do not."""
     hanging: float = 1.0
-    """Fronts whose lower edge is higher hang, and the wall is seen below them [m]."""
+    """Fronts whose lower edge is higher hang, and the wall is visible below them [m]."""
     before: tuple[float, float] = (0.08, 0.15)
-    """Share of them that may lie farther before the plane than the first [m], at most the second
-    [-]: what is seen around a front lies in its plane or behind it."""
+    """At most the second share [-] of the surroundings lies farther in front of the plane than the
+    first [m]."""
     farthest: float = 4.0
-    """Holes farther away are left open: depth ends there by itself [m]."""
+    """Holes farther away stay open: they are beyond the sensor's range [m]."""
     grazing: float = 0.25
-    """Least cosine between ray and plane [-]."""
+    """Minimum cosine between ray and normal [-]."""
     images: int = 2
-    """Images that must show the hole there, at least [-]."""
+    """Minimum number of images that show the hole [-]."""
     through: float = 0.1
-    """What an image measures this far behind a place has been seen through it [m]."""
+    """An image sees through a place if it measures something this far behind it [m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class HolePatch:
     """A hole in one image, on its plane."""
 
     frame: int
     axis: int
-    """Of the plane's normal: 0 for x, 1 for y."""
+    """Axis of the plane's normal: 0 for x, 1 for y."""
     sign: float
-    """+1 where it is seen from larger coordinates, else -1."""
+    """+1 if it is seen from larger coordinates, else -1."""
     offset: float
     """Coordinate of the plane along the axis [m]."""
     places: Float[np.ndarray, "n 2"]
@@ -85,14 +85,14 @@ class Patch:
 
 
 class Ring(NamedTuple):
-    """What is seen around a hole."""
+    """Measured surroundings of a hole."""
 
     rays: Float[np.ndarray, "r 3"]
-    """Of depth 1."""
+    """Rays of depth 1."""
     points: Float[np.ndarray, "r 3"]
-    """Where they end [m]."""
+    """Surface points on the rays [m]."""
     normals: Float[np.ndarray, "r 3"]
-    """Of the surfaces there, toward either side; NaN where not known."""
+    """Normals of the surfaces, of either sign; NaN where unknown."""
 
 
 def complete(
@@ -102,14 +102,14 @@ def complete(
     voxel: float = 0.015,
     config: CompletionConfig | None = None,
 ) -> Cloud:
-    """Add surfaces that no depth image shows, though several should.
+    """Add surfaces where several images should measure depth but none does.
 
     Args:
         cloud: Upright, walls and furniture along x and y, floor at z = 0.
         frames: The images, with poses in that world.
-        walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall: what is in its plane is
-            no front, but a window, or where the room goes on.
-        voxel: Distance of the points that are added [m].
+        walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall; holes in walls are
+            windows or openings, not fronts.
+        voxel: Spacing of added points [m].
         config: Which holes are surfaces.
 
     Returns:
@@ -121,7 +121,7 @@ def complete(
     parts, seen_through = [cloud], SeenThrough(frames, config.through)
     patches = [patch for patch in patches if not _in_wall(patch, walls, config)]
     for group in _coplanar(patches, config.on_plane):
-        points, colors = _agreed(group, max(voxel, FINEST), config.images)
+        points, colors = _confirmed(group, max(voxel, MIN_SPACING), config.images)
         free = (points[:, 2] < 0.0) | seen_through(points)
         normal = np.zeros(3)
         normal[group[0].axis] = group[0].sign
@@ -134,12 +134,12 @@ def complete(
     )
 
 
-def holes(frame: Frame, index: int, config: CompletionConfig) -> Iterator[Patch]:
-    """The holes in the depth of an image that are surfaces.
+def holes(frame: Frame, index: int, config: CompletionConfig) -> Iterator[HolePatch]:
+    """Yield the holes in the depth of an image that are surfaces.
 
     Args:
-        frame: Its pose in an upright world with the floor at z = 0.
-        index: Its place among all images.
+        frame: With its pose in an upright world with the floor at z = 0.
+        index: Index of the image.
         config: Which holes are surfaces.
     """
     from scipy.ndimage import binary_dilation, find_objects, label
@@ -170,11 +170,11 @@ def holes(frame: Frame, index: int, config: CompletionConfig) -> Iterator[Patch]
         places = eye + ray * ((offset - eye[axis]) / ray[:, axis])[:, None]
         color = frame.color[::TILE, ::TILE][rows, columns][inside]
         sign = float(np.sign(eye[axis] - offset))
-        yield Patch(index, axis, sign, offset, places[:, [1 - axis, 2]], color)
+        yield HolePatch(index, axis, sign, offset, places[:, [1 - axis, 2]], color)
 
 
 def _coarse(frame: Frame) -> Float32[np.ndarray, "a b"]:
-    """Depth of squares of pixels [m]; 0 where most of one has none."""
+    """Return the depth of tiles [m]; 0 where most of a tile has none."""
     assert frame.depth is not None
     h, w = (size - size % TILE for size in frame.depth.shape)
     tiles = frame.depth[:h, :w].reshape(h // TILE, TILE, w // TILE, TILE)
@@ -184,14 +184,13 @@ def _coarse(frame: Frame) -> Float32[np.ndarray, "a b"]:
 
 
 def _rays(shape: tuple[int, ...], frame: Frame) -> Float[np.ndarray, "a b 3"]:
-    """Rays through the middles of the squares, of depth 1, in the world."""
     v, u = np.indices(shape) * TILE + (TILE - 1) / 2
     rays = np.stack([u, v, np.ones(shape)], axis=-1) @ np.linalg.inv(frame.intrinsics).T
     return np.asarray(rays @ frame.T_world_camera[:3, :3].T)
 
 
 def _normals(points: Float[np.ndarray, "a b 3"]) -> Float[np.ndarray, "a b 3"]:
-    """Normals of surfaces from the points beside, NaN where these are not known."""
+    """Return normals of surfaces from adjacent points, NaN where these are unknown."""
     normals = np.full_like(points, np.nan)
     down = points[2:, 1:-1] - points[:-2, 1:-1]
     right = points[1:-1, 2:] - points[1:-1, :-2]
@@ -207,17 +206,17 @@ def _plane(
     hole: Float[np.ndarray, "n 3"],
     config: CompletionConfig,
 ) -> tuple[int, float] | None:
-    """The upright plane that a hole shows: axis of its normal and coordinate [m]; None if none.
+    """Return the upright plane that a hole shows: axis of its normal and coordinate [m]; or None.
 
     Args:
-        eye: Where the camera is [m].
-        ring: What is around the hole.
-        hole: Rays into it, of depth 1.
-        config: When it is one.
+        eye: Camera position [m].
+        ring: Surroundings of the hole.
+        hole: Rays into the hole, of depth 1.
+        config: Which holes are surfaces.
     """
     best, found = config.support, None
     for axis in (0, 1):
-        square = np.abs(ring.normals[:, axis]) > SQUARE
+        square = np.abs(ring.normals[:, axis]) > MIN_COSINE
         along = ring.points[square, axis]
         if np.abs(hole[:, axis]).min() < config.grazing * np.linalg.norm(hole, axis=1).max():
             continue
@@ -234,13 +233,13 @@ def _plane(
 def _contact(
     eye: Float[np.ndarray, "3"], measured: Float[np.ndarray, "r 3"], axis: int, step: float
 ) -> float:
-    """Where the floor before a hole ends, if that is a line [m]; NaN if not.
+    """Return where the floor in front of a hole ends, if that is a line [m]; else NaN.
 
     Args:
-        eye: Where the camera is [m].
-        measured: What is around the hole.
-        axis: Along which the line has one coordinate.
-        step: What is this near to the line lies in it [m].
+        eye: Camera position [m].
+        measured: Surroundings of the hole.
+        axis: Axis along which the line has one coordinate.
+        step: Points this close to the line lie on it [m].
     """
     floor = measured[measured[:, 2] < 2 * step]
     if len(floor) < 2:
@@ -251,7 +250,7 @@ def _contact(
     np.maximum.at(ends, bins - bins.min(), toward * floor[:, axis])
     ends = ends[np.isfinite(ends)]
     line = float(np.median(ends))
-    return toward * line if (np.abs(ends - line) < step).mean() > STRAIGHT else np.nan
+    return toward * line if (np.abs(ends - line) < step).mean() > MIN_STRAIGHT else np.nan
 
 
 def _support(
@@ -263,30 +262,30 @@ def _support(
     contact: float,
     config: CompletionConfig,
 ) -> float:
-    """Share of what is around a hole that says that it shows a plane; 0 where something denies it.
+    """Return the share of a hole's surroundings that supports a plane; 0 if any contradicts it.
 
-    See `_plane`; `contact` is where the hole begins on the floor.
+    See `_plane`; `contact` is where the floor in front of the hole ends.
     """
     depth = (offset - eye[axis]) / hole[:, axis]
     if not (depth.min() > 0.0 and depth.max() < config.farthest):  # NaN too
         return 0.0
     points = eye + hole * depth[:, None]
-    if points[:, 2].min() < -2 * config.on_plane:  # it would go on below the floor: it is nearer
+    if points[:, 2].min() < -2 * config.on_plane:  # it would extend below the floor
         return 0.0
     across = [1 - axis, 2]
     low, high = np.percentile(points[:, across], [5.0, 95.0], axis=0)
     if np.prod(high - low) < config.least_area:
         return 0.0
     ahead = np.sign(eye[axis] - offset) * (ring.points[:, axis] - offset)
-    near = (np.abs(ahead) < config.on_plane) & (np.abs(ring.normals[:, axis]) > SQUARE)
-    with np.errstate(divide="ignore", invalid="ignore"):  # rays along the plane meet it nowhere
+    near = (np.abs(ahead) < config.on_plane) & (np.abs(ring.normals[:, axis]) > MIN_COSINE)
+    with np.errstate(divide="ignore", invalid="ignore"):  # rays parallel to the plane
         at = (eye + ring.rays * ((offset - eye[axis]) / ring.rays[:, axis])[:, None])[:, across]
     sides = [at[:, 1] < low[1], at[:, 1] > high[1], at[:, 0] < low[0], at[:, 0] > high[0]]
     below, floor = sides[0], ring.points[:, 2] < 2 * config.on_plane
     away, most = config.before
     behind, most_behind = config.toe
     if (
-        not sides[1].any()  # it goes on beyond the image, as the sky does
+        not sides[1].any()  # it extends beyond the image
         or ((ahead > away) & ~floor).mean() > most
         or (
             low[1] < config.hanging
@@ -302,16 +301,17 @@ def _support(
     return float(near.mean()) if speaks else 0.0
 
 
-def _in_wall(patch: Patch, walls: Sequence[tuple[int, float]], config: CompletionConfig) -> bool:
+def _in_wall(
+    patch: HolePatch, walls: Sequence[tuple[int, float]], config: CompletionConfig
+) -> bool:
     return any(
         axis == patch.axis and abs(offset - patch.offset) < 2 * config.on_plane
         for axis, offset in walls
     )
 
 
-def _coplanar(patches: Sequence[Patch], near: float) -> list[list[Patch]]:
-    """Patches of one plane, whatever image they are from."""
-    groups: list[list[Patch]] = []
+def _coplanar(patches: Sequence[HolePatch], near: float) -> list[list[HolePatch]]:
+    groups: list[list[HolePatch]] = []
     for patch in sorted(patches, key=lambda one: (one.axis, one.sign, one.offset)):
         last = groups[-1][-1] if groups else None
         same = last is not None and (last.axis, last.sign) == (patch.axis, patch.sign)
@@ -322,10 +322,10 @@ def _coplanar(patches: Sequence[Patch], near: float) -> list[list[Patch]]:
     return groups
 
 
-def _agreed(
-    group: Sequence[Patch], voxel: float, images: int
+def _confirmed(
+    group: Sequence[HolePatch], voxel: float, images: int
 ) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """Points on a plane where several images show a hole, and their colors."""
+    """Return points on a plane where several images show a hole, and their colors."""
     from scipy.ndimage import binary_closing
 
     places = np.concatenate([patch.places for patch in group])

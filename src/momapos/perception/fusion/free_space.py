@@ -1,4 +1,4 @@
-"""Places of a room that images see through."""
+"""Find places of a room that images see through."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from momapos.model.records import Frame
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-NEAREST = 0.1
-"""What is nearer to a camera than this is not looked for in its image [m]."""
-AT_ONCE = 100_000
-"""So many places, times images, are projected together, which bounds memory [-]."""
+MIN_DEPTH = 0.1
+"""Places closer to a camera are ignored [m]."""
+MAX_PROJECTED = 100_000
+"""Number of places times images that are projected together, to bound memory [-]."""
 
 
 class SeenThrough:
-    """Whether any image with depth measures something far enough behind places.
+    """Tells whether any image with depth measures something far enough behind a place.
 
-    A few places are projected into all images at once, which takes an eighth of the time that one
-    image after the other takes.
+    Each batch of places is projected into all images at once, which takes an eighth of the time of
+    one image after the other.
 
     Args:
-        frames: Images; those without depth tell nothing.
-        through: What is measured is so far behind, at least [m].
+        frames: Images; those without depth are ignored.
+        through: Minimum distance of the measurement behind a place [m].
     """
 
     def __init__(self, frames: Sequence[Frame], through: float) -> None:
@@ -42,8 +42,8 @@ class SeenThrough:
         self._through = through
 
     def __call__(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which of some places of the images' world [m] are seen through."""
-        step = max(1, AT_ONCE // max(1, len(self._depths)))
+        """Tell which places in the images' world [m] are seen through."""
+        step = max(1, MAX_PROJECTED // max(1, len(self._depths)))
         parts = [self._seen(points[at : at + step]) for at in range(0, len(points), step)]
         return np.concatenate(parts) if parts else np.zeros(0, bool)
 
@@ -52,7 +52,7 @@ class SeenThrough:
         z = np.maximum(local[..., 2], 1e-3)
         pixels = local @ np.swapaxes(self._intrinsics, -1, -2)
         u, v = (np.round(pixels[..., k] / z).astype(int) for k in (0, 1))
-        there = (local[..., 2] > NEAREST) & (u >= 0) & (v >= 0)
+        there = (local[..., 2] > MIN_DEPTH) & (u >= 0) & (v >= 0)
         there &= (u < self._width) & (v < self._height)
         out = np.zeros(len(points), bool)
         for k in np.flatnonzero(there.any(axis=1)):

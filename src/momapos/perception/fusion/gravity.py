@@ -1,7 +1,8 @@
-"""Turning a scan upright: z up, the floor at z = 0, walls along x and y.
+"""Align a scan with gravity: z up, the floor at z = 0, walls along x and y.
 
 A room is mostly horizontal and vertical surfaces, and cameras are held roughly upright or on their
-side: up is the direction, not far from the cameras' own, that most normals are along or square to.
+side. Up is the direction near the cameras' own up that most normals are parallel or perpendicular
+to.
 """
 
 from __future__ import annotations
@@ -21,65 +22,64 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 EDGES = np.array([1.0, 0.99, 0.99, 0.98])
-"""How much is believed that the top, right, left and lower edge of an image is up [-]."""
-DOWN = 0.005
-"""And that it was taken looking down [-]."""
+"""Prior weights of the top, right, left and lower edge of an image to be up [-]."""
+DOWN_WEIGHT = 0.005
+"""Weight of the camera looking down [-]."""
 STEEP = 0.25
-"""Of an image taken steeply up or down, its edges tell less: the cosine of its pitch from which on
-they do [-]."""
-MOST_FRAMES = 100
-"""Images that are asked; more add nothing."""
+"""Cosine of the pitch below which an image taken steeply up or down counts less [-]."""
+MAX_FRAMES = 100
+"""Number of images that are used; more do not help [-]."""
 SEARCHED = ((4.0, 0.25), (0.25, 0.05))
-"""Turns that are tried about the likeliest one, first coarsely: reach and step [degrees]."""
+"""Yaw angles that are tried, coarse and fine: range around the best one, and step [deg]."""
 
 
 @dataclass(frozen=True)
 class GravityConfig:
-    """How up is found."""
+    """How up is estimated."""
 
     cone: float = 60.0
-    """Up is looked for within this angle of the cameras' mean up direction [degrees]; cameras
-    look down at a kitchen, so that their up leans forward."""
+    """Up is searched within this angle of the cameras' mean up direction [deg]; cameras look down
+    at a kitchen, so their up leans forward."""
     spread: float = 6.0
-    """Normals within this angle belong to a direction [degrees]."""
+    """Normals within this angle belong to a direction [deg]."""
     floor_share: float = 0.06
     """The floor is the lowest plane with this share of the upward points [-]."""
     layer: float = 0.03
     """Half the thickness of a horizontal plane [m]."""
     plane: float = 0.01
-    """Points of one upright plane share a coordinate to within this [m]."""
+    """Points of one upright plane share a coordinate within this [m]."""
     steady: float = 0.5
-    """A world that is turned by less is left as it is [degrees]: whoever made it knew better
-    than planes in a noisy cloud can tell."""
+    """Smaller rotations are ignored [deg]: the source of the scan is more accurate than planes in a
+    noisy cloud."""
     most_points: int = 40_000
-    """Points that directions are counted over; more add nothing."""
+    """Number of points by which directions are counted; more do not help [-]."""
 
 
 def align_to_gravity(
     cloud: Cloud, frames: Sequence[Frame], config: GravityConfig | None = None
 ) -> Float[np.ndarray, "4 4"]:
-    """Find the transform that makes a scan upright.
+    """Estimate the transform that makes a scan upright.
 
     Args:
         cloud: Surfaces with normals, in the world of the scan.
-        frames: Where the cameras were; without any, the world's z axis is taken for roughly up.
+        frames: Images with camera poses; without images, the world's z axis is roughly up.
         config: Constants.
 
     Returns:
         `T_up_cloud`: z is up, the floor is at z = 0, walls and furniture are along x and y. The
-        turn about z is the smallest that does this, at most 45 degrees.
+        rotation about z is the smallest possible, at most 45 degrees.
 
     Raises:
         InputError: The cloud has too few points, or no horizontal surface.
     """
     config = config or GravityConfig()
     if len(cloud.points) < 100:
-        raise InputError(f"a cloud of {len(cloud.points)} points cannot be turned upright")
+        raise InputError(f"a cloud of {len(cloud.points)} points is too small to find up")
     step = -(-len(cloud.points) // config.most_points)
     points, normals = cloud.points[::step], cloud.normals[::step]
     up = _search(normals, _camera_up(frames), config)
     if not _along(normals, up, config).any():
-        raise InputError("the scan shows no horizontal surface: up cannot be found")
+        raise InputError("the scan shows no horizontal surface, so up is unknown")
     for _ in range(3):
         up = _fit(points, normals, up, config)
     R_up_cloud = _least_turn(up)
@@ -93,16 +93,16 @@ def align_to_gravity(
 
 
 def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
-    """Where up roughly is, if the images were taken upright or with the camera on its side.
+    """Estimate up from the cameras, which are held upright or on their side.
 
-    However far cameras look up or down, they are held level: of the four edges of nearly every
-    image one points up, and the two beside it are square to up. Where cameras turn to many sides
-    and look more and less down, that holds for one direction alone; before they have, the top edge
-    is taken, and the one for which the camera looks down.
+    Whatever its pitch, a camera is held level: one of the four edges of nearly every image points
+    up, and the two adjacent ones are perpendicular to up. If the cameras' yaw and pitch vary, only
+    one direction satisfies this. Otherwise the top edge is preferred, and the direction for which
+    the cameras look down.
     """
     if not frames:
         return np.array([0.0, 0.0, 1.0])
-    step = -(-len(frames) // MOST_FRAMES)
+    step = -(-len(frames) // MAX_FRAMES)
     R = np.array([frame.T_world_camera[:3, :3] for frame in frames[::step]], float)
     edges = np.stack([-R[:, :, 1], R[:, :, 0], -R[:, :, 0], R[:, :, 1]], axis=1)
     tried = np.concatenate([edges.reshape(-1, 3), *map(_square_to, (R[:, :, 0], R[:, :, 1]))])
@@ -110,7 +110,9 @@ def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
     in_image = np.hypot(along, along[..., [1, 0, 3, 2]])
     held = along / np.maximum(in_image, 1e-9) * np.minimum(in_image / STEEP, 1.0)
     down = -R[:, :, 2] @ tried.T
-    best = tried[np.argmax((held * EDGES).max(axis=2).mean(axis=1) + DOWN * down.mean(axis=0))]
+    best = tried[
+        np.argmax((held * EDGES).max(axis=2).mean(axis=1) + DOWN_WEIGHT * down.mean(axis=0))
+    ]
     own = np.argmax(edges @ best * EDGES, axis=1)
     mean = edges[np.arange(len(edges)), own].mean(axis=0)
     length = np.linalg.norm(mean)
@@ -118,7 +120,7 @@ def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
 
 
 def _square_to(edges: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 3"]:
-    """The direction most square to all of some unit vectors, and its opposite."""
+    """Return the direction most perpendicular to all of some unit vectors, and its opposite."""
     direction = np.linalg.eigh(edges.T @ edges)[1][:, 0]
     return np.stack([direction, -direction])
 
@@ -126,19 +128,19 @@ def _square_to(edges: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 3"]:
 def _search(
     normals: Float[np.ndarray, "n 3"], guess: Float[np.ndarray, "3"], config: GravityConfig
 ) -> Float[np.ndarray, "3"]:
-    """The direction near a guess that most normals are along, or square to."""
+    """Return the direction near a guess that most normals are parallel or perpendicular to."""
     directions = _cap(guess, np.radians(config.cone), 1200)
     width = np.radians(config.spread)
     cosines = normals[:: max(1, len(normals) // 5000)] @ directions.T
-    # Both counts fall off smoothly, so that the best of a coarse set is near the best of all.
+    # Both scores are smooth, so that the best of a coarse set is near the global optimum.
     along = np.exp((np.minimum(cosines, 1.0) - 1) / (1 - np.cos(width))).mean(axis=0)
     square = np.exp(-((cosines / np.sin(width)) ** 2)).mean(axis=0)
-    # Walls show up but do not tell it from any other direction in their plane: they count less.
+    # Walls confirm any direction in their plane, so they count less.
     return directions[np.argmax(along + 0.5 * square)]
 
 
 def _cap(axis: Float[np.ndarray, "3"], angle: float, count: int) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors within an angle [rad] of an axis, evenly spread (a spiral)."""
+    """Return unit vectors within an angle [rad] of an axis, evenly distributed on a spiral."""
     k = np.arange(count) + 0.5
     z = 1 - (1 - np.cos(angle)) * k / count
     turn = np.pi * (1 + 5**0.5) * k
@@ -148,7 +150,7 @@ def _cap(axis: Float[np.ndarray, "3"], angle: float, count: int) -> Float[np.nda
 
 
 def _least_turn(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The smallest rotation that brings a unit vector to the z axis."""
+    """Return the smallest rotation that maps a unit vector to the z axis."""
     axis = np.cross(up, [0.0, 0.0, 1.0])
     sine = np.linalg.norm(axis)
     if sine < 1e-12:
@@ -180,14 +182,14 @@ def _fit(
     spread = flat - means[layer]
     values, vectors = np.linalg.eigh(spread.T @ spread)
     fitted = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
-    # One narrow strip of surface leaves a direction open: then the mean normal is the better one.
+    # A single narrow strip leaves one direction open; the mean normal is better then.
     if values[1] < 20 * values[0]:
         fitted = normals[_along(normals, up, config)].mean(axis=0)
     return fitted / np.linalg.norm(fitted)
 
 
 def _layers(z: Float[np.ndarray, " n"], config: GravityConfig) -> Int[np.ndarray, " n"]:
-    """Number the planes among heights: the peaks of their histogram; -1 for points between."""
+    """Number the planes among heights by histogram peaks; -1 for points between them."""
     low, histogram = _histogram(z, config.layer)
     out = np.full(len(z), -1)
     for number in range(8):
@@ -208,7 +210,6 @@ def _histogram(z: Float[np.ndarray, " n"], width: float) -> tuple[float, Int[np.
 
 
 def _floor_height(z: Float[np.ndarray, " n"], config: GravityConfig) -> float:
-    """Height of the lowest large plane among points that face up [m]."""
     low, histogram = _histogram(z, config.layer)
     window = np.convolve(histogram, np.ones(2, int), "same")
     large = window >= config.floor_share * len(z)
@@ -222,16 +223,16 @@ def _floor_height(z: Float[np.ndarray, " n"], config: GravityConfig) -> float:
 def _yaw_offset(
     points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], config: GravityConfig
 ) -> float:
-    """Turn of vertical surfaces from x and y, counterclockwise, in (-pi/4, pi/4] [rad].
+    """Return the yaw of vertical surfaces from x and y, in (-pi/4, pi/4] [rad].
 
-    Normals tell it to a few degrees; then planes along x and y are where most points share a
-    coordinate.
+    Normals give it to a few degrees. Then the yaw is refined so that most points share a coordinate
+    across their surface.
     """
     upright = np.abs(normals[:, 2]) < np.sin(np.radians(2 * config.spread))
     if upright.sum() < 50:
         return 0.0
     places, facing = points[upright, :2], normals[upright, :2]
-    # Directions 90 degrees apart are one: counted on a circle of a quarter turn.
+    # Directions 90 degrees apart are equivalent: counted on a circle of a quarter turn.
     quarter = np.mod(np.arctan2(facing[:, 1], facing[:, 0]), np.pi / 2)
     bins = np.bincount((quarter / (np.pi / 2) * 90).astype(int) % 90, minlength=90)
     smooth = sum(np.roll(bins, shift) for shift in range(-2, 3))
@@ -248,7 +249,7 @@ def _sharpness(
     turn: float,
     config: GravityConfig,
 ) -> float:
-    """How many points share a coordinate across their surface in axes that are turned [rad]."""
+    """Return how well points share a coordinate across their surface after a yaw rotation [rad]."""
     c, s = np.cos(turn), np.sin(turn)
     axes = np.array([[c, -s], [s, c]])
     along = np.abs(facing @ axes) > np.cos(np.radians(2 * config.spread))

@@ -1,4 +1,4 @@
-"""Where one upright scan of a room lies in another one of the same room."""
+"""Register one upright scan of a room to another scan of the same room."""
 
 from __future__ import annotations
 
@@ -11,51 +11,50 @@ from scipy.spatial import cKDTree
 
 from momapos.core import InputError
 from momapos.core.geometry import apply, pose, rotation_about
-from momapos.model.records import Cloud
+from momapos.model.records import UP, Cloud
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-UP = np.array([0.0, 0.0, 1.0])
 TURNS = tuple(np.pi / 2 * k for k in range(4))
-"""Upright scans have walls along x and y, so one is turned by quarters against the other [rad]."""
+"""Upright scans have walls along x and y, so they differ by quarter turns [rad]."""
 
 
 @dataclass(frozen=True)
 class RegistrationConfig:
-    """How two scans are brought together."""
+    """How two scans are registered."""
 
     floor: float = 0.05
-    """What is lower tells nothing: all floors are alike [m]."""
+    """Lower points are ignored, because all floors are alike [m]."""
     cell: float = 0.05
-    """Edge of the cells in which what stands in the room is counted, seen from above [m]."""
+    """Edge length of the floor cells in which points are counted [m]."""
     most_points: int = 20_000
-    """Points of either scan that are compared [-]."""
+    """Maximum number of points of each scan [-]."""
     rounds: int = 30
-    """Steps of the fit [-]."""
+    """Iterations of the fit [-]."""
     near: tuple[float, float] = (0.25, 0.04)
-    """Points belong together up to this distance in the first and in the last step [m]."""
+    """Maximum distance between matched points in the first and in the last iteration [m]."""
     same: float = 0.04
-    """What has a point of the other scan this near is in both [m]."""
+    """Points with a point of the other scan this close are in both [m]."""
     share: float = 0.6
-    """Two scans are of one room when so much of one of them is in the other [-]."""
+    """Minimum share of one scan that is in the other, if they show one room [-]."""
 
 
 def register(
     cloud: Cloud, other: Cloud, config: RegistrationConfig | None = None
 ) -> Float[np.ndarray, "4 4"]:
-    """Find where another upright scan of the same room lies.
+    """Estimate the pose of another upright scan of the same room.
 
     Args:
         cloud: One scan, upright.
-        other: The other one, upright too; it may be turned about z by quarters, and moved.
+        other: The other one, also upright; it may be turned about z by quarters, and moved.
         config: Constants.
 
     Returns:
-        `T_cloud_other`; a turn about z and a shift.
+        `T_cloud_other`; a rotation about z and a translation.
 
     Raises:
-        InputError: They are not of one room.
+        InputError: They do not show one room.
     """
     config = config or RegistrationConfig()
     points, normals = _standing(cloud, config)
@@ -68,8 +67,8 @@ def register(
     share = max(_share(tree, moved, config.same), _share(cKDTree(moved), points, config.same))
     if share < config.share:
         raise InputError(
-            f"the two scans are not of one room: {share:.0%} of what stands in one of them is in "
-            f"the other, at least {config.share:.0%} must be"
+            f"the two scans do not show the same room: they share {share:.0%} of their points "
+            f"above the floor, and need {config.share:.0%}"
         )
     return T
 
@@ -77,10 +76,9 @@ def register(
 def _standing(
     cloud: Cloud, config: RegistrationConfig
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Some of the points above the floor, and their normals."""
     keep = np.flatnonzero(cloud.points[:, 2] > config.floor)
     if not len(keep):
-        raise InputError("a scan shows nothing but the floor: it cannot be compared with another")
+        raise InputError("a scan shows only the floor, so it cannot be registered")
     keep = keep[:: -(-len(keep) // config.most_points)]
     return cloud.points[keep], cloud.normals[keep]
 
@@ -91,7 +89,7 @@ def _shifted(
     turn: float,
     config: RegistrationConfig,
 ) -> Float[np.ndarray, "4 4"]:
-    """The shift for which most of two rooms falls on each other, seen from above, after a turn."""
+    """Return the translation after a rotation for which two rooms overlap most, from above."""
     R = rotation_about(UP, np.array(turn))
     turned = others @ R.T
     low = np.minimum(points.min(0), turned.min(0))[:2]
@@ -102,7 +100,7 @@ def _shifted(
         cells = np.floor((xyz[:, :2] - low) / config.cell).astype(int)
         count = np.zeros(shape)
         np.add.at(count, (cells[:, 0], cells[:, 1]), 1.0)
-        return np.sqrt(count)  # so that a high wall does not outweigh the rest
+        return np.sqrt(count)  # a high wall must not outweigh the rest
 
     match = irfft2(rfft2(raster(points)) * np.conj(rfft2(raster(turned))), shape)
     best = np.array(np.unravel_index(int(np.argmax(match)), shape))
@@ -117,7 +115,7 @@ def _fit(
     T: Float[np.ndarray, "4 4"],
     config: RegistrationConfig,
 ) -> Float[np.ndarray, "4 4"]:
-    """Move one cloud until its points lie in the planes of the other's: x, y, z and a turn."""
+    """Fit x, y, z and yaw so that the points of one cloud lie in the planes of the other."""
     points = np.asarray(tree.data)
     for near in np.geomspace(*config.near, config.rounds):
         moved = apply(T, others)
@@ -133,6 +131,6 @@ def _fit(
 
 
 def _share(tree: cKDTree, points: Float[np.ndarray, "n 3"], near: float) -> float:
-    """Share of points that have one of a tree near them."""
+    """Return the share of points that have a point of a tree near them."""
     away, _ = tree.query(points, distance_upper_bound=near)
     return float(np.isfinite(away).mean())

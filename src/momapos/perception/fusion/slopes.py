@@ -1,4 +1,4 @@
-"""What a depth image says of the surfaces in it: how they face the camera, how far they are."""
+"""Compute the slope of surfaces in a depth image, and its largest depth per tile."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numba import njit
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32
 
-TILE = 16  # pixels along a square of the coarse depth image that hidden blocks are found with
+TILE = 16  # [px] edge of the tiles by which hidden blocks are found
 
 
 @njit(cache=True)
 def facing_of(
     depth: Float32[np.ndarray, "h w"], K: Float[np.ndarray, "3 3"], edge: float, grazing: float
 ) -> Float32[np.ndarray, "h w"]:
-    """Length of the ray to depth 1 along the normal of the surface at each pixel [-].
+    """Return the component of the ray to depth 1 along the surface normal at each pixel [-].
 
-    It turns a difference of depth into a distance from the surface's plane. Zero where the
-    pixel is not used: no depth, a step beside it, or a surface seen at a grazing angle.
+    It converts a difference of depth to a distance from the surface's plane. It is 0 for unused
+    pixels: without depth, next to a depth step, or on a surface at a grazing angle.
     """
     h, w = depth.shape
     out = np.zeros((h, w), np.float32)
@@ -52,7 +52,7 @@ def facing_of(
 
 
 def deepest_of(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "a b"]:
-    """Largest depth in each square of pixels."""
+    """Return the largest depth in each tile of pixels."""
     h, w = depth.shape
     padded = np.pad(depth, ((0, -h % TILE), (0, -w % TILE)))
     return padded.reshape(-(-h // TILE), TILE, -(-w // TILE), TILE).max(axis=(1, 3))

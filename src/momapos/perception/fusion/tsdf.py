@@ -1,10 +1,9 @@
-"""From posed depth images to one cloud: a sparse field of truncated signed distances.
+"""Fuse posed depth images into one cloud by a sparse truncated signed distance field.
 
 Space is divided into blocks of 8 x 8 x 8 voxels, and only blocks near a measured surface are
-kept. Every image moves the field of the voxels it sees toward its own surface; noise that
-differs from image to image averages out, and what only one image claims is seen through
-by the others (Curless and Levoy, "A volumetric method for building complex models from range
-images", 1996).
+stored. Every image moves the field of its visible voxels toward its own surface. Noise that differs
+between images averages out, and surfaces that only one image shows are seen through by the others
+(Curless and Levoy, "A volumetric method for building complex models from range images", 1996).
 """
 
 from __future__ import annotations
@@ -27,34 +26,34 @@ if TYPE_CHECKING:
 
 SIDE = 8  # voxels along a block
 VOXEL_RANGE = (0.001, 1.0)
-"""Edge of a voxel [m]."""
+"""Allowed edge length of a voxel [m]."""
 BYTES_PER_VOXEL = 24  # distance, two weights and three colors, four bytes each
 
 
 class Field(NamedTuple):
-    """The signed distances, block by block, as the kernels take them."""
+    """The signed distances by block, for the kernels."""
 
     distance: Float32[np.ndarray, "b v"]
     """Signed distance at every voxel of every block [margin], in [-1, 1]."""
     weight: Float32[np.ndarray, "b v"]
-    """How much has been seen of it; 0 where nothing is known."""
+    """Accumulated weight; 0 where unknown."""
     seen: Float32[np.ndarray, "b v"]
-    """The part of it from looks at a surface in the voxel."""
+    """Part of the weight from images with a surface in the voxel."""
     color: Float32[np.ndarray, "b v 3"]
     blocks: Int[np.ndarray, "b 3"]
-    """Where each block is in the grid of blocks."""
+    """Place of each block in the grid of blocks."""
     block_at: Int[np.ndarray, "x y z"]
-    """The block at each place of that grid; -1 where none is."""
+    """Block at each place of that grid; -1 if none."""
     origin: Float[np.ndarray, "3"]
     """Corner of that grid in the world [m]."""
     voxel: float
 
 
-class Look(NamedTuple):
-    """One image as the kernels take it, with what `facing_of` and `deepest_of` tell of it."""
+class FusionImage(NamedTuple):
+    """One image for the kernels, with the results of `facing_of` and `deepest_of`."""
 
     depth: Float32[np.ndarray, "h w"]
-    """0 where it is not trusted [m]."""
+    """0 where unusable [m]."""
     facing: Float32[np.ndarray, "h w"]
     deepest: Float32[np.ndarray, "a b"]
     color: UInt8[np.ndarray, "h w 3"]
@@ -64,25 +63,25 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True)
 class FusionConfig:
-    """How images become a cloud."""
+    """How images are fused."""
 
     truncation: float = 4.0
-    """Distance to which a surface acts on the field [voxels]; it must cover the sensor's noise."""
+    """Truncation distance [voxels]; it must cover the sensor's noise."""
     nearest: float = 0.15
-    """Depth below this is not trusted [m]."""
+    """Smaller depth is ignored [m]."""
     farthest: float = 5.0
-    """Depth beyond this is not trusted: the noise of stereo grows with its square [m]."""
+    """Larger depth is ignored: the noise of stereo grows with its square [m]."""
     grazing: float = 0.17
-    """Least cosine between a ray and the surface's normal, about 80 degrees [-]."""
+    """Minimum cosine between a ray and the surface's normal, about 80 degrees [-]."""
     edge: float = 0.04
-    """Pixels beside a larger step in depth are left out, as a share of the depth [-]."""
+    """Pixels next to a larger depth step are ignored; relative to the depth [-]."""
     least_weight: float = 0.08
-    """Voxels of less weight give no surface; one look from z meters weighs about 1/z^2 [-]."""
+    """Minimum weight of a voxel on a surface; one image at z meters weighs about 1/z^2 [-]."""
     least_seen: float = 0.1
-    """Share of a voxel's weight from looks at a surface in it: what bounds the unseen space behind
-    things was never looked at, and is no surface [-]."""
+    """Minimum share of a voxel's weight from images with a surface in it: the boundary of unseen
+    space behind objects is not a surface [-]."""
     most_bytes: int = 2_000_000_000
-    """A room that would need more memory is refused."""
+    """Maximum memory."""
 
 
 def fuse(
@@ -91,26 +90,26 @@ def fuse(
     """Fuse depth images into a cloud.
 
     Args:
-        frames: Images; those without depth are left out.
-        voxel: Edge of a voxel [m]; there is about one point for every voxel on a surface.
+        frames: Images; those without depth are ignored.
+        voxel: Edge length of a voxel [m]; a surface has about one point per voxel.
         config: Constants.
 
     Returns:
-        Points where the field changes sign, with normals toward the side that was seen, in the
-        world of the frames.
+        Points where the field changes sign, with normals toward the visible side, in the world of
+        the frames.
 
     Raises:
-        InputError: No frame has depth that can be used, a pose is not finite, the voxel is out of
-            `VOXEL_RANGE`, or the room is too large for the memory allowed.
+        InputError: No frame has usable depth, a pose is not finite, `voxel` is out of
+            `VOXEL_RANGE`, or the room needs too much memory.
     """
     low, high = VOXEL_RANGE
     if not low <= voxel <= high:  # NaN too
-        raise InputError(f"voxel is {voxel} m; it must be between {low} and {high} m")
+        raise InputError(f"voxel must be between {low} and {high} m, not {voxel}")
     config = config or FusionConfig()
     frames = [frame for frame in frames if frame.depth is not None]
     for frame in frames:
         if not (np.isfinite(frame.T_world_camera).all() and np.isfinite(frame.intrinsics).all()):
-            raise InputError(f"frame {frame.name}: its pose or intrinsics are not finite numbers")
+            raise InputError(f"frame {frame.name}: its pose or intrinsics are not finite")
         size = np.asarray(frame.depth).shape
         if size != frame.color.shape[:2]:
             raise InputError(
@@ -125,14 +124,13 @@ def fuse(
     field.weight[field.seen < config.least_seen * field.weight] = 0.0
     points, normals, colors = _extract(field, np.float32(config.least_weight))
     if not len(points):
-        raise InputError("the frames agree on no surface: check poses and the unit of depth")
+        raise InputError("the frames agree on no surface; check the poses and the unit of depth")
     return Cloud(points, normals, colors)
 
 
 def _empty(
     index: Int[np.ndarray, "x y z"], count: int, origin: Float[np.ndarray, "3"], voxel: float
 ) -> Field:
-    """The field before any image."""
     where = np.argwhere(index >= 0)
     where = where[np.argsort(index[tuple(where.T)])]
     distance, weight, seen = np.zeros((3, count, SIDE**3), np.float32)
@@ -140,16 +138,15 @@ def _empty(
     return Field(distance, weight, seen, color, where, index, origin, voxel)
 
 
-def _look(frame: Frame, config: FusionConfig) -> Look:
+def _look(frame: Frame, config: FusionConfig) -> FusionImage:
     depth = _usable(frame, config)
     K = np.asarray(frame.intrinsics, float)
     facing = facing_of(depth, K, config.edge, config.grazing)
     T_camera_world = invert(np.asarray(frame.T_world_camera, float))
-    return Look(depth, facing, deepest_of(depth), frame.color, K, T_camera_world)
+    return FusionImage(depth, facing, deepest_of(depth), frame.color, K, T_camera_world)
 
 
 def _usable(frame: Frame, config: FusionConfig) -> Float32[np.ndarray, "h w"]:
-    """Depth, with zero where it is not trusted."""
     depth = np.asarray(frame.depth, np.float32)
     trusted = (depth > config.nearest) & (depth < config.farthest)  # NaN compares as false
     return np.where(trusted, depth, np.float32(0.0))
@@ -161,8 +158,7 @@ def _allocate(
     """Find the blocks near measured surfaces.
 
     Returns:
-        Corner of the grid of blocks [m], the number of each block (-1 where there is none), and
-        how many there are.
+        Corner of the grid of blocks [m], the number of each block (-1 if none), and their count.
     """
     size = SIDE * voxel
     samples = [_samples(frame, config, size) for frame in frames]
@@ -170,7 +166,7 @@ def _allocate(
     if not len(points):
         raise InputError(
             f"no depth between {config.nearest} and {config.farthest} m in any of the "
-            f"{len(frames)} frames that have depth; depth must be in meters"
+            f"{len(frames)} frames with depth; depth must be in meters"
         )
     low = points.min(axis=0) - margin - size
     cells = np.ceil((points.max(axis=0) + margin + size - low) / size).astype(np.int64)
@@ -188,12 +184,12 @@ def _too_large(extent: Float[np.ndarray, "3"], voxel: float, config: FusionConfi
     x, y, z = extent
     return (
         f"a room of {x:.0f} x {y:.0f} x {z:.0f} m in voxels of {voxel * 1000:.0f} mm needs more "
-        f"than {config.most_bytes / 1e9:.1f} GB; take larger voxels, or check the poses"
+        f"than {config.most_bytes / 1e9:.1f} GB; use larger voxels, or check the poses"
     )
 
 
 def _samples(frame: Frame, config: FusionConfig, size: float) -> Float[np.ndarray, "n 3"]:
-    """Points on the surfaces of an image, denser than the blocks, in the world [m]."""
+    """Return points on the surfaces of an image, denser than the blocks, in the world [m]."""
     depth, K = _usable(frame, config), frame.intrinsics
     step = max(1, int(0.4 * size * K[0, 0] / config.farthest))
     v, u = np.nonzero(depth[::step, ::step])
@@ -212,7 +208,7 @@ def _mark(
     size: float,
     margin: float,
 ) -> int:
-    """Number the blocks that come within `margin` of a point, in place; return how many."""
+    """Number the blocks within `margin` of a point, in place; return their count."""
     count = 0
     for n in range(len(points)):
         x, y, z = points[n] - low
@@ -233,7 +229,7 @@ def _hidden(
     deepest: Float32[np.ndarray, "a b"],
     K: Float[np.ndarray, "3 3"],
 ) -> bool:
-    """Whether no voxel of a block (in the camera's frame) is in the image and not occluded."""
+    """Check that all voxels of a block (in the camera's frame) are outside the image or hidden."""
     z = center[2] - radius
     if z < 0.05:
         return center[2] + radius < 0.05
@@ -250,7 +246,7 @@ def _hidden(
 
 
 @njit(cache=True, fastmath={"nsz", "arcp", "contract"})
-def _integrate(field: Field, margin: float, look: Look) -> None:
+def _integrate(field: Field, margin: float, look: FusionImage) -> None:
     """Move the field toward one image's surface, in place; `margin` is the truncation [m]."""
     distance, weight, seen, color = field.distance, field.weight, field.seen, field.color
     depth, facing, K, T_camera_world = look.depth, look.facing, look.K, look.T_camera_world
@@ -278,13 +274,13 @@ def _integrate(field: Field, margin: float, look: Look) -> None:
                     if u < 0 or v < 0 or u >= w or v >= h or facing[v, u] == 0:
                         continue
                     to_surface = (depth[v, u] - z) * facing[v, u]
-                    # along the ray, too: seen at a grazing angle, a plane says nothing about
-                    # what is far behind the edge of a thing
+                    # along the ray, too: at a grazing angle, a plane tells nothing about the
+                    # space far behind an object's edge
                     if z - depth[v, u] > margin:
                         continue
                     share = facing[v, u] / (depth[v, u] * depth[v, u])
                     if to_surface < -voxel:
-                        # what lies behind a surface is a guess, and it may be thin
+                        # the space behind a surface is unknown, and the object may be thin
                         share *= (margin + to_surface) / (margin - voxel)
                     n = (i * SIDE + j) * SIDE + k
                     total = weight[b, n] + share
@@ -305,7 +301,7 @@ def _lookup(
     index: Int[np.ndarray, "x y z"], weight: Float32[np.ndarray, "b v"],
     i: int, j: int, k: int, least: float,
 ) -> tuple[int, int]:  # fmt: skip
-    """Block and voxel at a cell of the whole grid; block -1 where nothing is known."""
+    """Return block and voxel at a cell of the whole grid; block -1 where unknown."""
     b = index[i // SIDE, j // SIDE, k // SIDE]
     n = ((i % SIDE) * SIDE + j % SIDE) * SIDE + k % SIDE
     if b < 0 or weight[b, n] < least:
@@ -321,7 +317,7 @@ def _gradient(
     cell: Int[np.ndarray, "3"],
     least: float,
 ) -> Float[np.ndarray, "3"]:
-    """Slope of the field at a known cell, one-sided where a neighbor is unknown."""
+    """Return the slope of the field at a known cell, one-sided where a neighbor is unknown."""
     out = np.zeros(3)
     b0, n0 = _lookup(index, weight, cell[0], cell[1], cell[2], least)
     for axis in range(3):
@@ -341,10 +337,10 @@ def _gradient(
 def _extract(
     field: Field, least: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """Points where the field changes sign between a cell and the next along x, y or z.
+    """Return points where the field changes sign between adjacent cells along x, y or z.
 
-    A cell whose field changes sign along several axes gives the mean of these points; voxels of
-    less weight than `least` give none.
+    A cell with sign changes along several axes gives their mean; voxels below the weight `least`
+    give none.
     """
     distance, weight, color = field.distance, field.weight, field.color
     blocks, index = field.blocks, field.block_at

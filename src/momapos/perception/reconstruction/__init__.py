@@ -1,4 +1,4 @@
-"""Stage 2b: how the important things move."""
+"""Reconstruct how the important objects move, from images of their fronts."""
 
 import lazy_loader
 

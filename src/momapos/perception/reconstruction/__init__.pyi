@@ -1,6 +1,6 @@
 from .alignment import AlignmentConfig as AlignmentConfig
 from .front_network import FrontNetwork as FrontNetwork
-from .object_model import ModelConfig as ModelConfig
+from .model_config import ModelConfig as ModelConfig
 from .object_model import furniture_model as furniture_model
 from .open_parts import opened_piece as opened_piece
 from .scene_builder import GivenModel as GivenModel
@@ -12,5 +12,5 @@ from .seen_motion import moved_piece as moved_piece
 from .templates import TemplatePredictor as TemplatePredictor
 from .urdformer import UrdformerPredictor as UrdformerPredictor
 from .urdformer import load_urdformer as load_urdformer
-from .usual_kinds import weighed as weighed
-from .usual_kinds import weighed_by_height as weighed_by_height
+from .usual_kinds import weighted_by_height as weighted_by_height
+from .usual_kinds import weighted_by_label as weighted_by_label

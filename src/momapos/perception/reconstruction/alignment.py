@@ -1,4 +1,4 @@
-"""From parts seen on a face, as fractions of it, to parts in meters that fit each other.
+"""Fit parts of a face, given as fractions of it, to each other in meters.
 
 Frame of a face: its origin is the lower left corner as seen from the front, x right, z up.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from momapos.core import InputError
 from momapos.model.records import FaceImage, Part, PartKind
 
-from .height_maps import FEWEST, Area, area_of, bars, heights_in, is_flat, stands_out
+from .height_maps import MIN_PIXELS, Area, area_of, bars, heights_in, is_flat, stands_out
 from .leaf_frames import with_frames
 
 if TYPE_CHECKING:
@@ -26,29 +26,29 @@ class AlignmentConfig:
     """How parts are fitted onto a face."""
 
     grid: int | None = None
-    """Steps across the face that parts start and end at, 12 as in URDFormer; None: anywhere."""
+    """Grid steps across the face to which parts snap, 12 as in URDFormer; None: no grid."""
     seam: float = 0.015
-    """Edges nearer to each other, or to the rim of the face, become one [m]."""
+    """Edges closer to each other, or to the rim of the face, are merged [m]."""
     same: float = 0.5
-    """Of two parts that share this much of the smaller one, the less certain is left out [-]."""
+    """Of two parts that share this much of the smaller one, the less certain is dropped [-]."""
     least_side: float = 0.08
-    """A door of less width or height, or a drawer of less width, is left out [m]."""
+    """Minimum width and height of a door, and width of a drawer [m]."""
     least_drawer: float = 0.05
-    """A drawer of less height is left out [m]."""
+    """Minimum height of a drawer [m]."""
     most_height_map: float = 0.12
-    """The front of a part lies this far before or behind the face at most [m]."""
+    """Maximum distance of a part's front from the face [m]."""
     thickness: tuple[float, float] = (0.008, 0.035)
-    """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
+    """Minimum and maximum thickness of a handle, so that a gripper can hold it [m]."""
     handle_out: float = 0.04
-    """How far a handle stands out where that was not measured [m]."""
+    """Protrusion of a handle without measurement [m]."""
     handle_height_map: tuple[float, float] = (0.015, 0.12)
-    """What is measured below the first counts as not measured, the second is the most [m]."""
+    """Measured protrusions below the first are ignored, above the second clipped [m]."""
     bar_out: float = 0.03
-    """A bar that stands out by this is the handle, where what was seen as one is flat [m]."""
+    """If a detected handle is flat, a bar with this protrusion replaces it [m]."""
     bar_length: float = 0.1
-    """Such a bar is at least this long [m]."""
+    """Minimum length of such a bar [m]."""
     bar_thickness: float = 0.12
-    """And at most this thick [m]."""
+    """Maximum thickness of such a bar [m]."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class AlignedHandle:
 
     area: Area
     out: float
-    """How far its front stands out of the part's [m]."""
+    """Protrusion of its front beyond the part's [m]."""
     measured: bool = True
-    """Whether depth shows that; else it is what is usual."""
+    """Whether `out` was measured; else it is the default."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ class AlignedPart:
     kind: PartKind
     area: Area
     out: float
-    """How far its front stands out of the face's plane [m]."""
+    """Protrusion of its front beyond the face's plane [m]."""
     handle: AlignedHandle | None
     odds: tuple[tuple[PartKind, float], ...] = ()
-    """How it may open, see `Part`."""
+    """Probabilities of its kinds, see `Part`."""
     score: float = 1.0
     """Confidence, see `Part`."""
 
@@ -80,17 +80,17 @@ class AlignedPart:
 def align(
     face: FaceImage, parts: Sequence[Part], config: AlignmentConfig | None = None
 ) -> tuple[AlignedPart, ...]:
-    """Fit the parts that were seen on a face onto it and to each other.
+    """Fit the parts of a face to the face and to each other.
 
-    No two parts overlap, edges that nearly meet do, and every handle lies on its part.
+    In the result no parts overlap, edges that nearly meet do, and every handle lies on its part.
 
     Args:
         face: The face, with its size and height map.
-        parts: What was seen on it.
+        parts: The detected parts.
         config: How to fit.
 
     Returns:
-        The parts, top to bottom and left to right; what is too small or seen twice is left out.
+        The parts, top to bottom and left to right, without small and duplicate ones.
 
     Raises:
         InputError: A rectangle is not finite.
@@ -98,11 +98,14 @@ def align(
     config = config or AlignmentConfig()
     for index, part in enumerate(parts):
         if not np.isfinite([*part.box, *(part.handle or ())]).all():
-            raise InputError(f"part {index} of the front ({part.kind}) has a box of {part.box}")
+            raise InputError(
+                f"part {index} of the front ({part.kind}): box and handle must be finite, "
+                f"not {part.box}, {part.handle}"
+            )
     if config.grid is not None:
         parts = [_snapped(part, config.grid) for part in parts]
     seen = sorted(parts, key=lambda part: -part.score)
-    areas = _joined(_separated([area_of(part.box, face) for part in seen], config), face, config)
+    areas = _merged(_separated([area_of(part.box, face) for part in seen], config), face, config)
     areas = with_frames(areas, face)
     aligned = [
         _aligned(face, part, area, config)
@@ -113,16 +116,18 @@ def align(
 
 
 def front_of(face: FaceImage, area: Area, most: float, without: Area | None = None) -> float:
-    """How far a surface stands out of the face, at most `most` [m] either way; 0 if not known."""
+    """Return the protrusion of a surface beyond the face, within +-`most` [m]; 0 if unknown."""
     height_map = heights_in(face, area, without)
-    return float(np.clip(np.median(height_map), -most, most)) if len(height_map) >= FEWEST else 0.0
+    return (
+        float(np.clip(np.median(height_map), -most, most)) if len(height_map) >= MIN_PIXELS else 0.0
+    )
 
 
 # ----------------------------------------------------------------------------- parts to each other
 
 
 def _snapped(part: Part, steps: int) -> Part:
-    """Start and end a part on a grid; it is one step long at least and takes its handle along."""
+    """Snap a part to a grid, at least one step long, and move its handle along."""
     old = np.array(part.box).reshape(2, 2)  # (start or end, x or y)
     new = np.round(old * steps)
     new[0] = np.minimum(new[0], steps - 1)
@@ -136,11 +141,11 @@ def _snapped(part: Part, steps: int) -> Part:
 
 
 def _separated(areas: Sequence[Area], config: AlignmentConfig) -> list[Area | None]:
-    """Cut overlapping areas at the middle of their overlap; None for one that is seen twice.
+    """Cut overlapping areas at the middle of their overlap; None for duplicates.
 
     Args:
         areas: The most certain first.
-        config: When two are the same.
+        config: When two are duplicates.
     """
     kept: list[Area | None] = []
     for area in areas:
@@ -156,14 +161,13 @@ def _separated(areas: Sequence[Area], config: AlignmentConfig) -> list[Area | No
 
 
 def _overlap(a: Area, b: Area) -> float:
-    """The part of the smaller area that lies in the other [-]."""
     both = a.within(b)
     least = min(a.width * a.height, b.width * b.height)
     return 0.0 if both is None or least <= 0 else both.width * both.height / least
 
 
 def _cut(a: Area, b: Area) -> tuple[Area, Area]:
-    """Divide what two areas share between them, across the way in which they overlap less."""
+    """Divide what two areas share, across the direction in which they overlap less."""
     both = a.within(b)
     assert both is not None
     if both.width / min(a.width, b.width) < both.height / min(a.height, b.height):
@@ -177,22 +181,22 @@ def _cut(a: Area, b: Area) -> tuple[Area, Area]:
     return replace(a, bottom=middle), replace(b, top=middle)
 
 
-def _joined(
+def _merged(
     areas: Sequence[Area | None], face: FaceImage, config: AlignmentConfig
 ) -> list[Area | None]:
-    """Make edges one that are nearly equal; the order of edges stays, so nothing overlaps anew."""
+    """Merge edges that are nearly equal; their order stays, so no new overlaps arise."""
     there = [area for area in areas if area is not None]
     x = np.array([[a.left, a.right] for a in there]).ravel()
     z = np.array([[a.bottom, a.top] for a in there]).ravel()
     x, z = _seams(x, face.width, config.seam), _seams(z, face.height, config.seam)
-    joined = iter(np.column_stack([x[::2], z[::2], x[1::2], z[1::2]]).tolist())
-    return [None if area is None else Area(*next(joined)) for area in areas]
+    merged = iter(np.column_stack([x[::2], z[::2], x[1::2], z[1::2]]).tolist())
+    return [None if area is None else Area(*next(merged)) for area in areas]
 
 
 def _seams(edges: Float[np.ndarray, " n"], size: float, near: float) -> Float[np.ndarray, " n"]:
     """Move edges [m] to the mean of those near them, or to the rim at 0 or `size` [m].
 
-    No group spans more than `near`, so a chain of edges cannot pull a part together.
+    No group spans more than `near`, so a chain of edges cannot collapse a part.
     """
     out = edges.copy()
     rim = np.where(edges < near, 0.0, np.where(edges > size - near, size, np.nan))
@@ -215,7 +219,6 @@ def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
 
 
 def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
-    """Measure how far a part and its handle stand out."""
     seen = None if part.handle is None else area_of(part.handle, face)
     if seen is not None and is_flat(face, area, seen, config.handle_height_map[0]):
         found = bars(face, area, config.bar_out, config.bar_length, config.bar_thickness)
@@ -228,7 +231,7 @@ def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -
 def _handle(
     face: FaceImage, part: Area, seen: Area, behind: float, config: AlignmentConfig
 ) -> AlignedHandle | None:
-    """Give a handle its place and a size that can be held; None where it is not on the part."""
+    """Return a handle with a place and a graspable size; None if it is not on the part."""
     thinnest, thickest = config.thickness
     room = min(part.width, part.height) / 4
     inside = seen.within(part)
@@ -241,7 +244,7 @@ def _handle(
     else:
         height = float(np.clip(height, thinnest, thickest))
         width = max(width, height)
-    margin = min(thinnest, room)  # off the edges, or it would scrape along what is beside it
+    margin = min(thinnest, room)  # off the edges, so that it clears the neighbors
     out, measured = _standing_out(face, part, inside, config)
     x, z = _straight(face, inside, behind + out)
     left, right = _placed(x, width, part.left + margin, part.right - margin)
@@ -250,7 +253,7 @@ def _handle(
 
 
 def _straight(face: FaceImage, area: Area, out: float) -> tuple[float, float]:
-    """The middle of what stands out of a face [m], where it would be seen straight on."""
+    """Return the middle of a protruding area of a face without parallax [m]."""
     x, z = (area.left + area.right) / 2, (area.bottom + area.top) / 2
     if face.camera_position is None:
         return x, z
@@ -263,7 +266,7 @@ def _straight(face: FaceImage, area: Area, out: float) -> tuple[float, float]:
 
 
 def _placed(middle: float, size: float, low: float, high: float) -> tuple[float, float]:
-    """Start and end of a span of some size about a middle, moved and cut to stay within limits."""
+    """Return a span about a middle, shifted and cut to stay within limits."""
     size = min(size, high - low)
     start = float(np.clip(middle - size / 2, low, high - size))
     return start, start + size
@@ -272,7 +275,7 @@ def _placed(middle: float, size: float, low: float, high: float) -> tuple[float,
 def _standing_out(
     face: FaceImage, part: Area, handle: Area, config: AlignmentConfig
 ) -> tuple[float, bool]:
-    """How far a handle stands out of what is around it [m], and whether depth shows that."""
+    """Return the protrusion of a handle [m], and whether it was measured."""
     least, most = config.handle_height_map
     out = stands_out(face, part, handle)
     if out is None or out < least:

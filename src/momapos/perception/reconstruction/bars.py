@@ -1,8 +1,7 @@
-"""Handles found as bars that stand out in the height map: what the networks did not see of them.
+"""Find handles as bars that protrude in the height map, where the networks missed them.
 
-A thin bar in the color of its door is a pixel or two of the image, but it is well before the
-door. Where it is tells how the door opens; two of them on what was taken for one part tell that
-it is two.
+A thin bar in the color of its door is a pixel or two wide in the image, but well in front of the
+door. Its place tells how the door opens. Two bars on one detected part mean that it is two parts.
 """
 
 from __future__ import annotations
@@ -17,75 +16,76 @@ import numpy as np
 from momapos.model.records import FaceImage, Part, PartKind
 
 from . import decode
-from .height_maps import FEWEST, Area, area_of, bars, heights_in, is_flat
+from .height_maps import MIN_PIXELS, Area, area_of, bars, heights_in, is_flat
 
 if TYPE_CHECKING:
     from jaxtyping import Float32
 
-CLEAR, NOISES = 0.02, 4.0
-"""A bar stands out by the first [m] and by this many standard deviations of the noise [-]."""
-FLAT = 0.01
-"""What stands out by less is a label or a recess [m]."""
-OFF_EDGE = 0.01
-"""And what lies nearer to an edge of a part than this may be what is beside it [m]."""
-LEAST, THICKEST = 0.06, 0.06
-"""It is at least so long and at most so thick [m]."""
+MIN_PROTRUSION, MIN_SIGMAS = 0.02, 4.0
+"""A bar protrudes by the first [m] and by this many standard deviations of the noise [-]."""
+MIN_HANDLE_PROTRUSION = 0.01
+"""Flatter surfaces are labels or recesses [m]."""
+MIN_EDGE_DISTANCE = 0.01
+"""A bar closer to an edge of a part may belong to its neighbor [m]."""
+MIN_LENGTH, MAX_THICKNESS = 0.06, 0.06
+"""Minimum length and maximum thickness of a bar [m]."""
 SIDE = 1 / 3
-"""A handle in this share of a door next to an edge says that it opens there [-]."""
-BROAD = 0.5
-"""A level bar over more than this share of a door is that of a flap [-]."""
+"""A door opens at the edge next to which its handle lies, within this share of the door [-]."""
+MIN_FLAP_HANDLE = 0.5
+"""A level bar over more than this share of a door belongs to a flap [-]."""
 FLAPS = ("door_down", "door_up")
-"""What has one handle: what else stands out of it is a towel bar."""
-APART = 0.06
-"""Handles of two parts are at least this far from each other [m]."""
-FLUSH, BETWEEN = 0.03, 0.1
-"""Or they lie end to end, within the first, with more than the second between them [m]."""
-BESIDE = 0.5
-"""And lie side by side over this share of the shorter one [-]."""
-ALIKE = 1.6
-"""Handles of two like parts differ in length by less than this factor [-]."""
-TWINS = 0.02
-"""Level bars of two like parts begin and end at the same places, within this [m]."""
-LEAST_PART = 0.12
-"""A part that is told by its handle alone has sides of at least this [m]."""
-SEAM = 0.1
-"""Contrast of a seam between two handles, as `dark_lines` tells it [-]."""
+"""Kinds with one handle: a second bar is a towel bar."""
+MIN_DISTANCE = 0.06
+"""Between handles of two parts side by side [m]."""
+MAX_OFFSET, MIN_GAP = 0.03, 0.1
+"""Handles of two parts end to end are in line within the first, with at least the second between
+them [m]."""
+MIN_COMMON = 0.5
+"""Handles side by side overlap over this share of the shorter one [-]."""
+MAX_LENGTH_RATIO = 1.6
+"""Between handles of two similar parts [-]."""
+MAX_END_DIFFERENCE = 0.02
+"""Between the ends of level bars of two similar parts [m]."""
+MIN_PART_SIDE = 0.12
+"""Minimum side of a part that is found by its handle alone [m]."""
+MIN_SEAM_CONTRAST = 0.1
+"""Contrast of a seam between two handles in `dark_lines` [-]."""
 
 
 def with_bar(face: FaceImage, part: Part) -> Part:
-    """A part with the bar that stands out of it, if one does and no other handle does.
+    """Add the bar that protrudes from a part, unless another handle protrudes.
 
     Args:
-        face: The face; its height map tells.
-        part: As the networks saw it. They take a dark label for a handle, too.
+        face: The face with its height map.
+        part: From the networks, which also take dark labels for handles.
     """
     found = handles_on(face, part)
     area = area_of(part.box, face)
     if part.handle is not None:
-        if not found or not is_flat(face, area, area_of(part.handle, face), FLAT):
+        if not found or not is_flat(face, area, area_of(part.handle, face), MIN_HANDLE_PROTRUSION):
             return part
-        found = tuple(bar for bar in found if bar.within(area, OFF_EDGE) == bar)
+        found = tuple(bar for bar in found if bar.within(area, MIN_EDGE_DISTANCE) == bar)
     if not found:
         return part
     kind = opening(part.kind, area, found[0])
-    return replace(decode.told(part, kind), handle=fractions(found[0], face))
+    return replace(decode.with_kind(part, kind), handle=fractions(found[0], face))
 
 
-def by_bars(
+def divided_by_bars(
     face: FaceImage,
     parts: Sequence[Part],
     upright: Float32[np.ndarray, "h w"],
     level: Float32[np.ndarray, "h w"],
 ) -> tuple[Part, ...]:
-    """Parts of which each has one handle: those with two that are alike are divided between them.
+    """Divide parts with several similar handles, so that each part has one.
 
-    They are divided where a seam is seen between the handles; else where the two parts come out
-    most alike in size with handles at the same or at mirrored places.
+    They are divided at a visible seam between the handles. Otherwise, they are divided so that the
+    two parts are most similar in size, with handles at the same or mirrored places.
 
     Args:
-        face: The face; its height map tells.
-        parts: As the networks saw them.
-        upright, level: Its dark lines.
+        face: The face with its height map.
+        parts: From the networks.
+        upright, level: Dark lines of the face.
     """
     return tuple(
         one
@@ -95,13 +95,13 @@ def by_bars(
 
 
 def handles_on(face: FaceImage, part: Part) -> tuple[Area, ...]:
-    """The bars that stand out of a part well above the noise, the longest first."""
+    """Return the bars that protrude from a part well above the noise, the longest first."""
     area = area_of(part.box, face)
     height_map = heights_in(face, area)
-    if len(height_map) < FEWEST:
+    if len(height_map) < MIN_PIXELS:
         return ()
     noise = 1.4826 * float(np.median(np.abs(height_map - np.median(height_map))))
-    return bars(face, area, max(CLEAR, NOISES * noise), LEAST, THICKEST)
+    return bars(face, area, max(MIN_PROTRUSION, MIN_SIGMAS * noise), MIN_LENGTH, MAX_THICKNESS)
 
 
 def _divided(
@@ -111,7 +111,6 @@ def _divided(
     upright_lines: Float32[np.ndarray, "h w"],
     level: Float32[np.ndarray, "h w"],
 ) -> tuple[Part, ...]:
-    """A part, divided between its handles, from the left or from below."""
     held = [area_of(other.handle, face) for other in others if other.handle is not None]
     own = [bar for bar in handles_on(face, part) if not any(bar.within(area) for area in held)]
     if not own:
@@ -119,10 +118,10 @@ def _divided(
     tall = own[0].height > own[0].width
     for in_line in (False, True):
         alike, upright = _alike(own, in_line=in_line), tall != in_line
-        if len(alike) < 2 or (part.kind in FLAPS and not twins(alike)):
+        if len(alike) < 2 or (part.kind in FLAPS and not have_aligned_ends(alike)):
             continue
         cuts = _cuts(face, part, alike, upright_lines if upright else level, upright=upright)
-        if np.diff(cuts).min() >= LEAST_PART:
+        if np.diff(cuts).min() >= MIN_PART_SIDE:
             return _pieces(face, part, alike, cuts, upright=upright)
     return (part,)
 
@@ -135,10 +134,10 @@ def _cuts(
     *,
     upright: bool,
 ) -> list[float]:
-    """Edges of the pieces of a part, each with one of the handles, from the left or from below [m].
+    """Return the edges of the pieces of a part, from the left or from below [m].
 
-    Where a seam is seen between two handles, it is there; else where `_even` says, or in the middle
-    between handles end to end where that is beside one of them.
+    The edge is at a visible seam between two handles. Otherwise it follows from `_even`, or is the
+    middle between handles that are end to end if `_even` cuts one of them.
     """
     area = area_of(part.box, face)
     edges = (area.left, area.right) if upright else (area.bottom, area.top)
@@ -153,8 +152,8 @@ def _cuts(
 
 
 def _between(one: Area, other: Area, *, upright: bool) -> tuple[float, float]:
-    """Where a seam between two handles may be: between their ends where they lie end to end, else
-    between their middles [m]."""
+    """Return where a seam between two handles may be: between their ends if they are end to end,
+    else between their middles [m]."""
     tall = one.height > one.width
     if tall == upright:
         return _place(one, upright=upright), _place(other, upright=upright)
@@ -164,7 +163,6 @@ def _between(one: Area, other: Area, *, upright: bool) -> tuple[float, float]:
 def _pieces(
     face: FaceImage, part: Part, handles: Sequence[Area], cuts: Sequence[float], *, upright: bool
 ) -> tuple[Part, ...]:
-    """The pieces of a part between cuts, each with its handle."""
     area = area_of(part.box, face)
     found = []
     for bar, (low, high) in zip(handles, pairwise(cuts), strict=True):
@@ -175,22 +173,22 @@ def _pieces(
         if bar.width > bar.height and one.width > one.height:
             kind = "drawer"
         box, handle = fractions(one, face), fractions(bar, face)
-        found.append(replace(decode.told(part, kind), box=box, handle=handle))
+        found.append(replace(decode.with_kind(part, kind), box=box, handle=handle))
     return tuple(found)
 
 
 def _place(bar: Area, *, upright: bool) -> float:
-    """Where an upright bar is along x, or a level one along z [m]."""
+    """Return the x coordinate of an upright bar, or the z coordinate of a level one [m]."""
     return (bar.left + bar.right if upright else bar.bottom + bar.top) / 2
 
 
 def _alike(found: Sequence[Area], *, in_line: bool) -> list[Area]:
-    """The longest bar, and those that are like it, as the handles of other parts are.
+    """Return the longest bar and those like it, as handles of adjacent parts.
 
     Args:
         found: Bars, the longest first.
-        in_line: Those end to end with it, as of a freezer's door above a fridge's; else those side
-            by side with it.
+        in_line: Whether to return bars end to end with it, as on a freezer door above a fridge
+            door, instead of bars side by side with it.
 
     Returns:
         Bars from the left or from below.
@@ -207,33 +205,35 @@ def _alike(found: Sequence[Area], *, in_line: bool) -> list[Area]:
             off = abs(_place(bar, upright=upright) - _place(other, upright=upright))
             common = min(high, end) - max(low, start)
             there = (
-                off < FLUSH and common < -BETWEEN
+                off < MAX_OFFSET and common < -MIN_GAP
                 if in_line
-                else off > APART and common > BESIDE * lengths[0]
+                else off > MIN_DISTANCE and common > MIN_COMMON * lengths[0]
             )
-            if not (there and lengths[1] < ALIKE * lengths[0]):
+            if not (there and lengths[1] < MAX_LENGTH_RATIO * lengths[0]):
                 break
         else:
             kept.append(bar)
     return sorted(kept, key=lambda bar: _place(bar, upright=upright != in_line))
 
 
-def twins(alike: Sequence[Area]) -> bool:
-    """Whether level bars above each other begin and end alike: a towel bar is no second handle."""
+def have_aligned_ends(alike: Sequence[Area]) -> bool:
+    """Check whether stacked level bars start and end alike; a towel bar differs from a handle."""
     ends = np.array([_span(bar, upright=False) for bar in alike])
-    return alike[0].width > alike[0].height and bool((np.ptp(ends, axis=0) < TWINS).all())
+    return alike[0].width > alike[0].height and bool(
+        (np.ptp(ends, axis=0) < MAX_END_DIFFERENCE).all()
+    )
 
 
 def _span(bar: Area, *, upright: bool) -> tuple[float, float]:
-    """Ends of an upright bar along z, or of a level one along x [m]."""
+    """Return the ends of an upright bar along z, or of a level one along x [m]."""
     return (bar.bottom, bar.top) if upright else (bar.left, bar.right)
 
 
 def _even(edges: tuple[float, float], places: Sequence[float]) -> list[float]:
-    """Where to divide a span so that each part has one handle.
+    """Return where to divide a span so that each piece has one handle.
 
-    In equal parts if that does it; else one after the other, each two with handles at the same or
-    at mirrored places.
+    Equal pieces if possible; else one after the other, so that handles of adjacent pieces are at
+    the same or mirrored places.
     """
     low, high = edges
     cuts = np.linspace(low, high, len(places) + 1)
@@ -256,7 +256,7 @@ def _seam(
     *,
     upright: bool,
 ) -> float | None:
-    """Where a line is seen between two handles on most of a part [m]; None where there is none."""
+    """Return where a line is visible between two handles on most of a part [m]; None if nowhere."""
     rows, columns = lines.shape
     x = np.clip(np.array([area.left, area.right]) / face.width * columns, 0, columns).astype(int)
     y = np.clip((1 - np.array([area.top, area.bottom]) / face.height) * rows, 0, rows).astype(int)
@@ -267,13 +267,13 @@ def _seam(
         (area.left, face.width / columns) if upright else (area.bottom, face.height / rows)
     )
     places = start + (np.arange(len(mean)) + 0.5) * size
-    inner = (places > between[0] + THICKEST / 2) & (places < between[1] - THICKEST / 2)
+    inner = (places > between[0] + MAX_THICKNESS / 2) & (places < between[1] - MAX_THICKNESS / 2)
     mean = np.where(inner, mean, 0.0)
-    return float(places[mean.argmax()]) if mean.max(initial=0.0) > SEAM else None
+    return float(places[mean.argmax()]) if mean.max(initial=0.0) > MIN_SEAM_CONTRAST else None
 
 
 def fractions(area: Area, face: FaceImage) -> tuple[float, float, float, float]:
-    """An area as (left, top, right, bottom) in fractions of the face."""
+    """Return an area as (left, top, right, bottom) in fractions of the face."""
     return (
         area.left / face.width,
         1 - area.top / face.height,
@@ -283,14 +283,14 @@ def fractions(area: Area, face: FaceImage) -> tuple[float, float, float, float]:
 
 
 def opening(kind: PartKind, part: Area, bar: Area) -> PartKind:
-    """How a part with a bar opens; as was thought where the bar does not tell."""
+    """Return how a part with a bar opens; `kind` if the bar does not tell."""
     if bar.height > bar.width:
         from_left = ((bar.left + bar.right) / 2 - part.left) / part.width
         if from_left > 1 - SIDE:
             return "door_left"
         return "door_right" if from_left < SIDE else kind
     from_bottom = ((bar.bottom + bar.top) / 2 - part.bottom) / part.height
-    if kind == "drawer" or bar.width < BROAD * part.width:
+    if kind == "drawer" or bar.width < MIN_FLAP_HANDLE * part.width:
         return kind
     if from_bottom > 1 - SIDE:
         return "door_down"

@@ -1,4 +1,4 @@
-"""The weights of a network, read from a checkpoint that comes from a stranger."""
+"""Read the weights of a network from an untrusted checkpoint."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from momapos.core import FileFormatError, load_tensors
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-NAMED = 3
-"""How many names an error lists."""
+MAX_LISTED = 3
+"""Number of names in an error message."""
 
 
 def read_checkpoint(path: Path, key: str = "model_state_dict") -> dict[str, Tensor]:
-    """Read the named tensors of a checkpoint, on the CPU, running none of its code.
+    """Read the named tensors of a checkpoint, on the CPU, without running code in it.
 
     Args:
         path: A file that `torch.save` wrote.
-        key: The entry that holds the tensors.
+        key: The entry with the tensors.
 
     Raises:
-        FileFormatError: The file is absent, no archive of torch, damaged, or holds more than
-            tensors and plain values; or it has no such entry.
+        FileFormatError: The file is absent, not an archive of torch, damaged, has more than
+            tensors and plain values, or has no such entry.
         MissingExtraError: torch is not installed.
     """
     content = load_tensors(path)
@@ -32,7 +32,7 @@ def read_checkpoint(path: Path, key: str = "model_state_dict") -> dict[str, Tens
 
     if not isinstance(content, dict) or not isinstance(content.get(key), dict):
         held = _first(map(_name, content)) if isinstance(content, dict) else _name(content)
-        raise FileFormatError(f"{path}: has no {key!r} with the weights; it holds {held}")
+        raise FileFormatError(f"{path}: has no {key!r} with the weights; it has {held}")
     weights = content[key]
     strange = [
         _name(name)
@@ -40,17 +40,17 @@ def read_checkpoint(path: Path, key: str = "model_state_dict") -> dict[str, Tens
         if not (isinstance(name, str) and isinstance(value, torch.Tensor))
     ]
     if strange:
-        raise FileFormatError(f"{path}: {key!r} must hold tensors alone, not {_first(strange)}")
+        raise FileFormatError(f"{path}: {key!r} must have only tensors, not {_first(strange)}")
     return dict(weights)
 
 
 def load_weights(module: nn.Module, weights: dict[str, Tensor], path: Path) -> None:
-    """Put weights into a network that must take all of them and need no others.
+    """Load weights into a network; they must match it exactly.
 
     Args:
-        module: The network; unchanged where the weights do not fit.
+        module: The network; unchanged if the weights do not match.
         weights: Tensors by name.
-        path: Where they come from, for the message.
+        path: Source of the weights, for the message.
 
     Raises:
         FileFormatError: Names are missing or unexpected, or tensors have another shape or
@@ -75,17 +75,16 @@ def load_weights(module: nn.Module, weights: dict[str, Tensor], path: Path) -> N
                 f"{path}: {name} has shape {tuple(given.shape)}, not {tuple(value.shape)}"
             )
         if not given.is_floating_point() or not given.isfinite().all():
-            raise FileFormatError(f"{path}: {name} must hold finite floating-point numbers")
+            raise FileFormatError(f"{path}: {name} must have finite floating-point numbers")
     module.load_state_dict(weights)
 
 
 def _name(value: object) -> str:
-    """A name; only the type of what is none, for a forged tuple may be endless as text."""
+    """Return a name, or only the type of a non-string: a forged tuple may be endless as text."""
     return value if isinstance(value, str) else type(value).__name__
 
 
 def _first(names: Iterable[str]) -> str:
-    """List the first few names."""
     listed = [f"{name:.80}" for name in names]
-    more = f" and {len(listed) - NAMED} more" if len(listed) > NAMED else ""
-    return ", ".join(listed[:NAMED]) + more if listed else "nothing"
+    more = f" and {len(listed) - MAX_LISTED} more" if len(listed) > MAX_LISTED else ""
+    return ", ".join(listed[:MAX_LISTED]) + more if listed else "nothing"

@@ -1,4 +1,4 @@
-"""From a face to what the networks of `network.py` see, and from what they say to parts.
+"""Prepare a face for the networks of `front_network.py`, and convert their outputs to parts.
 
 All boxes are (left, top, right, bottom) as fractions of the face, y down.
 """
@@ -19,33 +19,33 @@ if TYPE_CHECKING:
 
 KINDS: tuple[PartKind, ...] = ("door_left", "door_right", "door_down", "door_up", "drawer")
 FACE_PIXELS = 192
-"""Side of the square that the first network looks at [px]."""
+"""Input size of the first network [px]."""
 PART_PIXELS = 128
-"""Side of the square that the second network looks at [px]."""
+"""Input size of the second network [px]."""
 MIRRORED_KINDS = (1, 0, 2, 3, 4, 5)
-"""Index of what each kind is in a mirror; the last is no part."""
+"""Index of each kind in a mirror image; the last is no part."""
 MIRRORED_SIDES = (2, 1, 0, 3)
-"""Left, top, right, bottom in a mirror."""
+"""Left, top, right, bottom in a mirror image."""
 PART_MARGIN = 0.15
-"""How much of its surroundings a crop shows on each side of a part, as a fraction of its side."""
+"""Margin of a crop on each side of a part, as a fraction of its side [-]."""
 UPRIGHT, LEVEL = 5, 6
-"""Which of the planes hold upright and level dark lines."""
-TOLD = 0.9
-"""How sure a rule is of how a part opens [-]."""
+"""Indices of the planes with upright and level dark lines."""
+RULE_CONFIDENCE = 0.9
+"""Probability that a rule tells correctly how a part opens [-]."""
 DOUBT = 0.06
-"""How often a part opens otherwise than the networks say: 5 of the 78 parts that were found on the
-fronts of simulator objects [-]."""
-LEAST_SIDE = 0.01
-"""A part is broader and higher than this share of its face."""
+"""Share of parts that open otherwise than the networks predict: 5 of the 78 parts that were found
+on the fronts of simulator objects [-]."""
+MIN_SIDE = 0.01
+"""Minimum width and height of a part, as a share of its face [-]."""
 HEIGHT_MAP_RANGE = 0.08
-"""Heights beyond this, before or behind their median, are clipped [m]; handles are lower."""
+"""Heights are clipped to this distance from their median [m]; handles are lower."""
 
 
 def planes(face: FaceImage) -> Float32[np.ndarray, "h w 7"]:
-    """Stack what the networks see, each in about [-2, 2].
+    """Stack the input planes of the networks, each in about [-2, 2].
 
-    Color; height map about its median, since the plane of a box is not always that of its fronts;
-    whether height map was measured; upright and level dark lines.
+    Color; the height map about its median, since the plane of a box is not always that of its
+    fronts; whether the height was measured; upright and level dark lines.
     """
     color = (face.color.astype(np.float32) - 127.5) / 64.0
     known = np.isfinite(face.height_map)
@@ -61,10 +61,10 @@ def planes(face: FaceImage) -> Float32[np.ndarray, "h w 7"]:
 def resample(
     stack: Float32[np.ndarray, "h w c"], box: Float[np.ndarray, "4"], side: int
 ) -> Float32[np.ndarray, "c side side"]:
-    """Cut a box out of an image and resize it to a square, averaging where it shrinks.
+    """Crop a box from an image and resize it to a square, averaging where it shrinks.
 
-    What lies outside of the image repeats its border. The few weights of a pixel are kept sparse:
-    as a full matrix they take fifty times as long beside other work, for whose threads BLAS waits.
+    Pixels outside of the image repeat its border. The few weights per pixel are stored sparsely:
+    a full matrix takes fifty times as long next to other work, for whose threads BLAS waits.
     """
     rows, weights_y = _taps(stack.shape[0], box[1], box[3], side)
     columns, weights_x = _taps(stack.shape[1], box[0], box[2], side)
@@ -75,7 +75,7 @@ def resample(
 
 
 def _taps(length: int, low: float, high: float, count: int) -> tuple[slice, csr_array]:
-    """Weights of a triangle filter that samples [low, high] of a line of pixels."""
+    """Return the weights of a triangle filter that samples [low, high] of a line of pixels."""
     step = max((high - low) * length / count, 1e-6)
     centers = low * length + (np.arange(count) + 0.5) * step - 0.5
     centers = np.clip(centers, 0.0, length - 1.0)
@@ -89,13 +89,13 @@ def _taps(length: int, low: float, high: float, count: int) -> tuple[slice, csr_
 
 
 def mirrored(boxes: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
-    """Boxes in a mirror that swaps left and right."""
+    """Return boxes mirrored left to right."""
     left, top, right, bottom = boxes.T
     return np.stack((1 - right, top, 1 - left, bottom), axis=1)
 
 
 def widened(boxes: Float[np.ndarray, "n 4"], margin: float) -> Float[np.ndarray, "n 4"]:
-    """Boxes with a margin on each side, as a fraction of their sides."""
+    """Return boxes with a margin on each side, as a fraction of their sides."""
     size = boxes[:, 2:] - boxes[:, :2]
     return np.concatenate((boxes[:, :2] - margin * size, boxes[:, 2:] + margin * size), axis=1)
 
@@ -106,13 +106,13 @@ def peaks(
     floor: float,
     most: int,
 ) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, "n k"]]:
-    """Proposals of the first network, best first.
+    """Return the proposals of the first network, best first.
 
     Args:
         heat: Probability that a cell is the center of a part, by kind.
         reach: Distance from a cell's center to the left, top, right and bottom edge of its part.
-        floor: Cells below this are no center.
-        most: How many to keep.
+        floor: Minimum probability of a center.
+        most: Maximum number of proposals.
 
     Returns:
         Boxes, and the heat of each kind at their center.
@@ -128,14 +128,14 @@ def peaks(
     edges = reach[:, row, column].T
     boxes = np.concatenate((center - edges[:, :2], center + edges[:, 2:]), axis=1)
     boxes = np.clip(boxes, 0.0, 1.0)
-    sound = (boxes[:, 2:] - boxes[:, :2] > LEAST_SIDE).all(axis=1)
+    sound = (boxes[:, 2:] - boxes[:, :2] > MIN_SIDE).all(axis=1)
     return boxes[sound], heat[:, row, column].T[sound]
 
 
 def overlaps(
     a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"]
 ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
-    """Intersection of all pairs over their union, and over the smaller of the two."""
+    """Return the intersection of all pairs over their union, and over the smaller of the two."""
     low = np.maximum(a[:, None, :2], b[None, :, :2])
     high = np.minimum(a[:, None, 2:], b[None, :, 2:])
     common = np.clip(high - low, 0.0, None).prod(axis=-1)
@@ -148,17 +148,17 @@ def overlaps(
 def distinct(
     boxes: Float[np.ndarray, "n 4"], scores: Float[np.ndarray, " n"], limit: float, *, nested: bool
 ) -> Int[np.ndarray, " m"]:
-    """Keep the best of boxes that overlap.
+    """Keep the best of overlapping boxes.
 
     Args:
-        boxes: What was found.
-        scores: How sure each is.
-        limit: Share of common area from which on the weaker of two goes.
-        nested: Measure the share by the smaller of the two, not by their union, so that a panel
-            within a door counts as the same.
+        boxes: The boxes.
+        scores: Their scores.
+        limit: From this overlap on, the weaker of two boxes is dropped.
+        nested: Measure overlap relative to the smaller box instead of the union, so that a panel
+            within a door is a duplicate.
 
     Returns:
-        Indices of those to keep, best first.
+        Indices of the kept boxes, best first.
     """
     common = overlaps(boxes, boxes)[1 if nested else 0]
     kept: list[int] = []
@@ -171,7 +171,7 @@ def distinct(
 def handle_box(
     heat: Float[np.ndarray, "m m"], reach: Float[np.ndarray, "4 m m"]
 ) -> Float[np.ndarray, "4"]:
-    """The handle in a crop, as fractions of the crop: the hottest cell and its distances."""
+    """Return the handle in a crop, as fractions of the crop: the best cell and its distances."""
     side = heat.shape[0]
     row, column = np.unravel_index(int(heat.argmax()), heat.shape)
     center = (np.array([column, row]) + 0.5) / side
@@ -180,7 +180,7 @@ def handle_box(
 
 
 def in_face(inner: Float[np.ndarray, "n 4"], outer: Float[np.ndarray, "n 4"]) -> np.ndarray:
-    """Boxes given as fractions of other boxes, as fractions of the face."""
+    """Convert boxes from fractions of other boxes to fractions of the face."""
     size = np.tile(outer[:, 2:] - outer[:, :2], 2)
     return np.tile(outer[:, :2], 2) + inner * size
 
@@ -191,12 +191,12 @@ def part(
     score: float,
     handle: Float[np.ndarray, "4"] | None,
 ) -> Part:
-    """A part, kept within the face, and its handle, kept within the part.
+    """Return a part, clipped to the face, with its handle clipped to the part.
 
     Args:
-        votes: Logarithms of how much speaks for each kind.
-        box: Of the part.
-        score: How sure it is one.
+        votes: Log-odds of each kind.
+        box: Box of the part.
+        score: Score of the part.
         handle: Its handle.
     """
     held = None
@@ -211,22 +211,22 @@ def part(
     return Part(odds[0][0], (left, top, right, bottom), float(score), held, odds)
 
 
-def told(part: Part, kind: PartKind) -> Part:
-    """A part of which a rule tells how it opens; what was thought before keeps a doubt."""
+def with_kind(part: Part, kind: PartKind) -> Part:
+    """Return a part with the kind that a rule gives; the previous odds share the rest."""
     if not part.odds:
         return replace(part, kind=kind)
     before = dict(part.odds)
-    share = TOLD if kind != part.kind else max(TOLD, before[kind])
+    share = RULE_CONFIDENCE if kind != part.kind else max(RULE_CONFIDENCE, before[kind])
     rest = 1.0 - before.get(kind, 0.0)
     odds = {k: (1.0 - share) * p / rest if rest > 0 else 0.0 for k, p in before.items()}
     return replace(part, kind=kind, odds=ranked({**odds, kind: share}))
 
 
-def doubted(part: Part) -> Part:
-    """A part that may also open in every other way, each as probable as all others.
+def with_doubt(part: Part) -> Part:
+    """Return a part whose other kinds have a small probability, the same for each.
 
-    The networks rule out what they have not seen; a robot that pulls in vain shall have something
-    else to try.
+    The networks rule out what they have not seen, but after a failed attempt a robot needs other
+    hypotheses.
     """
     if not part.odds:
         return part
@@ -236,5 +236,5 @@ def doubted(part: Part) -> Part:
 
 
 def ranked(odds: dict[PartKind, float]) -> tuple[tuple[PartKind, float], ...]:
-    """Kinds and how probable they are, the likeliest first."""
+    """Return kinds and their probabilities, the most probable first."""
     return tuple(sorted(odds.items(), key=lambda pair: -pair[1]))

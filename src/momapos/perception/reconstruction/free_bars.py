@@ -1,4 +1,4 @@
-"""Parts that the networks miss, told by a handle that stands out of the front where no part is."""
+"""Add parts that the networks missed, at handles that protrude where no part was detected."""
 
 from __future__ import annotations
 
@@ -11,44 +11,43 @@ import numpy as np
 from momapos.model.records import FaceImage, Part, PartKind
 
 from . import decode
-from .bars import LEAST_PART, fractions, handles_on, opening, twins
+from .bars import MIN_PART_SIDE, fractions, handles_on, have_aligned_ends, opening
 from .height_maps import Area, area_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool
 
-LEAST_DOOR = 0.2
-"""Sides of a part with an upright handle are at least this, or it is a panel with buttons [m]."""
+MIN_DOOR_SIDE = 0.2
+"""Minimum side of a part with an upright handle; smaller ones are panels with buttons [m]."""
 SCORE = 0.35
-"""How sure a part is that only its handle tells [-]."""
-EDGE = 0.05
-"""What stands out along an edge of the face, this near to it, may be a worktop, or belong to what
-is beside it [m]."""
-FLUSH = 0.02
-"""A front lies in one plane, within this [m]."""
-HIDDEN = 0.2
-"""A row or column of pixels ends a front where more than this share of it is none [-]."""
-CENTERED = 0.1
-"""A level handle is in the middle of its part, within this share of its width [-]."""
-LONGEST = 0.8
-"""Handles are shorter than this share of their part: longer ones are boards and rails, but where a
-part is known that has one like it [-]."""
-MOSTLY = 0.5
-"""A bar belongs to a part that holds more than this share of it [-]."""
+"""Confidence of a part found only by its handle [-]."""
+MIN_EDGE_DISTANCE = 0.05
+"""A bar along an edge of the face closer than this may be a worktop or a neighbor [m]."""
+MAX_FRONT_DEPTH = 0.02
+"""A front lies in one plane within this [m]."""
+MAX_BLOCKED = 0.2
+"""A front ends at a row or column of pixels with more than this share outside of it [-]."""
+MAX_OFF_CENTER = 0.1
+"""Distance of a level handle from the middle of its part, relative to its width [-]."""
+MAX_HANDLE_LENGTH = 0.8
+"""Length of a handle relative to its part. Longer bars are boards and rails, unless a known part
+has a similar one [-]."""
+MIN_INSIDE = 0.5
+"""A bar belongs to a part that contains more than this share of it [-]."""
 
 
-def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
-    """What of a front is free of parts and has bars standing out of it: a part, or some.
+def parts_from_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Find parts at bars that protrude from a front outside the known parts.
 
-    Each reaches from its bar as far as the front is flat and no part is. `bars.by_bars` divides
-    those with several.
+    Each extends from its bar as far as the front is flat and free of parts.
+    `bars.divided_by_bars` divides those with several bars.
 
     Args:
-        face: The face; its height map tells.
-        parts: What the networks saw on it.
+        face: The face with its height map.
+        parts: Parts from the networks.
 
     Returns:
-        The parts that they did not see, each with one handle.
+        The missing parts, each with one handle.
     """
     whole = Part("drawer", (0.0, 0.0, 1.0, 1.0), SCORE)
     bars = handles_on(face, whole)
@@ -61,7 +60,9 @@ def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
     for bar in others:
         if _known(bar, found, face):
             continue
-        longest = 1.0 if any(twins((bar, other)) for other in held) else LONGEST
+        longest = (
+            1.0 if any(have_aligned_ends((bar, other)) for other in held) else MAX_HANDLE_LENGTH
+        )
         part = _around(face, bar, free, longest)
         if part is not None:
             found.append(part)
@@ -69,22 +70,21 @@ def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
 
 
 def _known(bar: Area, parts: Sequence[Part], face: FaceImage) -> bool:
-    """Whether a bar belongs to one of some parts."""
-    return any(bar.share_in(area_of(part.box, face)) > MOSTLY for part in parts)
+    return any(bar.share_in(area_of(part.box, face)) > MIN_INSIDE for part in parts)
 
 
 def _along_edge(bar: Area, face: FaceImage) -> bool:
-    """Whether a bar runs along an edge of the face, near to it; the ends of others may be there."""
+    """Check whether a bar runs close to an edge of the face; its ends may be there."""
     if bar.height > bar.width:
-        return min(bar.left, face.width - bar.right) < EDGE
-    return min(bar.bottom, face.height - bar.top) < EDGE
+        return min(bar.left, face.width - bar.right) < MIN_EDGE_DISTANCE
+    return min(bar.bottom, face.height - bar.top) < MIN_EDGE_DISTANCE
 
 
 def _free(face: FaceImage, parts: Sequence[Part]) -> Bool[np.ndarray, "h w"]:
-    """Pixels of the plane of the front, or before it, that belong to no part."""
+    """Tell which pixels are in or in front of the plane of the front, and in no part."""
     height_map = np.where(np.isfinite(face.height_map), face.height_map, 0.0)
     known = face.height_map[np.isfinite(face.height_map)]
-    free = height_map > float(np.median(known)) - FLUSH
+    free = height_map > float(np.median(known)) - MAX_FRONT_DEPTH
     h, w = free.shape
     for part in parts:
         left, top, right, bottom = np.round(np.array(part.box) * [w, h, w, h]).astype(int)
@@ -95,15 +95,15 @@ def _free(face: FaceImage, parts: Sequence[Part]) -> Bool[np.ndarray, "h w"]:
 def _around(
     face: FaceImage, bar: Area, free: Bool[np.ndarray, "h w"], longest: float
 ) -> Part | None:
-    """The largest free rectangle about a bar, None where it is too small for a part with it, or
-    the bar is longer than a share of it."""
+    """Return the largest free rectangle around a bar as a part; None if it is too small, or the bar
+    is longer than a share of it."""
     h, w = free.shape
     x = np.array([bar.left, bar.right]) / face.width * w
     y = (1 - np.array([bar.top, bar.bottom]) / face.height) * h
     rows = (int(np.clip(y[0], 0, h - 1)), int(np.clip(np.ceil(y[1]), 1, h)))
     columns = (int(np.clip(x[0], 0, w - 1)), int(np.clip(np.ceil(x[1]), 1, w)))
     free = free.copy()
-    free[slice(*rows), slice(*columns)] = True  # though a known part may reach over some of the bar
+    free[slice(*rows), slice(*columns)] = True  # even if a known part covers some of the bar
     wide = reach(free[slice(*rows)].mean(axis=0), columns)
     high = reach(free[:, slice(*columns)].mean(axis=1), rows)
     first = (wide, reach(free[:, slice(*wide)].mean(axis=1), rows))
@@ -113,21 +113,21 @@ def _around(
     area = area_of(box, face)
     level = bar.width > bar.height
     share = bar.width / area.width if level else bar.height / area.height
-    least = LEAST_PART if level else LEAST_DOOR
+    least = MIN_PART_SIDE if level else MIN_DOOR_SIDE
     if min(area.width, area.height) < least or share > longest:
         return None
     off = abs(bar.left + bar.right - area.left - area.right) / 2
-    if level and off > CENTERED * area.width:
+    if level and off > MAX_OFF_CENTER * area.width:
         return None
     kind: PartKind = "drawer" if level and area.width > area.height else "door_left"
     odds = tuple((one, 1.0 / len(decode.KINDS)) for one in decode.KINDS)
     said = Part(kind, box, SCORE, None, odds)
-    return replace(decode.told(said, opening(kind, area, bar)), handle=fractions(bar, face))
+    return replace(decode.with_kind(said, opening(kind, area, bar)), handle=fractions(bar, face))
 
 
 def reach(share: np.ndarray, start: tuple[int, int]) -> tuple[int, int]:
-    """How far a stretch of pixels can be widened until too few of a row or column are free."""
-    blocked = np.flatnonzero(share < 1.0 - HIDDEN)
+    """Extend a stretch of pixels until too few of a row or column are free."""
+    blocked = np.flatnonzero(share < 1.0 - MAX_BLOCKED)
     before, behind = blocked[blocked < start[0]], blocked[blocked >= start[1]]
     return (
         int(before[-1]) + 1 if len(before) else 0,

@@ -1,4 +1,4 @@
-"""What the height map of a face shows: surfaces, and bars that stand out of them.
+"""Measure surfaces, and bars that protrude from them, in the height map of a face.
 
 Areas are in meters from the face's lower left corner, x to the right and z up.
 """
@@ -17,16 +17,16 @@ from momapos.model.records import FaceImage
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FEWEST = 12
-"""Measured pixels that a median needs [-]."""
-BROKEN = 0.06
-"""Pieces of a bar are one where noise breaks it by less than this [m]."""
-FILLED = 0.3
-"""And where they make up more than this share of it: specks in line are no bar [-]."""
+MIN_PIXELS = 12
+"""Measured pixels needed for a median [-]."""
+MAX_BAR_GAP = 0.06
+"""Pieces of a bar are merged over smaller gaps [m]."""
+MIN_FILLED = 0.3
+"""Share of a merged bar that its pieces cover: specks in line are no bar [-]."""
 
-FRAYED, APART = 0.015, 0.05
-"""Where a face ends, and what lies beyond is before or behind it by the second or not measured, its
-edge frays: what stands out there and is thinner than the first is noise [m]."""
+EDGE_NOISE, EDGE_STEP = 0.015, 0.05
+"""At the end of a face, where the surface beyond is unmeasured or off by the second, protrusions
+thinner than the first are noise [m]."""
 
 
 @dataclass(frozen=True)
@@ -40,20 +40,20 @@ class Area:
 
     @property
     def width(self) -> float:
-        """Size along x [m]."""
+        """Extent along x [m]."""
         return self.right - self.left
 
     @property
     def height(self) -> float:
-        """Size along z [m]."""
+        """Extent along z [m]."""
         return self.top - self.bottom
 
     def turned(self) -> Area:
-        """With x and z in each other's place."""
+        """Return the area with x and z exchanged."""
         return Area(self.bottom, self.left, self.top, self.right)
 
     def within(self, other: Area, margin: float = 0.0) -> Area | None:
-        """What of it lies inside another and off its edges by a margin [m]; None if nothing."""
+        """Return the part inside another area shrunk by a margin [m]; None if empty."""
         low_x, low_z = other.left + margin, other.bottom + margin
         high_x, high_z = other.right - margin, other.top - margin
         area = Area(
@@ -65,18 +65,18 @@ class Area:
         return area if area.width > 0 and area.height > 0 else None
 
     def share_in(self, other: Area) -> float:
-        """How much of it lies inside another [-]."""
+        """Return the share of the area that lies inside another [-]."""
         inside = self.within(other)
         return 0.0 if inside is None else inside.width * inside.height / (self.width * self.height)
 
     def stands_on(self, other: Area) -> bool:
-        """Whether another area adjoins it from below."""
+        """Check whether another area adjoins it from below."""
         beside = self.left < other.right and other.left < self.right
         return beside and other.top == self.bottom
 
 
 def area_of(box: tuple[float, float, float, float], face: FaceImage) -> Area:
-    """The part of a face that (left, top, right, bottom) as fractions of it name."""
+    """Return the area of a face given by (left, top, right, bottom) as fractions."""
     left, top, right, bottom = np.clip(box, 0.0, 1.0).tolist()
     (left, right), (top, bottom) = sorted((left, right)), sorted((top, bottom))
     w, h = face.width, face.height
@@ -84,7 +84,7 @@ def area_of(box: tuple[float, float, float, float], face: FaceImage) -> Area:
 
 
 def heights_in(face: FaceImage, area: Area, without: Area | None = None) -> Float[np.ndarray, " k"]:
-    """The measured height map [m] inside an area, but for what lies in another."""
+    """Return the measured heights [m] inside an area, without those in another."""
     rows, columns = pixels(face, area)
     height_map = np.array(face.height_map[rows, columns], float)
     if without is not None:
@@ -98,7 +98,7 @@ def heights_in(face: FaceImage, area: Area, without: Area | None = None) -> Floa
 
 
 def pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
-    """Rows and columns of an area; a pixel belongs to it when its center does."""
+    """Return the rows and columns of an area; a pixel belongs to it if its center does."""
     h, w = face.height_map.shape
     x = np.array([area.left, area.right]) / face.width * w
     y = (1 - np.array([area.top, area.bottom]) / face.height) * h
@@ -111,18 +111,18 @@ def pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
 def bars(
     face: FaceImage, part: Area, out: float, least: float, thickest: float
 ) -> tuple[Area, ...]:
-    """The bars that stand out of a part in the height map, the longest first.
+    """Return the bars that protrude from a part in the height map, the longest first.
 
     Args:
         face: The face.
-        part: Where to look.
-        out: Bars stand out of the part by this at least [m].
-        least: And are this long at least, and at least twice as long as thick [m].
-        thickest: And at most this thick [m].
+        part: Where to search.
+        out: Minimum protrusion [m].
+        least: Minimum length [m]; bars are also at least twice as long as thick.
+        thickest: Maximum thickness [m].
     """
     rows, columns = pixels(face, part)
     height_map = np.array(face.height_map[rows, columns], float)
-    if np.isfinite(height_map).sum() < FEWEST:
+    if np.isfinite(height_map).sum() < MIN_PIXELS:
         return ()
     plane = float(np.nanmedian(height_map))
     stands = height_map > plane + out  # NaN compares as false
@@ -138,33 +138,38 @@ def bars(
         for down, across in ndimage.find_objects(label, count)
     ]
     turned = [piece.turned() for piece in pieces]
-    found = [bar for bar in _joined(pieces, thickest) if bar.height > bar.width]
-    found += [bar.turned() for bar in _joined(turned, thickest) if bar.height >= bar.width]
+    found = [bar for bar in _merged(pieces, thickest) if bar.height > bar.width]
+    found += [bar.turned() for bar in _merged(turned, thickest) if bar.height >= bar.width]
     sides = [sorted((area.width, area.height)) for area in found]
     bars = [
         (length, area)
         for (thick, length), area in zip(sides, found, strict=True)
         if length >= max(least, 2 * thick)
         and thick <= thickest
-        and not (thick < FRAYED and _at_an_end(face, area, plane))
+        and not (thick < EDGE_NOISE and _at_an_end(face, area, plane))
     ]
     return tuple(area for _, area in sorted(bars, key=lambda bar: -bar[0]))
 
 
 def _at_an_end(face: FaceImage, bar: Area, plane: float) -> bool:
-    """Whether a face ends along a side of a bar: beyond it little is near its plane [m]."""
+    """Check whether a face ends along a side of a bar: little beyond is near its plane [m]."""
     upright = bar.height > bar.width
     along = bar if upright else bar.turned()
-    for left, right in ((along.left - FRAYED, along.left), (along.right, along.right + FRAYED)):
+    for left, right in (
+        (along.left - EDGE_NOISE, along.left),
+        (along.right, along.right + EDGE_NOISE),
+    ):
         strip = Area(left, along.bottom, right, along.top)
         beyond = face.height_map[pixels(face, strip if upright else strip.turned())]
-        if beyond.size and (np.abs(beyond - plane) < APART).mean() < 0.5:  # NaN compares as false
+        if (
+            beyond.size and (np.abs(beyond - plane) < EDGE_STEP).mean() < 0.5
+        ):  # NaN compares as false
             return True
     return False
 
 
-def _joined(pieces: Sequence[Area], thickest: float) -> list[Area]:
-    """Upright bars, of which noise may have broken some; others stay as they are."""
+def _merged(pieces: Sequence[Area], thickest: float) -> list[Area]:
+    """Merge pieces of upright bars that noise broke; other pieces stay as they are."""
     whole: list[tuple[Area, float]] = []
     for piece in sorted(pieces, key=lambda piece: piece.bottom):
         for k, (below, filled) in enumerate(whole):
@@ -175,34 +180,33 @@ def _joined(pieces: Sequence[Area], thickest: float) -> list[Area]:
                 max(piece.top, below.top),
             )
             beside = piece.left < below.right and below.left < piece.right
-            near = beside and piece.bottom - below.top < BROKEN
+            near = beside and piece.bottom - below.top < MAX_BAR_GAP
             if near and both.width <= thickest:
                 whole[k] = (both, filled + piece.height)
                 break
         else:
             whole.append((piece, piece.height))
-    return [area for area, filled in whole if filled > FILLED * area.height]
+    return [area for area, filled in whole if filled > MIN_FILLED * area.height]
 
 
 def is_flat(face: FaceImage, part: Area, handle: Area, least: float) -> bool:
-    """Whether what was taken for a handle of a part was measured to stand out by less [m]: a sign,
-    a label, a lock."""
+    """Check whether a presumed handle was measured to be flatter [m]: a sign, label or lock."""
     inside = handle.within(part)
     out = None if inside is None else stands_out(face, part, inside)
     return out is not None and out < least
 
 
 def stands_out(face: FaceImage, part: Area, handle: Area) -> float | None:
-    """How far a handle that lies within a part stands out of what is around it [m].
+    """Return how far a handle protrudes beyond its surroundings on a part [m].
 
-    Its rectangle holds some of the part behind it, so its upper quartile counts. None where too
-    little of it was measured.
+    Its rectangle contains some of the part behind it, so the upper quartile is used. None if too
+    little was measured.
     """
     side = 0.02 + max(min(handle.width, handle.height), 0.0)
     around = Area(handle.left - side, handle.bottom - side, handle.right + side, handle.top + side)
     ring = around.within(part)
     assert ring is not None
     inside, beside = heights_in(face, handle), heights_in(face, ring, without=handle)
-    if min(len(inside), len(beside)) < FEWEST:
+    if min(len(inside), len(beside)) < MIN_PIXELS:
         return None
     return float(np.percentile(inside, 75) - np.median(beside))

@@ -1,14 +1,14 @@
-"""A hollow body with doors and drawers, made to fit a box and the parts seen on one side of it.
+"""Build a hollow body with doors and drawers that fits a box and the parts seen on one side.
 
-Frame of a piece: origin in the center of the box, x right, y to the back, z up, as seen from in
-front of the side with the parts.
+Frame of a piece: origin in the center of the box, x right, y to the back, z up, as seen from the
+front, the side with the parts.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,67 +22,40 @@ from momapos.model.scene.library import (
     FurniturePart,
     Piece,
     bar_handle,
-    ending_before_hits,
+    limit_joints_before_hits,
     solid,
     vec,
 )
 
-from .alignment import AlignedHandle, AlignedPart, AlignmentConfig, align, front_of
+from .alignment import AlignedHandle, AlignedPart, align, front_of
 from .height_maps import Area
+from .model_config import ModelConfig
 from .part_motions import Beside, Motions
 
-KNOB = 2.0
-"""A handle less elongated than this is a knob, without a gap behind it [-]."""
-MISFIT = 0.02
-"""A face may differ in size from the side of the box that it shows by this [m]."""
+MIN_BAR_ASPECT = 2.0
+"""A less elongated handle is a knob, without a gap behind it [-]."""
+MAX_SIZE_DIFFERENCE = 0.02
+"""Between a face and the side of the box that it shows [m]."""
 UNMEASURED = 0.5
-"""Confidence of a handle that images alone show [-]."""
+"""Confidence of a handle without depth [-]."""
 FINGER_GAP = 0.01
-"""Between a bar and the front behind it, where the handle stands out enough [m]."""
-
-
-@dataclass(frozen=True)
-class ModelConfig:
-    """What cannot be seen of furniture."""
-
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    """How the parts are fitted onto the face."""
-    panel: float = 0.018
-    """Thickness of the body's walls [m]."""
-    thickness: tuple[float, float] = (0.02, 0.06)
-    """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
-    gap: float = 0.002
-    """Between a moving part and what is beside and behind it [m]."""
-    hinge_depth: float = 0.01
-    """How far behind its front a door's hinge lies, about half the thickness of a leaf [m]."""
-    tight_hinge_depth: float = 0.005
-    """The same where another object is beside it: half of the doors that have neighbors turn about
-    their front, half about an axis 1 to 2 cm deep [m]."""
-    passed: float = 0.5
-    """Where that object stands out of the face by more than this share of the door's width, as a
-    wall does, the hinge lies in the front [-]."""
-    turn: float = np.pi / 2
-    """How far doors open [rad]."""
-    travel: float = 0.4
-    """How far drawers open at most [m]."""
-    tray: float = 0.85
-    """Depth of a drawer as a share of the room for it [-]."""
+"""Between a bar and the front behind it, where the handle protrudes enough [m]."""
 
 
 @dataclass(frozen=True)
 class _Layers:
-    """Where the layers of a piece lie, along y [m]."""
+    """Positions of the layers of a piece along y [m]."""
 
     face: float
-    """The plane that height map counts from."""
+    """Plane that the height map refers to."""
     opening: float
-    """Front of the walls; doors lie before it."""
+    """Front of the walls; doors lie in front of it."""
     back: float
     """Rear of the piece."""
     wall: float
     """Thickness of the walls."""
     shallow: float
-    """What heights and doors are scaled by, so that they fit into the front of a thin box [-]."""
+    """Scale of heights and doors, so that they fit into the front of a thin box [-]."""
 
 
 def furniture_model(
@@ -94,25 +67,25 @@ def furniture_model(
     *,
     beside: Beside = (np.inf, np.inf),
 ) -> Piece:
-    """Make the model of one object: its box, hollow, with doors and drawers that open.
+    """Build the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door turns about an axis behind its front (`ModelConfig.hinge_depth`), as real ones do, mostly
-    by 1 to 2 cm, in fridges by 2 to 8; less deep where another object is beside its hinge, and in
-    its front beside a wall. Where anything is beside it, it stays within its own width as
-    it opens. Every joint ends before its part would hit the rest of the piece.
+    A door turns about an axis behind its front (`ModelConfig.hinge_depth`), as real doors do: most
+    by 1 to 2 cm, fridges by 2 to 8 cm. The axis is less deep if another object is next to the
+    hinge, and in the front next to a wall. With a neighbor, a door stays within its own width as it
+    opens. Every joint ends before its part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.
-        facing: Yaw of the outward normal of the box's front [rad]; the nearest side is taken.
+        facing: Yaw of the outward normal of the box's front [rad]; the nearest side is used.
         face: That side, seen straight on.
         parts: The doors and drawers on it.
-        config: What cannot be seen.
-        beside: How far what stands beside the object stands out of the face, left and right as
-            seen from the front [m]; None where nothing does, infinite where that is not known.
+        config: Assumptions about invisible dimensions.
+        beside: Protrusion of the neighbors beyond the face, left and right as seen from the front
+            [m]; None without a neighbor, infinite if unknown.
 
     Returns:
-        The piece; its moving parts are named by what they are, top to bottom and left to right:
-        `door` and `drawer` where there is one, else `door_1`, `door_2`. One box without parts.
+        The piece. Moving parts are named by kind, top to bottom and left to right: `door` and
+        `drawer` if unique, else `door_1`, `door_2`. One solid box without parts.
 
     Raises:
         InputError: The face does not have the size of that side of the box.
@@ -120,10 +93,10 @@ def furniture_model(
     config = config or ModelConfig()
     yaw, size = seen_from(detection.box, facing)
     width, _, height = size
-    if max(abs(face.width - width), abs(face.height - height)) > MISFIT:
+    if max(abs(face.width - width), abs(face.height - height)) > MAX_SIZE_DIFFERENCE:
         raise InputError(
-            f"{detection.name}: the face is {face.width:.2f} x {face.height:.2f} m, but that side "
-            f"of its box {width:.2f} x {height:.2f} m; is it another side?"
+            f"{detection.name}: the face is {face.width:.2f} x {face.height:.2f} m, but this side "
+            f"of the box is {width:.2f} x {height:.2f} m; give the image of the side at `facing`"
         )
     aligned = align(face, parts, config.alignment)
     center = vec(detection.box.center)
@@ -136,15 +109,15 @@ def furniture_model(
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
-    return ending_before_hits(piece, [piece], {"revolute": 0.0, "prismatic": 0.0})
+    return limit_joints_before_hits(piece, [piece], {"revolute": 0.0, "prismatic": 0.0})
 
 
 def seen_from(box: UprightBox, facing: float) -> tuple[float, tuple[float, float, float]]:
-    """Turn a box so that one of its sides is the front.
+    """Return the yaw and size of a box with one of its sides as the front.
 
     Args:
         box: The box.
-        facing: Yaw of the outward normal of that side [rad]; the nearest side is taken.
+        facing: Yaw of the outward normal of that side [rad]; the nearest side is used.
 
     Returns:
         Yaw of the piece [rad], whose front is toward its -y, and its width, depth, height [m].
@@ -156,7 +129,6 @@ def seen_from(box: UprightBox, facing: float) -> tuple[float, tuple[float, float
 
 
 def _names(parts: Sequence[AlignedPart]) -> list[str]:
-    """Name parts by what they are; they are numbered where there are several of one."""
     kinds = ["drawer" if part.kind == "drawer" else "door" for part in parts]
     count, seen = Counter(kinds), Counter[str]()
     names = []
@@ -172,7 +144,7 @@ def _names(parts: Sequence[AlignedPart]) -> list[str]:
 def _layers(
     size: tuple[float, float, float], parts: Sequence[AlignedPart], config: ModelConfig
 ) -> _Layers:
-    """Lay the walls behind the rearmost door."""
+    """Place the walls behind the rearmost door."""
     depth = size[1]
     front = _Layers(-depth / 2, 0.0, depth / 2, min(config.panel, min(size) / 8), 1.0)
     rear = max(sum(_slab(part, front, config)) for part in parts) - front.face
@@ -181,18 +153,18 @@ def _layers(
 
 
 def _slab(part: AlignedPart, layers: _Layers, config: ModelConfig) -> tuple[float, float]:
-    """Where the front of a part lies along y, and its thickness [m]."""
+    """Return the y coordinate of a part's front, and its thickness [m]."""
     thickness = float(np.clip(part.out, *config.thickness))
     return layers.face - part.out * layers.shallow, thickness * layers.shallow
 
 
-# -------------------------------------------------------------------------------------- what stands
+# ------------------------------------------------------------------------------------- fixed parts
 
 
 def _body(
     face: FaceImage, parts: Sequence[AlignedPart], layers: _Layers, config: ModelConfig
 ) -> list[Box]:
-    """Walls around an empty room, a board at each seam, and panels where nothing opens."""
+    """Return the outer walls, a board at each seam, and panels where nothing opens."""
     w, h, wall = face.width, face.height, layers.wall
     whole, inside = Area(0.0, 0.0, w, h), _inside(face, layers)
     shell = {
@@ -215,13 +187,13 @@ def _body(
 
 
 def _inside(face: FaceImage, layers: _Layers) -> Area:
-    """The room between the outer walls, as seen from the front."""
+    """Return the area between the outer walls, as seen from the front."""
     wall = layers.wall
     return Area(wall, wall, face.width - wall, face.height - wall)
 
 
 def _boards(areas: Sequence[Area], inside: Area, wall: float) -> list[Area]:
-    """A board along each edge of an area, one where edges are in line, none in an outer wall."""
+    """Return a board along each edge of the areas, without duplicates and outer walls."""
     boards = []
     upright = [(edge, a.bottom, a.top) for a in areas for edge in (a.left, a.right)]
     for x, low, high in _in_line(upright):
@@ -233,18 +205,18 @@ def _boards(areas: Sequence[Area], inside: Area, wall: float) -> list[Area]:
 
 
 def _in_line(edges: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Join spans (place, start, end) at one place that overlap or touch [m]."""
-    joined: list[tuple[float, float, float]] = []
+    """Merge spans (place, start, end) at one place that overlap or touch [m]."""
+    merged: list[tuple[float, float, float]] = []
     for place, start, end in sorted(edges):
-        if joined and joined[-1][0] == place and start <= joined[-1][2]:
-            joined[-1] = (place, joined[-1][1], max(end, joined[-1][2]))
+        if merged and merged[-1][0] == place and start <= merged[-1][2]:
+            merged[-1] = (place, merged[-1][1], max(end, merged[-1][2]))
         else:
-            joined.append((place, start, end))
-    return joined
+            merged.append((place, start, end))
+    return merged
 
 
 def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
-    """Rectangles that fill what areas leave of the whole; each is as wide as can be."""
+    """Divide the rest of the whole into rectangles, each as wide as possible."""
     x = np.unique([whole.left, whole.right, *(v for a in areas for v in (a.left, a.right))])
     z = np.unique([whole.bottom, whole.top, *(v for a in areas for v in (a.bottom, a.top))])
     free = np.ones((len(z) - 1, len(x) - 1), bool)
@@ -266,7 +238,7 @@ def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
     return [*done, *open_rows.values()]
 
 
-# --------------------------------------------------------------------------------------- what moves
+# ------------------------------------------------------------------------------------ moving parts
 
 
 def _moving(
@@ -278,7 +250,6 @@ def _moving(
     config: ModelConfig,
     beside: Beside,
 ) -> FurniturePart:
-    """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
     tray = config.tray * (layers.back - layers.wall - layers.opening)
     motions = Motions(
@@ -301,14 +272,14 @@ def _moving(
 
 
 def _confidence(part: AlignedPart) -> tuple[float, float | None]:
-    """That a part is there and moves as modeled, and that its handle is there.
+    """Return the confidence that a part exists and moves as modeled, and that its handle exists.
 
-    A handle that depth does not show may be a shadow or a print.
+    A handle without depth may be a shadow or a print.
     """
-    likeliest = part.odds[0][1] if part.odds else 1.0
+    most_probable = part.odds[0][1] if part.odds else 1.0
     if part.handle is None:
-        return part.score * likeliest, None
-    return part.score * likeliest, part.score * (1.0 if part.handle.measured else UNMEASURED)
+        return part.score * most_probable, None
+    return part.score * most_probable, part.score * (1.0 if part.handle.measured else UNMEASURED)
 
 
 def _tray(
@@ -320,7 +291,7 @@ def _tray(
     layers: _Layers,
     config: ModelConfig,
 ) -> list[Box]:
-    """The box of a drawer, open above, in the room between the boards around it."""
+    """Return the open box of a drawer, in the space between the boards around it."""
     inside, room = _inside(face, layers), area.within(area, layers.wall / 2 + config.gap)
     room = None if room is None else room.within(inside, config.gap)
     if room is None:
@@ -336,10 +307,10 @@ def _tray(
 
 
 def _handle(name: str, handle: AlignedHandle, front: float, face: FaceImage) -> tuple[Box, ...]:
-    """A bar on posts, or a knob where it is about as long as thick."""
+    """Return a bar on posts, or a knob if the handle is not elongated."""
     area = handle.area
     thick, length = sorted((area.width, area.height))
-    if length < KNOB * thick:
+    if length < MIN_BAR_ASPECT * thick:
         return (_box(f"{name}_handle_knob", area, front - handle.out, front, face),)
     bar = min(thick, max(handle.out - FINGER_GAP, handle.out / 2))
     x = (area.left + area.right - face.width) / 2
@@ -357,7 +328,7 @@ def _handle(name: str, handle: AlignedHandle, front: float, face: FaceImage) -> 
 
 
 def _box(name: str, area: Area, front: float, rear: float, face: FaceImage) -> Box:
-    """A box from an area of the face and a span along y [m], in the frame of the piece."""
+    """Return a box from an area of the face and a span along y [m], in the frame of the piece."""
     x, z = face.width / 2, face.height / 2
     low, high = (area.left - x, front, area.bottom - z), (area.right - x, rear, area.top - z)
     return Box(name, vec(low), vec(high))

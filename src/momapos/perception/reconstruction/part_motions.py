@@ -1,58 +1,54 @@
-"""How a part of a front may move: hinges at its four edges, and a slide."""
+"""Compute the joints that a part of a front may have: hinges at its four edges, and a slide."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from momapos.model.records import FaceImage, Hypothesis, PartKind
 from momapos.model.scene.library import JointMotion, Vec, vec
 
 from .alignment import front_of
 from .height_maps import Area
-
-if TYPE_CHECKING:
-    from .object_model import ModelConfig
+from .model_config import ModelConfig
 
 STRIP = 0.03
-"""So wide is what is looked at beside a hinge [m]."""
-LEAST = 0.005
-"""What is less probable is no hypothesis [-]."""
+"""Width of the strip next to a hinge in which the height map is read [m]."""
+MIN_PROBABILITY = 0.005
+"""Less probable kinds are not hypotheses [-]."""
 Beside = tuple[float | None, float | None]
-"""How far the neighbors of an object stand out of its face, left and right [m]; None: nothing."""
+"""Protrusion of an object's neighbors beyond its face, left and right [m]; None: no neighbor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """One part, and how it would move as any kind of part."""
+    """The motions that one part would have as any kind of part."""
 
     area: Area
-    """On the face, to the middle of its gaps."""
+    """Area on the face, up to the middle of its gaps."""
     out: float
-    """How far its front stands out of the face [m]."""
+    """Protrusion of its front beyond the face [m]."""
     front: float
-    """The y coordinate of its front, in the frame of the piece [m]."""
+    """y coordinate of its front, in the frame of the piece [m]."""
     thickness: float
-    """Of its leaf [m]."""
+    """Thickness of its leaf [m]."""
     face: FaceImage
     config: ModelConfig
     travel: float
-    """How far it would slide [m]."""
+    """Range of its slide [m]."""
     beside: Beside
-    """How far what stands beside the object stands out of the face [m], left and right as seen
-    from the front; None where nothing does."""
+    """Protrusion of the object's neighbors beyond the face, left and right as seen from the front
+    [m]; None without a neighbor."""
     below: bool = False
     """Whether another part adjoins from below."""
 
     def is_free(self, kind: PartKind) -> bool:
-        """Whether the hinge of a kind of part has nothing beside it."""
+        """Check whether the hinge of a kind of part has no neighbor."""
         if kind == "door_down":
             return not self.below  # a plinth lies farther back
         return self._at_rim(kind) and not self._is_tight(kind)
 
     def _at_rim(self, kind: PartKind) -> bool:
-        """Whether the hinge of a kind of part is at the rim of the face."""
         at_rim = {
             "door_left": self.area.left <= 0.0,
             "door_right": self.area.right >= self.face.width,
@@ -61,15 +57,14 @@ class Motions:
         return at_rim.get(kind, False)
 
     def _is_tight(self, kind: PartKind) -> bool:
-        """Whether another object is beside the hinge of a kind of part."""
+        """Check whether another object is next to the hinge of a kind of part."""
         return self._at_rim(kind) and self._neighbor(kind) is not None
 
     def _neighbor(self, kind: PartKind) -> float | None:
-        """How far what stands beside the object at a hinge stands out of the face [m]."""
         return {"door_left": self.beside[0], "door_right": self.beside[1]}.get(kind)
 
     def depth(self, kind: PartKind) -> float:
-        """How far behind the front the hinge of a kind of part lies [m]."""
+        """Return how far behind the front the hinge of a kind of part lies [m]."""
         config, depth = self.config, self.config.hinge_depth
         if self._is_tight(kind):
             past = (self._neighbor(kind) or 0.0) - self.out
@@ -77,7 +72,7 @@ class Motions:
         return min(depth, self.thickness)
 
     def of(self, kind: PartKind) -> JointMotion:
-        """The joint of a kind of part; all open with a positive value."""
+        """Return the joint of a kind of part; all open with a positive value."""
         if kind == "drawer":
             return JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), self.travel)
         gap = self.config.gap
@@ -95,12 +90,12 @@ class Motions:
         return JointMotion("revolute", vec(pivot), axis, self.config.turn)
 
     def leaf(self, kind: PartKind) -> Area:
-        """The front of a kind of part, with gaps around it.
+        """Return the front of a kind of part, with gaps around it.
 
         The rear edge of a door swings out beyond its width, so the gap opposite the hinge is wider.
-        The leaf begins at its axis, so that it does not swing into what is behind; where something
-        is beside it, as far from the axis as that lies behind what is beside, so that it stays
-        within its width until it has passed that.
+        The leaf starts at its axis, so that it does not swing into what is behind. With a neighbor
+        it starts as far from the axis as the axis lies behind the neighbor's front, so that it
+        stays within its width until it has passed the neighbor.
         """
         area = self.area.within(self.area, self.config.gap)
         assert area is not None
@@ -108,8 +103,8 @@ class Motions:
             return area
         width = area.width if kind in ("door_left", "door_right") else area.height
         swing = (self.thickness - self.depth(kind)) ** 2 / (2 * width)
-        clear = self.is_free(kind) and kind != "door_down"  # below are a plinth or the floor
-        behind = 0.0 if clear else self.depth(kind) + self._beside(kind)
+        clear = self.is_free(kind) and kind != "door_down"  # a plinth or the floor is below
+        behind = 0.0 if clear else self.depth(kind) + self._surroundings(kind)
         cut = min(behind, width / 4)
         return {
             "door_left": replace(area, left=area.left + cut, right=area.right - swing),
@@ -119,10 +114,10 @@ class Motions:
         }[kind]
 
     def recess(self, kind: PartKind) -> tuple[Area | None, Area]:
-        """The strip of a leaf at its hinge that lies behind the rest, and that rest.
+        """Split a leaf into the recessed strip at its hinge, if there is one, and the rest.
 
-        At a right angle the front of a leaf is as far beside its axis as that lies behind it, so
-        what passes an object that stands out of the face is set back by that depth.
+        At 90 degrees, the front of a leaf is as far beside its axis as it is in front of it when
+        closed. So the strip that passes a protruding neighbor is set back by the depth of the axis.
         """
         leaf, depth = self.leaf(kind), self.depth(kind)
         out = (self._neighbor(kind) or 0.0) - self.out if self._is_tight(kind) else 0.0
@@ -135,8 +130,8 @@ class Motions:
         edge = self.area.right - past
         return replace(leaf, left=edge), replace(leaf, right=edge)
 
-    def _beside(self, kind: PartKind) -> float:
-        """How far what is beside a hinge stands out of the part's front [m]."""
+    def _surroundings(self, kind: PartKind) -> float:
+        """Return how far the area next to a hinge protrudes beyond the part's front [m]."""
         area, face, config = self.area, self.face, self.config
         strip = {
             "door_left": replace(area, left=area.left - STRIP, right=area.left),
@@ -150,12 +145,12 @@ class Motions:
         return max(0.0, out - self.out) + (config.gap if out > self.out else 0.0)
 
     def hypotheses(self, odds: Sequence[tuple[PartKind, float]]) -> tuple[Hypothesis, ...]:
-        """All probable ways in which the part may move, the likeliest first.
+        """Return all probable motions of the part, the most probable first.
 
         Args:
-            odds: Kinds with their probabilities, the likeliest first.
+            odds: Kinds with their probabilities, the most probable first.
         """
-        kept = [(kind, share) for kind, share in odds if share >= LEAST]
+        kept = [(kind, share) for kind, share in odds if share >= MIN_PROBABILITY]
         total = sum(share for _, share in kept)
         found = []
         for kind, share in kept:

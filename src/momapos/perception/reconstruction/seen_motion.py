@@ -1,4 +1,4 @@
-"""How a part moved between two scans of a room: from where its front was to where it is.
+"""Estimate how parts moved between two scans of a room.
 
 Everything is in the frame of the piece of furniture: x right, y to the back, z up.
 """
@@ -13,13 +13,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from momapos.core.geometry import apply, invert, pose, rotation_about
-from momapos.model.records import Cloud, Hypothesis, PartKind
+from momapos.model.records import UP, Cloud, Hypothesis, PartKind
 from momapos.model.scene.library import FurniturePart, JointMotion, Piece, Vec, vec
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-UP = np.array([0.0, 0.0, 1.0])
 FRONT = np.array([0.0, -1.0, 0.0])
 AXES: dict[PartKind, Vec] = {
     "door_left": (0.0, 0.0, -1.0),
@@ -28,9 +27,9 @@ AXES: dict[PartKind, Vec] = {
     "door_up": (-1.0, 0.0, 0.0),
     "drawer": (0.0, -1.0, 0.0),
 }
-"""About or along what a kind of part opens with a positive value."""
+"""Axis of a kind of part, about or along which it opens with a positive value."""
 FREE = {"door_left": 1.0, "door_right": -1.0, "door_down": 1.0, "door_up": -1.0}
-"""Toward which side, right or up, the edge lies that is opposite to the hinge."""
+"""Side of the edge opposite to the hinge: +1 right or up, -1 left or down."""
 
 
 @dataclass(frozen=True)
@@ -38,68 +37,68 @@ class SeenMotionConfig:
     """How parts that moved are found."""
 
     near: float = 0.03
-    """A surface is where another was when it is this near [m]."""
+    """Surfaces this close to each other are the same [m]."""
     gone: float = 0.3
-    """A part may have moved when so much of its front is not where it was [-]; a drawer shows its
-    tray there."""
+    """Share of a part's front that must be absent after it moved [-]; a drawer shows its tray
+    there."""
     fewest: int = 40
-    """Points of a front that are needed to tell [-]."""
+    """Minimum number of points of a front [-]."""
     support: float = 0.5
-    """And when so much of it is found elsewhere [-]."""
+    """Share of the front that must be found elsewhere [-]."""
     turns: tuple[float, float, float] = (np.radians(10.0), np.radians(130.0), np.radians(5.0))
-    """Turns that are tried: from, to, in steps of [rad]."""
+    """Candidate angles of doors: from, to, step [rad]."""
     slides: tuple[float, float, float] = (0.04, 0.7, 0.02)
-    """Ways of drawers likewise [m]."""
+    """Candidate displacements of drawers: from, to, step [m]."""
     facing: float = 0.9
     """Cosine between the normals of one surface before and after [-]."""
     straight: float = 0.95
-    """The same for the fit, which shall hold nothing that did not move [-]."""
+    """The same for the fit, which must not include static surfaces [-]."""
     margin: float = 0.06
-    """How far what belongs to the front lies beyond where it is expected [m]."""
+    """Points this far beyond the expected edges of the front may belong to it [m]."""
     layer: float = 0.04
-    """How far before or behind [m]."""
+    """Points this far in front of or behind it may belong to it [m]."""
     edge_error: float = 0.008
-    """How far off an edge is found [m]."""
+    """Standard error of an observed edge [m]."""
     axis_error: float = 0.015
-    """And an axis believed [m]."""
+    """Standard error of an assumed axis [m]."""
     rounds: int = 6
-    """Steps of the fit [-]."""
+    """Iterations of the fit [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """The front or the inside of a shut part."""
+    """The front or the inside of a closed part."""
 
     points: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "3"]
     free_end: float
-    """Where the edge opposite to the hinge is, along the front [m]."""
+    """Coordinate of the edge opposite to the hinge, along the front [m]."""
 
 
 @dataclass(frozen=True)
 class SeenMotion:
-    """A part that stands elsewhere in the second scan, or stands open in the only one."""
+    """The motion of a part that the second scan shows moved, or the only scan shows open."""
 
     kind: PartKind
     motion: JointMotion
     value: float
-    """How far it is open there [rad] or [m]."""
+    """How far it is open [rad] or [m]."""
 
 
 def moved_piece(
     piece: Piece, before: Cloud, after: Cloud, config: SeenMotionConfig | None = None
 ) -> tuple[Piece, dict[str, SeenMotion]]:
-    """Give the parts of a piece that moved between two scans the joints that these show.
+    """Replace the joints of parts that moved between two scans by the observed ones.
 
     Args:
-        piece: The furniture as modeled from the first scan, its parts shut.
+        piece: The furniture as modeled from the first scan, with its parts closed.
         before: The first scan.
-        after: The second one, in the same frame.
+        after: The second scan, in the same frame.
         config: Constants.
 
     Returns:
-        The piece with these joints, its parts where the second scan shows them; and what was seen
-        of each part that moved, by its name.
+        The piece with these joints and its parts as in the second scan; and the observed motion of
+        each part that moved, by its name.
     """
     config = config or SeenMotionConfig()
     T = invert(pose(piece.xyz, rotation_about(UP, np.array(piece.yaw))))
@@ -107,7 +106,7 @@ def moved_piece(
         np.linalg.norm([box.high for part in piece.parts for box in part.boxes], axis=1).max()
     )
     there = [_local(cloud, T, 2.0 * reach + config.slides[1]) for cloud in (before, after)]
-    new = _elsewhere(there[1], there[0], config.near)
+    new = _only_in(there[1], there[0], config.near)
     parts, seen = [], {}
     for part in piece.parts:
         found = None
@@ -115,25 +114,24 @@ def moved_piece(
             found = _moved(part, there[0], there[1], new, config)
         if found is not None:
             seen[part.name] = found
-        parts.append(part if found is None else as_seen(part, found))
+        parts.append(part if found is None else with_observed_joint(part, found))
     return replace(piece, parts=tuple(parts)), seen
 
 
-def as_seen(part: FurniturePart, seen: SeenMotion) -> FurniturePart:
-    """The part with a joint that is known, as open as it was seen; a leaf alone where what was
-    modeled slides and it turns, or the other way round."""
+def with_observed_joint(part: FurniturePart, seen: SeenMotion) -> FurniturePart:
+    """Return a part with its observed joint, as open as observed. If the modeled joint is of
+    another type, only the leaf remains."""
     assert part.motion is not None
     same = part.motion.kind == seen.motion.kind
     motion = replace(seen.motion, upper=max(part.motion.upper if same else 0.0, seen.value))
-    way = Hypothesis(seen.kind, 1.0, motion.pivot, motion.axis, motion.upper)
+    only = Hypothesis(seen.kind, 1.0, motion.pivot, motion.axis, motion.upper)
     boxes = part.boxes if same else part.boxes[:1]
-    return replace(part, boxes=boxes, motion=motion, hypotheses=(way,), value=seen.value)
+    return replace(part, boxes=boxes, motion=motion, hypotheses=(only,), value=seen.value)
 
 
 def _moved(
     part: FurniturePart, before: Cloud, after: Cloud, new: Cloud, config: SeenMotionConfig
 ) -> SeenMotion | None:
-    """How a part moved; None where it is where it was, or is not found elsewhere."""
     assert part.motion is not None
     leaf = part.boxes[0]
     low, high = np.array(leaf.low), np.array(leaf.high)
@@ -153,7 +151,7 @@ def _moved(
         edge = _edge(kind, low, high)
         end = _free_end(kind, low, high)
         for side in (Side(front, FRONT, end), Side(inside, -FRONT, end)):
-            value = _roughly(kind, edge, side, tree, new, config)
+            value = _best_candidate(kind, edge, side, tree, new, config)
             fitted = _fitted(kind, side, after, _transform(kind, edge, axis, value), config)
             if fitted is None:
                 continue
@@ -161,7 +159,7 @@ def _moved(
             if share < best:
                 continue
             pivot = np.array(part.motion.pivot if part.motion.axis == axis else edge)
-            if side.normal @ FRONT > 0.0:  # an inside is as far from the front as a leaf is thick
+            if side.normal @ FRONT > 0.0:  # the inside's offset depends on the leaf's thickness
                 pivot += _trust(kind, fitted[1], config) * (fitted[0] - pivot)
             name: Literal["prismatic", "revolute"] = "prismatic" if kind == "drawer" else "revolute"
             best = share
@@ -169,7 +167,7 @@ def _moved(
     return seen
 
 
-def _roughly(
+def _best_candidate(
     kind: PartKind,
     edge: Float[np.ndarray, "3"],
     side: Side,
@@ -177,7 +175,7 @@ def _roughly(
     new: Cloud,
     config: SeenMotionConfig,
 ) -> float:
-    """How far a part would be open if it were of a kind: where most of it is found."""
+    """Return the candidate value of a kind at which most of the part is found."""
     values = np.arange(*(config.slides if kind == "drawer" else config.turns))
     shares = [
         _support(tree, new, side, _transform(kind, edge, AXES[kind], v), config) for v in values
@@ -186,7 +184,7 @@ def _roughly(
 
 
 def _trust(kind: PartKind, value: float, config: SeenMotionConfig) -> float:
-    """Weight of the axis as seen against the one as believed: a small turn shows little [-]."""
+    """Return the weight of the observed against the assumed axis: small angles are imprecise."""
     if kind == "drawer":
         return 1.0
     seen = config.edge_error / (2.0 * np.sin(value / 2.0))
@@ -196,7 +194,7 @@ def _trust(kind: PartKind, value: float, config: SeenMotionConfig) -> float:
 def _edge(
     kind: PartKind, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """A point on the edge of a front about which a kind of part turns, about where."""
+    """Return a point on the edge of a front at which a kind of part has its hinge."""
     return {
         "door_left": np.array([low[0], low[1], 0.0]),
         "door_right": np.array([high[0], low[1], 0.0]),
@@ -207,7 +205,7 @@ def _edge(
 
 
 def _free_end(kind: PartKind, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> float:
-    """Where the edge of a front is that is opposite to the hinge, along the front [m]."""
+    """Return the coordinate of the edge opposite to the hinge, along the front [m]."""
     axis = 2 if kind in ("door_down", "door_up") else 0
     return float((high if FREE.get(kind, 1.0) > 0.0 else low)[axis])
 
@@ -215,7 +213,7 @@ def _free_end(kind: PartKind, low: Float[np.ndarray, "3"], high: Float[np.ndarra
 def _transform(
     kind: PartKind, pivot: Float[np.ndarray, "3"], axis: Sequence[float], value: float
 ) -> Float[np.ndarray, "4 4"]:
-    """How a part moves when it opens by a value [rad] or [m]."""
+    """Return the transform of a part that is open by a value [rad] or [m]."""
     if kind == "drawer":
         return pose(value * np.array(axis))
     R = rotation_about(np.array(axis), np.array(value))
@@ -229,7 +227,7 @@ def _support(
     T: Float[np.ndarray, "4 4"],
     config: SeenMotionConfig,
 ) -> float:
-    """Share of a side, moved, that lies on a new surface that faces the same way."""
+    """Return the share of a moved side that lies on a new surface facing the same way."""
     away, index = tree.query(apply(T, side.points), distance_upper_bound=config.near)
     found = np.isfinite(away)
     facing = new.normals[index[found]] @ (T[:3, :3] @ side.normal) > config.facing
@@ -243,10 +241,10 @@ def _fitted(
     T: Float[np.ndarray, "4 4"],
     config: SeenMotionConfig,
 ) -> tuple[Float[np.ndarray, "3"], float] | None:
-    """A point on the axis and the value that bring a side of a part to where it is seen.
+    """Fit a point on the axis and the value that move a side of a part to where it is observed.
 
-    The side's plane after the motion gives the turn and one shift, its free edge the other shift;
-    the axis of a turn is what stays where it is.
+    The side's plane gives the angle and one translation, its free edge the other translation; the
+    axis is the fixed point.
     """
     axis, front = np.array(AXES[kind]), side.points
     slides = kind == "drawer"
@@ -273,7 +271,7 @@ def _fitted(
         first = np.stack([front @ u, front @ v], axis=1) @ R2.T
         along = R2 @ np.array([FREE[kind], 0.0])
         half, most = np.percentile(flat @ along, (50.0, 95.0))
-        # Points lie evenly on a leaf, but for its very edge, which depth images blur.
+        # Points are evenly distributed on a leaf, but depth images blur its edge.
         ends = FREE[kind] * side.free_end, most + (most - half) * (5.0 / 45.0)
         depth = [np.median(points @ n) for points in (first, flat)]
         shift = (ends[1] - ends[0]) * along + (depth[1] - depth[0]) * n
@@ -289,7 +287,7 @@ def _fitted(
 
 
 def _across(kind: PartKind) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Two directions across an axis: along the front, and to the back."""
+    """Return two directions across an axis: along the front, and to the back."""
     along = [0.0, 0.0, 1.0] if kind in ("door_down", "door_up") else [1.0, 0.0, 0.0]
     return np.array(along), np.array([0.0, 1.0, 0.0])
 
@@ -297,7 +295,7 @@ def _across(kind: PartKind) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "
 def _normal(
     flat: Float[np.ndarray, "n 2"], about: Float[np.ndarray, "2"]
 ) -> Float[np.ndarray, "2"]:
-    """The normal of a line through points, robust against what stands out of it."""
+    """Fit the normal of a line through points, robustly."""
     kept = flat
     for _ in range(4):
         middle = kept.mean(0)
@@ -309,19 +307,18 @@ def _normal(
 
 
 def _signed_turn(one: Float[np.ndarray, "2"], other: Float[np.ndarray, "2"]) -> float:
-    """Angle from one direction to another [rad]."""
     return float(np.arctan2(one[0] * other[1] - one[1] * other[0], one @ other))
 
 
 def _local(cloud: Cloud, T: Float[np.ndarray, "4 4"], reach: float) -> Cloud:
-    """What of a cloud is near a piece, in its frame."""
+    """Return the part of a cloud near a piece, in its frame."""
     points = apply(T, cloud.points)
     near = np.linalg.norm(points, axis=1) < reach
     return Cloud(points[near], cloud.normals[near] @ T[:3, :3].T, cloud.colors[near])
 
 
-def _elsewhere(cloud: Cloud, other: Cloud, near: float) -> Cloud:
-    """What of a cloud is in no place where another one has something."""
+def _only_in(cloud: Cloud, other: Cloud, near: float) -> Cloud:
+    """Return the points of a cloud that have no neighbor in another one."""
     if not len(cloud.points) or not len(other.points):
         return cloud
     away, _ = cKDTree(other.points).query(cloud.points, distance_upper_bound=near)

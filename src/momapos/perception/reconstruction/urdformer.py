@@ -1,8 +1,8 @@
-"""Parts of a front from URDFormer (Chen et al., 2024), given its weights and part boxes.
+"""Predict parts of a front with URDFormer (Chen et al., 2024), given its weights and part boxes.
 
-URDFormer does not find parts. It is told where they are in the image, and says for each box what
-the part is, which part it belongs to, and where it lies on a grid of 13 marks over the front. Its
-frame has x out of the front, y to the right along the width and z up, from the lower left corner.
+URDFormer does not detect parts. It takes their boxes in the image, and returns for each box the
+part's class, its parent, and its place on a grid of 13 marks over the front. Its frame has x out of
+the front, y to the right along the width and z up, from the lower left corner.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 OVEN_HANDLE = (6, 10)
-"""Where the authors put the handle of an oven door, whatever the network says."""
+"""Place of an oven door's handle in the authors' code, whatever the network returns."""
 _ON_BASE, _NOWHERE = -1, -2
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
@@ -46,15 +46,15 @@ _DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The most likely reading of the network's output, one entry for each part box."""
+    """The most probable reading of the network's output, one entry per part box."""
 
     names: tuple[str, ...]
     """Out of PARTS."""
     start: Int[np.ndarray, "n 2"]
-    """Marks along width and height where the part begins, its hinge side first."""
+    """Marks along width and height at the start of the part, its hinge side first."""
     end: Int[np.ndarray, "n 2"]
     parents: Int[np.ndarray, " n"]
-    """Index of the part it sits on; -1 is the base, -2 an empty slot."""
+    """Index of the part it belongs to; -1 is the base, -2 an empty slot."""
     scores: Float[np.ndarray, " n"]
     """Probability of the class, in [0, 1]."""
     base: str
@@ -62,23 +62,23 @@ class Prediction:
 
 
 class UrdformerPredictor:
-    """URDFormer as an `ArticulationPredictor`, on part boxes that come from elsewhere."""
+    """URDFormer as an `ArticulationPredictor`, for part boxes from another source."""
 
     def __init__(
         self, network: Network, boxes: ArticulationPredictor | Float[np.ndarray, "n 4"]
     ) -> None:
-        """Put the network behind a source of part boxes.
+        """Combine the network with a source of part boxes.
 
         Args:
-            network: As `load_urdformer` gives it.
-            boxes: Who finds the parts and handles; or boxes (top, left, height, width) as
-                fractions of the one face that will be asked for, as `read_part_boxes` gives them.
+            network: From `load_urdformer`.
+            boxes: Predictor of parts and handles; or boxes (top, left, height, width) as fractions
+                of the only face, from `read_part_boxes`.
         """
         self.network = network
         self.boxes = boxes
 
     def __call__(self, face: FaceImage, label: str) -> Front:
-        """Read the parts of a face; whether it is a front is left to the source of the boxes."""
+        """Predict the parts of a face; the front score comes from the source of the boxes."""
         score, boxes = self._find(face, label)
         if len(boxes) == 0:
             return Front(score, ())
@@ -95,7 +95,7 @@ class UrdformerPredictor:
         front = self.boxes(face, label)
         boxes = boxes_of(front)
         if len(boxes) > SLOTS:
-            _LOG.warning("%d part boxes; URDFormer gets the best %d", len(boxes), SLOTS)
+            _LOG.warning("%d part boxes; URDFormer uses the best %d", len(boxes), SLOTS)
         return front.score, boxes[:SLOTS]
 
 
@@ -103,7 +103,7 @@ def load_urdformer(path: Path) -> Network:
     """Load the network with the weights that its authors published as `part.pth`.
 
     Raises:
-        FileFormatError: The file cannot be used; the message says why.
+        FileFormatError: The file is not usable.
         MissingExtraError: torch is not installed.
     """
     weights = read_checkpoint(path)
@@ -118,16 +118,16 @@ def load_urdformer(path: Path) -> Network:
         image: Float32[np.ndarray, "3 h w"], boxes: Float32[np.ndarray, "slots 4"]
     ) -> Logits:
         with torch.inference_mode():
-            said = net(torch.from_numpy(image), torch.from_numpy(boxes))
-        return Logits(*(tensor.numpy() for tensor in said))
+            outputs = net(torch.from_numpy(image), torch.from_numpy(boxes))
+        return Logits(*(tensor.numpy() for tensor in outputs))
 
     return network
 
 
 def prepare_image(color: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 224 224"]:
-    """Squeeze an image into the square that the network saw in training.
+    """Resize an image to the square that the network was trained on.
 
-    Sides may change their ratio. Pillow's bicubic filter is the one the authors used.
+    The aspect ratio may change. Pillow's bicubic filter is the one the authors used.
 
     Raises:
         MissingExtraError: Pillow is not installed.
@@ -140,7 +140,7 @@ def prepare_image(color: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 2
 
 
 def boxes_of(front: Front) -> Float[np.ndarray, "n 4"]:
-    """List parts and handles as (top, left, height, width), best parts first."""
+    """Return parts and handles as (top, left, height, width), best parts first."""
     best = sorted(front.parts, key=lambda part: -part.score)
     found = [box for part in best for box in (part.box, part.handle) if box is not None]
     left, top, right, bottom = np.array(found, float).reshape(-1, 4).T
@@ -148,7 +148,7 @@ def boxes_of(front: Front) -> Float[np.ndarray, "n 4"]:
 
 
 def decode(logits: Logits, count: int) -> Prediction:
-    """Take the most likely entry of every output, for the first `count` slots."""
+    """Take the most probable entry of every output, for the first `count` slots."""
     part = logits.part[:count]
     odds = np.exp(part - part.max(axis=-1, keepdims=True))
     relations = logits.parent.shape[-1]
@@ -164,15 +164,15 @@ def decode(logits: Logits, count: int) -> Prediction:
 
 
 def to_parts(prediction: Prediction, boxes_yxhw: Float[np.ndarray, "n 4"]) -> tuple[Part, ...]:
-    """Turn a prediction into parts of the face.
+    """Convert a prediction to parts of the face.
 
-    Doors and drawers lie where the grid says. One that sits on another part, or has no width or
-    height, is left out. A handle or knob goes to the part that the network names, at the mark of
-    *that part's* grid which it names; where it names none, to the smallest part around its box.
-    URDFormer's own handles all have one size; here a handle has the size of its box.
+    Doors and drawers lie on the grid. Parts on other parts, and parts without width or height, are
+    dropped. A handle or knob belongs to the part that the network names, at a mark of *that part's*
+    grid; otherwise to the smallest part around its box. URDFormer's own handles all have one size;
+    here a handle has the size of its box.
 
     Args:
-        prediction: One entry for each box.
+        prediction: One entry per box.
         boxes_yxhw: Top, left, height, width of each box, as fractions of the face.
     """
     parts: dict[int, Part] = {}
@@ -200,13 +200,13 @@ def to_parts(prediction: Prediction, boxes_yxhw: Float[np.ndarray, "n 4"]) -> tu
 
 
 def grid_rectangle(start: Int[np.ndarray, "2"], end: Int[np.ndarray, "2"]) -> Rectangle:
-    """Rectangle between two marks of the grid over the front; heights count from below."""
+    """Return the rectangle between two marks of the front's grid; heights count from below."""
     low, high = np.minimum(start, end) / (STEPS - 1), np.maximum(start, end) / (STEPS - 1)
     return float(low[0]), 1.0 - float(high[1]), float(high[0]), 1.0 - float(low[1])
 
 
 def _handle_center(prediction: Prediction, index: int, part: Part) -> tuple[float, float]:
-    """Find a handle's center on its part: marks along the width count from the hinge."""
+    """Return a handle's center on its part: marks along the width count from the hinge."""
     marks = prediction.start[index]
     if prediction.names[prediction.parents[index]] == "oven_door":
         marks = np.array(OVEN_HANDLE)
@@ -225,7 +225,6 @@ def _center_and_size(
 
 
 def _smallest_around(point: tuple[float, float], parts: Mapping[int, Part]) -> int:
-    """Find the smallest part that holds a point; -2 where none does."""
     x, y = point
     areas = {
         index: (right - left) * (bottom - top)

@@ -1,4 +1,4 @@
-"""Files around URDFormer: the part boxes it is given, and the URDFs its authors' code writes."""
+"""Read files around URDFormer: its part boxes, and the URDFs that its authors' code writes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 BOXES_KEY = "part_boxes_yxhw_normalized"
 MAX_BOXES_BYTES = 1_000_000
 MESH_EDGE = 0.25
-"""Edge of the authors' meshes of doors and drawers, so a scale of 4 fills the base."""
+"""Edge length of the authors' meshes of doors and drawers, so a scale of 4 fills the base."""
 GAP = {"drawer": 0.02, "doorL": 0.01, "doorR": 0.01}
-"""What the authors take off the scale of a part, so that neighbors do not touch."""
+"""Reduction of a part's scale by the authors, so that neighbors do not touch."""
 HANDLE_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
 """Width and height of the authors' meshes, as fractions of a base of scale 1."""
 
@@ -36,7 +36,7 @@ def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
     The file is JSON: `{"part_boxes_yxhw_normalized": [[0.1, 0.2, 0.3, 0.4], ...]}`.
 
     Raises:
-        FileFormatError: The file cannot be used; the message says why.
+        FileFormatError: The file is not usable.
     """
     try:
         content = json.loads(read_text_bounded(path, MAX_BOXES_BYTES))
@@ -44,9 +44,9 @@ def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
         raise FileFormatError(f"{path}: damaged JSON ({error})") from error
     rows = content.get(BOXES_KEY) if isinstance(content, dict) else None
     if not isinstance(rows, list):
-        raise FileFormatError(f"{path}: has no list {BOXES_KEY!r}")
+        raise FileFormatError(f"{path}: {BOXES_KEY!r} must be a list")
     if len(rows) > SLOTS:
-        raise FileFormatError(f"{path}: holds {len(rows)} boxes; URDFormer takes at most {SLOTS}")
+        raise FileFormatError(f"{path}: has {len(rows)} boxes; URDFormer takes at most {SLOTS}")
     for index, row in enumerate(rows):
         if not _is_box(row):
             raise FileFormatError(
@@ -57,21 +57,21 @@ def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
 
 
 def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
-    """Read the parts of a URDF that URDFormer's own code wrote; no mesh is needed.
+    """Read the parts of a URDF written by URDFormer's own code; no mesh is needed.
 
     A part's origin is its lower corner at the hinge, or the upper left one of a door that opens
-    up; its size is in the scale of its mesh. Parts that sit on other parts, handles that sit on
-    none, and what has no width or height are left out. Scores are 1.
+    up; its size is in the scale of its mesh. Parts on other parts, handles on none, and parts
+    without width or height are dropped. Scores are 1.
 
     Raises:
-        UrdfError: The file cannot be used; the message says why.
+        UrdfError: The file is not usable.
     """
     robot = _parse(path)
     meshes = {link.get("name", ""): _mesh(path, link) for link in robot.findall("link")}
     joints = [_joint(path, joint) for joint in robot.findall("joint")]
     roots = meshes.keys() - {child for _, child, _, _ in joints}
     if len(roots) != 1:
-        raise UrdfError(f"{path}: has {len(roots)} root links, not one")
+        raise UrdfError(f"{path}: must have one root link, not {len(roots)}")
     (root,) = roots
     base = np.array(meshes[root][1][1:])
     if not (base > 0.0).all():
@@ -99,7 +99,7 @@ def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
 def _rectangle(
     name: str, origin: Float[np.ndarray, "2"], size: Float[np.ndarray, "2"]
 ) -> Rectangle:
-    """Rectangle of a part as fractions of the face; its origin is at the hinge."""
+    """Return a part's rectangle as fractions of the face; its origin is at the hinge."""
     low, high = origin.copy(), origin + size
     if name == "doorR":
         low[0], high[0] = origin[0] - size[0], origin[0]
@@ -125,7 +125,7 @@ def _is_box(row: object) -> bool:
 def _parse(path: Path) -> Element:
     robot = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
     if robot.tag != "robot" or len(robot) > 2 * MAX_LINKS:
-        raise UrdfError(f"{path}: not a <robot> of at most {MAX_LINKS} links")
+        raise UrdfError(f"{path}: must be a <robot> of at most {MAX_LINKS} links")
     return robot
 
 
@@ -133,13 +133,14 @@ def _mesh(path: Path, link: Element) -> tuple[str, tuple[float, ...]]:
     """Return the name of a link's mesh, which is its class, and its scale."""
     mesh = link.find("visual/geometry/mesh")
     if mesh is None:
-        raise UrdfError(f"{path}: link {link.get('name')!r:.80} has no mesh; is it URDFormer's?")
+        raise UrdfError(
+            f"{path}: link {link.get('name')!r:.80} has no mesh, so URDFormer did not write it"
+        )
     stem = PurePosixPath(mesh.get("filename", "")).stem
     return stem, _three(path, mesh.get("scale", "1 1 1"))
 
 
 def _joint(path: Path, joint: Element) -> tuple[str, str, tuple[float, ...], float]:
-    """Return parent, child, position and roll of a joint."""
     ends = [joint.find("parent"), joint.find("child")]
     origin = joint.find("origin")
     if ends[0] is None or ends[1] is None or origin is None:

@@ -1,4 +1,4 @@
-"""What URDFormer (Chen et al., 2024) takes and says: its classes, its grid, its outputs."""
+"""Inputs and outputs of URDFormer (Chen et al., 2024): its classes, grid and logits."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ Rectangle = tuple[float, float, float, float]
 """Left, top, right, bottom as fractions of the face."""
 
 IMAGE = 224
-"""Edge of the image [px]."""
+"""Edge length of the image [px]."""
 SLOTS = 32
-"""Part boxes of one image; fewer are padded with zeros."""
+"""Part boxes per image; unused ones are zero."""
 STEPS = 13
 """Marks of the grid over the front, from 0/12 to 12/12 of its side."""
 PARTS = (
     "none", "drawer", "doorL", "doorR", "handle", "knob", "washer_door", "doorD", "oven_door",
 )  # fmt: skip
-"""URDFormer's classes of parts, in the order of its output."""
+"""Part classes, in the order of the output."""
 BASES = ("none", "cabinet", "oven", "dishwasher", "washer", "fridge", "oven_fan", "shelf")
-"""Its classes of objects; a microwave is not among them."""
+"""Object classes; a microwave is not among them."""
 KINDS: Mapping[str, PartKind] = {
     "drawer": "drawer",
     "doorL": "door_left",
@@ -34,13 +34,13 @@ KINDS: Mapping[str, PartKind] = {
     "oven_door": "door_down",
     "doorU": "door_up",
 }
-"""What opens, and how. `doorU` is in the authors' files, but not in the network's output."""
+"""How parts of a class open. `doorU` is in the authors' files, but not in the network's output."""
 HANDLES = ("handle", "knob")
-"""What is held; all other classes have no counterpart here."""
+"""Classes of handles; all other classes have no counterpart here."""
 
 
 class Logits(NamedTuple):
-    """What the network says of one image."""
+    """The network's output for one image."""
 
     start: Float[np.ndarray, "slots 3 steps"]
     """Corner of each part along depth, width and height."""
@@ -53,11 +53,11 @@ class Logits(NamedTuple):
 
 
 Network = Callable[[Float32[np.ndarray, "3 h w"], Float32[np.ndarray, "slots 4"]], Logits]
-"""From a prepared image and boxes (top, left, height, width), zeros in unused slots."""
+"""Maps a prepared image and boxes (top, left, height, width), zero in unused slots, to logits."""
 
 
 def around(center: tuple[float, float], size: tuple[float, float], within: Rectangle) -> Rectangle:
-    """Rectangle of this center and size (width, height), cut off at the edges of another."""
+    """Return a rectangle with a center and size (width, height), clipped to another one."""
     (x, y), (width, height) = center, size
     return (
         max(x - width / 2, within[0]),

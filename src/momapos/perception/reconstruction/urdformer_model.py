@@ -1,12 +1,12 @@
-"""The network of URDFormer, in plain torch, for the weights that its authors published.
+"""URDFormer's network in plain torch, for the weights that its authors published.
 
-The layers and their names are those of the authors' network (Chen et al., 2024), so that their
-`part.pth` fits; the code is our own. Three habits of theirs are kept, because the weights were
-trained with them:
+The layers have the names of the authors' network (Chen et al., 2024), so that their `part.pth`
+fits; the code is our own. It reproduces three peculiarities, because the weights were trained with
+them:
 
 - Regions of interest are scaled twice. A box is already in cells of the 14 x 14 map when the
-  pooling divides it by 16 again, so only the first three rows and columns of the map are seen.
-- Boxes hold (top, left, ...) where the pooling expects (left, top, ...), so the map is pooled with
+  pooling divides it by 16 again, so only the first three rows and columns of the map are used.
+- Boxes are (top, left, ...) where the pooling expects (left, top, ...), so the map is pooled with
   its axes exchanged.
 - Empty slots are not masked: attention sees the padding up to 32 boxes.
 
@@ -28,17 +28,16 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 PATCH = 16
-"""Edge of a patch [px]; the map has PICTURE / PATCH cells along an edge."""
+"""Edge length of a patch [px]; the map has IMAGE / PATCH cells along an edge."""
 CELLS = IMAGE // PATCH
 WIDTH_MAP, WIDTH = 384, 512
-"""Channels of the image's map, and of the tokens."""
+"""Channels of the image's map and of the tokens."""
 DEPTH = 12
 RELATIONS = 6
 RELATION_WIDTH = 32
 
 
 def _mlp(*widths: int) -> nn.Sequential:
-    """Stack linear layers with leaky ReLUs between them."""
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):
         layers += [nn.LeakyReLU(), nn.Linear(before, after)]
@@ -46,7 +45,6 @@ def _mlp(*widths: int) -> nn.Sequential:
 
 
 def _by_names(**parts: nn.Module) -> nn.ModuleDict:
-    """Hold layers under the names that the checkpoint has."""
     return nn.ModuleDict(parts)
 
 
@@ -75,7 +73,7 @@ class ImageBlock(nn.Module):
 
 
 class ImageEncoder(nn.Module):
-    """ViT-S/16: an image becomes a map of 14 x 14 cells."""
+    """ViT-S/16: encodes an image as a map of 14 x 14 cells."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,7 +116,7 @@ class Urdformer(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.img_backbone = ImageEncoder()
-        # The checkpoint has it, but no answer depends on it.
+        # In the checkpoint, but without influence on the output.
         self.pe_layer = _by_names(**{f"fc{axis}": nn.Linear(16, WIDTH) for axis in "xywh"})
         self.fc1 = _mlp(WIDTH_MAP, 512, 256, 64)
         self.fc2 = nn.Linear(CELLS**2 * 64, WIDTH)
@@ -140,7 +138,7 @@ class Urdformer(nn.Module):
     def forward(
         self, image: Float[Tensor, "3 h w"], boxes_yxhw: Float[Tensor, "slots 4"]
     ) -> tuple[Tensor, ...]:
-        """Say where and what the boxed parts are; the members of `Logits`, in their order.
+        """Predict classes, parents and places of the boxed parts; returns the fields of `Logits`.
 
         Args:
             image: Square image of 224 pixels, normalized as for ImageNet.
@@ -175,7 +173,7 @@ class Urdformer(nn.Module):
 
 
 def regions_of(boxes_yxhw: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
-    """Turn part boxes into the corners that the pooling gets.
+    """Convert part boxes to the corners that the pooling gets.
 
     Whole pixels, then whole cells of the map, in the order (top, left, bottom, right). The pooling
     reads them as pixels in the order (left, top, right, bottom): see the module's docstring.
@@ -191,12 +189,11 @@ def roi_align(
     scale: float,
     samples: int,
 ) -> Float[Tensor, "n width bins bins"]:
-    """Pool regions of a map by bilinear samples, as RoIAlign of Mask R-CNN without alignment.
+    """Pool regions of a map by bilinear samples, like RoIAlign of Mask R-CNN without alignment.
 
     A region is at least one cell wide and high, and its corner is not shifted by half a cell.
     Samples lie on a grid within axis-parallel bins, so interpolation is a product of one matrix
     for the rows and one for the columns.
-
     Args:
         cells: The map.
         boxes: (left, top, right, bottom) of each region; times `scale` they are in cells.
@@ -213,7 +210,7 @@ def roi_align(
 def _sampling(
     start: Float[Tensor, " n"], end: Float[Tensor, " n"], bins: int, samples: int, cells: int
 ) -> Float[Tensor, "n bins cells"]:
-    """Weight of every cell along one axis in every bin."""
+    """Return the weight of every cell along one axis in every bin."""
     steps = (torch.arange(bins * samples, device=start.device) + 0.5) / (bins * samples)
     at = start[:, None] + (end - start).clamp(min=1.0)[:, None] * steps
     inside = (at >= -1.0) & (at <= cells)

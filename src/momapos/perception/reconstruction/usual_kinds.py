@@ -1,9 +1,8 @@
-"""How the doors of things of a label usually open, weighed against what is seen of them.
+"""Combine the detected part kinds with how doors of such objects usually open.
 
-A front alone leaves doubt: a level bar near the top is that of a flap or of a drawer, a door
-without a handle may be hinged at either side. Whoever knows that it is an oven or a microwave
-doubts less, and so does who stands before a wall cabinet: nobody looks into a drawer above the
-eyes.
+An image alone is ambiguous: a level bar near the top belongs to a flap or a drawer, and a door
+without a handle may have its hinge on either side. The object's label (oven, microwave) and its
+height reduce the ambiguity: nobody looks into a drawer above eye level.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from . import decode
 from .height_maps import area_of
 from .templates import common_name
 
-LEARNT: Mapping[PartKind, float] = {
+TRAINING_SHARES: Mapping[PartKind, float] = {
     "door_left": 0.31, "door_right": 0.31, "door_down": 0.09, "door_up": 0.09, "drawer": 0.2,
 }  # fmt: skip
-"""Shares of the kinds among what the front networks learnt from last, which their odds start
-from; `training.fronts.generator.HUNG` draws them so [-]."""
+"""Shares of the kinds in the last training of the front networks, the prior of their odds;
+`training.fronts.generator.HUNG` draws them like this [-]."""
 USUAL: Mapping[str, Mapping[PartKind, float]] = {
     "fridge": {
         "door_left": 0.38, "door_right": 0.45, "door_down": 0.01, "door_up": 0.01, "drawer": 0.15,
@@ -39,30 +38,30 @@ USUAL: Mapping[str, Mapping[PartKind, float]] = {
         "door_left": 0.85, "door_right": 0.05, "door_down": 0.03, "door_up": 0.01, "drawer": 0.06,
     },
 }  # fmt: skip
-"""Shares of the kinds among the parts of things of a label [-]. They are estimates from what shops
-sell: most fridges are hinged on the right and some have drawers for the freezer, nearly all
-microwaves and washing machines are hinged on the left, ovens drop down, a few stand above a drawer
-or are hinged at a side. A cabinet may have anything."""
-EYES = 1.5
-"""Height of the eyes of who stands, a little lower so that it holds for most [m]."""
+"""Shares of the kinds among the parts of objects with a label [-], estimated from what shops sell:
+most fridges have hinges on the right and some have freezer drawers, nearly all microwaves and
+washing machines have hinges on the left, ovens drop down, a few stand above a drawer or have hinges
+at a side. Cabinets may have anything."""
+EYE_HEIGHT = 1.5
+"""Eye height of a standing person, a little lower so that it holds for most [m]."""
 HIGH: Mapping[PartKind, float] = {
     "door_left": 0.4, "door_right": 0.4, "door_down": 0.02, "door_up": 0.16, "drawer": 0.02,
 }  # fmt: skip
-"""Shares of the kinds among what is above the eyes [-]; estimates, too: wall cabinets have doors,
-some of which are lifted."""
+"""Shares of the kinds above eye level [-], estimated: wall cabinets have doors, some of which are
+lifted."""
 LOW: Mapping[PartKind, float] = {
     "door_left": 0.32, "door_right": 0.32, "door_down": 0.1, "door_up": 0.01, "drawer": 0.25,
 }  # fmt: skip
-"""Shares of the kinds among what is lower [-]; nobody stoops to lift a door."""
+"""Shares of the kinds below eye level [-]; nobody stoops to lift a door."""
 
 
-def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
-    """Weigh what is seen of parts with how such parts usually open, by Bayes' rule.
+def weighted_by_label(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
+    """Combine the odds of parts with those of the object's label by Bayes' rule.
 
     Args:
-        parts: What is on a front; of parts without odds nothing is changed.
-        label: What the thing is called; of labels that tell nothing nothing is changed.
-        sure: Probability that it is what it is called, in [0, 1]; it is anything else otherwise.
+        parts: Parts of a front; parts without odds stay unchanged.
+        label: Label of the object; labels without known shares change nothing.
+        sure: Probability that the label is correct, in [0, 1].
     """
     usual = USUAL.get(common_name(label))
     if usual is None:
@@ -71,13 +70,13 @@ def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
     return tuple(_weighed(part, factors) for part in parts)
 
 
-def weighed_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> tuple[Part, ...]:
-    """Weigh what is seen of parts with how such parts, above the eyes or lower, usually open.
+def weighted_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> tuple[Part, ...]:
+    """Combine the odds of parts with those of parts above or below eye level.
 
     Args:
-        parts: What is on a front; of parts without odds nothing is changed.
+        parts: Parts of a front; parts without odds stay unchanged.
         face: The front.
-        floor: From its lower edge down to the floor [m].
+        floor: Height of its lower edge above the floor [m].
     """
     high, low = _factors(HIGH, 1.0), _factors(LOW, 1.0)
 
@@ -85,12 +84,14 @@ def weighed_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> t
         area = area_of(part.box, face)
         return floor + (area.bottom + area.top) / 2
 
-    return tuple(_weighed(part, high if middle(part) > EYES else low) for part in parts)
+    return tuple(_weighed(part, high if middle(part) > EYE_HEIGHT else low) for part in parts)
 
 
 def _factors(usual: Mapping[PartKind, float], sure: float) -> dict[PartKind, float]:
-    """How much likelier each kind is among some parts than among all, if they surely are such."""
-    return {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in LEARNT.items()}
+    """Return the probability ratio of each kind to the training shares, given the label's."""
+    return {
+        kind: 1.0 - sure + sure * usual[kind] / share for kind, share in TRAINING_SHARES.items()
+    }
 
 
 def _weighed(part: Part, factors: Mapping[PartKind, float]) -> Part:

@@ -1,4 +1,4 @@
-"""Readers: recordings of rooms, and what other programs found in them."""
+"""Readers of recordings of rooms, and of other programs' results for them."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Posed images from ROS recordings: ROS 1 bags, ROS 2 bags (SQLite, MCAP), and MCAP files.
+"""Read posed images from ROS 1 bags, ROS 2 bags (SQLite, MCAP), and MCAP files.
 
-Depth and color must be registered, as `aligned_depth_to_color` or `depth_registered` are; nothing
-is registered here. Poses come from `/tf` and `/tf_static`, interpolated at the depth's time.
+Depth and color must be registered, like `aligned_depth_to_color` or `depth_registered`; this module
+does not register them. Poses come from `/tf` and `/tf_static`, interpolated at the depth's time.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 MAX_IMAGES = 100_000
 MAX_TRANSFORMS = 2_000_000
-MAX_APART = 0.05
-"""How far apart in time depth and color may be [s]."""
+MAX_TIME_DIFFERENCE = 0.05
+"""Between depth and color [s]."""
 _UNREGISTERED = "so they are not registered; record aligned_depth_to_color or depth_registered"
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 INFO = "sensor_msgs/msg/CameraInfo"
@@ -45,21 +45,21 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 @dataclass(frozen=True)
 class BagTopics:
-    """Which topics and frames of a recording are meant; what is None is found by type and name."""
+    """Topics and frames of a recording; None: found by type and name."""
 
     depth: str | None = None
-    """Images of depth, registered to color."""
+    """Depth images, registered to color."""
     color: str | None = None
-    """Images of color."""
+    """Color images."""
     info: str | None = None
     """Camera info of both."""
     fixed_frame: str | None = None
-    """The frame that does not move; the root of tf if None."""
+    """A frame that does not move; the root of tf if None."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
-    """A depth and a color image that belong together, by their place in their topics."""
+    """Indices of a depth and a color image that belong together, in their topics."""
 
     name: str
     depth: int
@@ -69,7 +69,7 @@ class _Shot:
 
 @dataclass
 class _Index:
-    """What a first pass over the recording has found; images by their place in their topic."""
+    """Result of the first pass over the recording; images by index in their topic."""
 
     depth: list[tuple[int, str]] = field(default_factory=list)
     """Time [ns] and frame."""
@@ -86,12 +86,12 @@ def read_bag(
 
     Args:
         path: A `.bag` or `.mcap` file, or the folder of a ROS 2 bag.
-        max_frames: How many frames to read at most, spread over the motion of those with a pose.
-        depth_scale: How many units of 16-bit depth are a meter; 32-bit depth is in meters.
-        topics: Which topics are meant, where names do not tell.
+        max_frames: Maximum number of frames, spread over the motion of those with a pose.
+        depth_scale: Units of 16-bit depth per meter; 32-bit depth is in meters.
+        topics: Topics to use, where names are ambiguous.
 
     Returns:
-        The frames, and one line for each thing that was skipped or assumed.
+        The frames, and one line per skipped kind of frame or assumption.
 
     Raises:
         FileFormatError: It is damaged, or lacks a topic, poses, or registered depth.
@@ -122,19 +122,19 @@ def _opened(path: Path) -> Iterator[Any]:
         from rosbags.typesys import Stores, get_typestore
     _check_regular(path)
     try:
-        # Older SQLite bags do not say what their messages look like.
+        # Older SQLite bags have no message definitions.
         store = get_typestore(Stores.ROS2_HUMBLE)
         with AnyReader([path], default_typestore=store) as reader:
             yield reader
     except MomaposError:
         raise
-    except Exception as error:  # the parsers of a damaged recording raise whatever they trip over
+    except Exception as error:  # parsers raise anything on damaged recordings
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise FileFormatError(f"{path}: damaged recording ({reason})") from error
 
 
 def _check_regular(path: Path) -> None:
-    """Refuse fifos and devices, in the folder of a recording too: rosbags would wait for them."""
+    """Refuse FIFOs and devices, also in the folder of a recording: rosbags would block on them."""
     files = [path / name for name in list_names(path)] if path.is_dir() else [path]
     for file in files:
         if not file.is_dir():
@@ -166,7 +166,7 @@ def _find_topics(reader: Any, given: BagTopics, path: Path) -> BagTopics:
 
 
 def _best(names: Sequence[str], signs: Sequence[str]) -> str | None:
-    """The name with the most telling signs, earlier ones telling more; the shorter on a draw."""
+    """Return the name with the most important signs (earlier is more); ties: the shorter one."""
 
     def rank(name: str) -> tuple[list[bool], int, str]:
         return [sign not in name for sign in signs], len(name), name
@@ -175,9 +175,8 @@ def _best(names: Sequence[str], signs: Sequence[str]) -> str | None:
 
 
 def _nearest_name(infos: Sequence[str], *topics: str | None) -> str | None:
-    """The camera info beside the depth topic, or beside color, or the only one."""
     for topic in topics:
-        # /camera/color/image_raw and /camera/color/image_raw/compressed both have it there.
+        # Works for /camera/color/image_raw and /camera/color/image_raw/compressed.
         folders = [] if topic is None else [topic.rsplit("/", k)[0] for k in (1, 2)]
         for folder in folders:
             if f"{folder}/camera_info" in infos:
@@ -207,9 +206,9 @@ def _first_pass(reader: Any, topics: BagTopics, path: Path) -> _Index:
             index.transforms += len(message.transforms)
             _add_transforms(index.tree, message, topic.endswith("static"))
         if max(len(index.depth), len(index.color)) > MAX_IMAGES:
-            raise FileFormatError(f"{path}: has more than {MAX_IMAGES} images; cut it")
+            raise FileFormatError(f"{path}: has more than {MAX_IMAGES} images; split it")
         if index.transforms > MAX_TRANSFORMS:
-            raise FileFormatError(f"{path}: has more than {MAX_TRANSFORMS} transforms; cut it")
+            raise FileFormatError(f"{path}: has more than {MAX_TRANSFORMS} transforms; split it")
     for kind, found in (("depth", index.depth), ("color", index.color), ("info", index.info)):
         if not found:
             raise FileFormatError(f"{path}: its topic {getattr(topics, kind)} has no messages")
@@ -232,20 +231,20 @@ def _intrinsics(
     index: _Index, topics: BagTopics, path: Path
 ) -> tuple[Float[np.ndarray, "3 3"], list[str]]:
     message = index.info
-    # ROS 1 writes these two in capitals.
+    # ROS 1 spells these two in capitals.
     raw = message.k if hasattr(message, "k") else message.K
     distortion = np.asarray(message.d if hasattr(message, "d") else message.D, float)
     K = check_intrinsics(np.asarray(raw, float).reshape(3, 3), f"{path}: {topics.info}")
     warnings = []
     if np.any(np.abs(distortion) > 1e-2) and "rect" not in str(topics.color):
-        warnings.append(f"{path}: {topics.info} has lens distortion, which is not corrected")
+        warnings.append(f"{path}: {topics.info} has lens distortion, which is ignored")
     return K, warnings
 
 
 def _shots(
     index: _Index, fixed_frame: str | None, skips: Skips, path: Path
 ) -> tuple[list[_Shot], list[str]]:
-    """Pair depth with the color nearest in time, and look up where the camera was."""
+    """Pair depth with the color nearest in time, and look up the camera's pose."""
     stamps, color_stamps = (
         np.array([stamp for stamp, _ in listed], np.int64) for listed in (index.depth, index.color)
     )
@@ -261,9 +260,9 @@ def _shots(
     for i, stamp in enumerate(stamps):
         name = _seconds(int(stamp))
         if not known[i]:
-            skips.add("pose", f"tf does not say where {frame!r} was at {name}")
-        elif apart[i] > MAX_APART:
-            skips.add("color", f"the nearest to depth at {name} is {apart[i]:.2f} s off")
+            skips.add("pose", f"tf has no pose of {frame!r} at {name}")
+        elif apart[i] > MAX_TIME_DIFFERENCE:
+            skips.add("color", f"the nearest image to depth at {name} is {apart[i]:.2f} s away")
         else:
             shots.append(_Shot(name, i, int(partner[i]), rigid_pose(Ts[i])))
     skips.refuse_none_left(len(shots), str(path))
@@ -271,7 +270,7 @@ def _shots(
 
 
 def _common_frame(index: _Index, path: Path) -> str:
-    """The frame of depth and color, which must be one and stand in tf."""
+    """Return the frame of depth and color, which must be the same and be in tf."""
     frame, color_frame = (listed[0][1].lstrip("/") for listed in (index.depth, index.color))
     if frame != color_frame:
         raise FileFormatError(
@@ -279,7 +278,7 @@ def _common_frame(index: _Index, path: Path) -> str:
         )
     if frame not in index.tree.parents:
         raise FileFormatError(
-            f"{path}: tf does not say where {frame!r} is; it has "
+            f"{path}: tf has no frame {frame!r}; it has "
             f"{', '.join(index.tree.frames()[:20]) or 'no frames'}"
         )
     return frame
@@ -288,14 +287,14 @@ def _common_frame(index: _Index, path: Path) -> str:
 def _notes(tree: TransformTree, edges: list[tuple[str, str]], frame: str, path: Path) -> list[str]:
     notes = []
     if "optical" not in frame:
-        notes.append(f"{path}: frame {frame!r} is taken as optical: x right, y down, z forward")
+        notes.append(f"{path}: assumed that {frame!r} is optical: x right, y down, z forward")
     if all(edge in tree.static for edge in edges):
-        notes.append(f"{path}: nothing in tf moves {frame!r}; its root is {edges[-1][0]!r}")
+        notes.append(f"{path}: no transform in tf moves {frame!r}; its root is {edges[-1][0]!r}")
     return notes
 
 
 def _nearest(times: Int[np.ndarray, " n"], wanted: Int[np.ndarray, " m"]) -> np.ndarray:
-    """Index of the time nearest to each wanted one; times in any order."""
+    """Return the index of the time nearest to each wanted one; times in any order."""
     order = np.argsort(times, kind="stable")
     ordered = times[order]
     after = np.clip(np.searchsorted(ordered, wanted), 1, max(1, len(times) - 1))
@@ -308,7 +307,6 @@ def _nearest(times: Int[np.ndarray, " n"], wanted: Int[np.ndarray, " m"]) -> np.
 def _second_pass(
     reader: Any, topics: BagTopics, shots: Sequence[_Shot]
 ) -> dict[tuple[str, int], Any]:
-    """Read the chosen messages; only they are kept."""
     wanted = {(topics.depth, shot.depth) for shot in shots}
     wanted |= {(topics.color, shot.color) for shot in shots}
     seen = {topics.depth: -1, topics.color: -1}
@@ -354,7 +352,7 @@ def _frames(
 def _check_size(frames: Sequence[Frame], size: tuple[int, int], path: Path) -> None:
     found = frames[0].color.shape[1::-1]
     if found != size:
-        raise FileFormatError(f"{path}: camera info is for images of {size}, and they have {found}")
+        raise FileFormatError(f"{path}: camera info is for images of {size}, but they have {found}")
 
 
 def _seconds(stamp: int) -> str:

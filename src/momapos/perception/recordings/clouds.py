@@ -1,9 +1,8 @@
-"""Point clouds that come with a scan, from PLY or PCD.
+"""Read and write point clouds as PLY or PCD.
 
-Normals are taken from the file where it has them, else from its triangles, else from a plane
-through each point's neighbors. Such a plane has two sides: the normal is turned toward the
-nearest camera, and where no cameras are known toward the middle of the cloud, since whoever
-records a room stands in it.
+Normals come from the file, else from its triangles, else from a plane fitted to each point's
+neighbors. The sign of such a normal is ambiguous: it points toward the nearest camera or, without
+cameras, toward the middle of the cloud, because whoever records a room stands in it.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ if TYPE_CHECKING:
 
 NEIGHBORS = 16
 MAX_EXTENT = 300.0  # [m] of a home
-MAX_DISTANCE = 1e6  # [m] from the origin, beyond which a number is damage
+MAX_DISTANCE = 1e6  # [m] from the origin; larger numbers are damaged
 AXES, NORMALS, COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
-"""Columns as PLY files mostly call them."""
+"""Usual names of the columns in PLY files."""
 _CHUNK = 200_000
 _GRAY = 128
 
@@ -39,11 +38,11 @@ def read_cloud(
 
     Args:
         path: A PLY or PCD file.
-        cameras: Positions it was recorded from [m], to tell the sides of a surface.
+        cameras: Positions it was recorded from [m], to orient normals.
 
     Returns:
-        The cloud in the file's order, without points that are not finite, and one line for each
-        thing that was left out or assumed.
+        The cloud in the file's order, without points that are not finite, and one line per dropped
+        or assumed item.
 
     Raises:
         FileFormatError: It is damaged, empty, or not in meters.
@@ -68,8 +67,8 @@ def read_cloud(
         normals = _unit(_of_triangles(points, triangles))
     if not finite.all():
         warnings.append(
-            f"{path}: {np.count_nonzero(~finite)} of {len(points)} points are not finite and left "
-            "out; masks count only the others"
+            f"{path}: dropped {np.count_nonzero(~finite)} of {len(points)} points that are not "
+            "finite; masks must not count them"
         )
     points, normals, colors = points[finite], normals[finite], colors[finite]
     without = ~np.any(normals, axis=1)
@@ -79,10 +78,10 @@ def read_cloud(
 
 
 def write_cloud(cloud: Cloud, path: Path) -> None:
-    """Write a cloud as a binary PLY file, the whole file or nothing.
+    """Write a cloud as a binary PLY file, atomically.
 
     Raises:
-        InputError: It cannot be written.
+        InputError: The file is not writable.
     """
     numbers = [(name, "<f4") for name in (*AXES, *NORMALS)]
     rows = np.empty(len(cloud.points), [*numbers, *((name, "u1") for name in COLORS)])
@@ -120,7 +119,7 @@ def _check_meters(points: Float[np.ndarray, "n 3"], path: Path) -> None:
 def _stacked(columns: Columns, names: tuple[str, ...]) -> Float[np.ndarray, "n k"] | None:
     if not set(names) <= set(columns):
         return None
-    with np.errstate(invalid="ignore"):  # damaged floats, which are dropped later
+    with np.errstate(invalid="ignore"):  # damaged floats are dropped later
         return np.stack([columns[name] for name in names], axis=1).astype(float)
 
 
@@ -142,7 +141,6 @@ def _colors(columns: Columns, count: int) -> UInt8[np.ndarray, "n 3"] | None:
 
 
 def _given_normals(columns: Columns, count: int) -> Float[np.ndarray, "n 3"]:
-    """Normals in the file, zero where it has none."""
     for names in (NORMALS, ("normal_x", "normal_y", "normal_z")):
         found = _stacked(columns, names)
         if found is not None:
@@ -151,7 +149,7 @@ def _given_normals(columns: Columns, count: int) -> Float[np.ndarray, "n 3"]:
 
 
 def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Scale to length one; what has no length or is not finite becomes zero."""
+    """Normalize vectors; those that are zero or not finite become zero."""
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(vectors, axis=1)
     good = np.isfinite(length) & (length > 1e-12)
@@ -161,7 +159,6 @@ def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
 def _of_triangles(
     points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Sum at each point of the normals of its triangles, each as long as its area."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     with np.errstate(over="ignore", invalid="ignore"):  # corners that are not finite
         normals = np.nan_to_num(np.cross(b - a, c - a), posinf=0.0, neginf=0.0)
@@ -174,8 +171,8 @@ def _of_triangles(
 def _estimated(
     points: Float[np.ndarray, "n 3"], which: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "k 3"]:
-    """Normals of planes through the neighbors of some points, either way round."""
-    # A sensor may put all points it did not see into one place, where a search would not end.
+    """Return the normals of planes through the neighbors of some points, of either sign."""
+    # A sensor may put all unmeasured points into one place, where a search would not end.
     places, place = np.unique(points, axis=0, return_inverse=True)
     tree = cKDTree(places)
     indices, back = np.unique(place.reshape(-1)[which], return_inverse=True)

@@ -1,4 +1,4 @@
-"""Images of a scan: color and depth decoded from JPEG and PNG, bounded and checked."""
+"""Decode color and depth images from JPEG and PNG, with checks and limits."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def read_color(source: Path | bytes, name: str | None = None) -> UInt8[np.ndarra
 
     Args:
         source: A JPEG or PNG file, or its bytes.
-        name: What errors call it; the path of a file if None.
+        name: Name in errors; the path if None.
 
     Raises:
         FileFormatError: It is missing, damaged, or too large.
@@ -64,7 +64,7 @@ def read_color(source: Path | bytes, name: str | None = None) -> UInt8[np.ndarra
 
 
 def read_small_gray(source: Path, width: int = 160) -> Float32[np.ndarray, "h w"]:
-    """Decode an image small and gray, of a JPEG without decoding it in full.
+    """Decode an image small and gray, without decoding a JPEG in full.
 
     Raises:
         FileFormatError: It is missing, damaged, or too large.
@@ -85,11 +85,11 @@ def read_depth(
 
     Args:
         source: A PNG file, or its bytes.
-        scale: How many of its units are a meter.
-        name: What errors call it; the path of a file if None.
+        scale: Units per meter.
+        name: Name in errors; the path if None.
 
     Returns:
-        Depth [m], 0 where the sensor measured nothing (0 or 65535 in the file).
+        Depth [m], 0 where unmeasured (0 or 65535 in the file).
 
     Raises:
         FileFormatError: It is missing, damaged, too large, or does not have 16 bits.
@@ -98,7 +98,7 @@ def read_depth(
     with _open(source, name) as image:
         if image.mode not in _DEPTH_MODES:
             raise FileFormatError(
-                f"{name}: is an image of 8 bits a channel ({image.mode}); "
+                f"{name}: has 8 bits per channel ({image.mode}); "
                 "depth must be a PNG of one 16-bit channel, in millimeters"
             )
         try:
@@ -109,8 +109,8 @@ def read_depth(
 
 
 def to_meters(raw: Num[np.ndarray, "h w"], scale: float) -> Float32[np.ndarray, "h w"]:
-    """Scale depth to meters; what is no depth (65535 in integers, NaN, negative) becomes 0."""
-    with np.errstate(over="ignore", invalid="ignore"):  # damaged floats count as not measured
+    """Scale depth to meters; invalid values (65535 in integers, NaN, negative) become 0."""
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged floats count as unmeasured
         depth = raw.astype(np.float32) / np.float32(scale)
     seen = np.isfinite(depth) & (depth > 0)
     if np.issubdtype(raw.dtype, np.integer):
@@ -124,10 +124,9 @@ def match_color(
     K_depth: Float[np.ndarray, "3 3"],
     size: Size,
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """Resample a color image as the depth camera sees the same rays.
+    """Resample a color image to the rays of the depth camera.
 
-    Both cameras must stand at the same place and look the same way. What the color camera does
-    not see is black.
+    Both cameras must have the same pose. Rays outside the color image are black.
 
     Args:
         color: Image of the color camera.
@@ -135,20 +134,20 @@ def match_color(
         size: Width and height of the depth image [px].
 
     Returns:
-        An image of that size, to which the depth camera's intrinsics apply.
+        An image of that size with the depth camera's intrinsics.
 
     Raises:
-        ValueError: Less than half of the depth image's width or height is seen in color.
+        ValueError: The color image covers less than half of the depth image's width or height.
     """
     height, width = color.shape[:2]
-    # Intrinsics count from the center of the first pixel, a region from its edge.
+    # Intrinsics refer to the center of the first pixel, a region to its edge.
     corners = np.array([[-0.5, -0.5], np.array(size) - 0.5])
     focal, center = np.diag(K_depth)[:2], K_depth[:2, 2]
     corners = (corners - center) / focal * np.diag(K_color)[:2] + K_color[:2, 2] + 0.5
     limit = np.array([width, height], float)
     seen = np.clip(corners, 0, limit)
     if np.any(np.diff(seen, axis=0) < np.maximum(0.5 * np.diff(corners, axis=0), 1.0)):
-        raise ValueError("the intrinsics of color and depth do not belong to one view")
+        raise ValueError("the intrinsics of color and depth belong to different views")
     left, top = (max(0, math.ceil(-edge)) for edge in corners[0])
     right, bottom = (max(0, math.ceil(edge)) for edge in corners[1] - limit)
     if left or top or right or bottom:
@@ -161,7 +160,7 @@ def match_color(
 
 
 def scaled_intrinsics(K: Float[np.ndarray, "3 3"], old: Size, new: Size) -> np.ndarray:
-    """Intrinsics (3, 3) of the same view in an image of another size [px]."""
+    """Return the intrinsics (3, 3) of the same view in an image of another size [px]."""
     ratio = np.array(new) / np.array(old)
     K = K.copy()
     K[:2, 2] = (K[:2, 2] + 0.5) * ratio - 0.5
@@ -178,12 +177,12 @@ def _open(source: Path | bytes, name: str | None) -> Image.Image:
             source if isinstance(source, Path) else io.BytesIO(source), formats=_FORMATS
         )
     except _BROKEN as error:
-        raise FileFormatError(f"{name}: is no JPEG or PNG image ({_brief(error)})") from error
+        raise FileFormatError(f"{name}: not a JPEG or PNG image ({_brief(error)})") from error
     width, height = image.size
     if width * height > MAX_PIXELS:
         image.close()
         raise FileFormatError(
-            f"{name}: has {width} x {height} pixels; at most {MAX_PIXELS // 10**6} million are read"
+            f"{name}: has {width} x {height} pixels; the limit is {MAX_PIXELS // 10**6} million"
         )
     return image
 

@@ -1,4 +1,4 @@
-"""Which frames of a long walk to read: spread over its motion, and the sharpest of their kind."""
+"""Choose frames of a long recording: spread over its motion, and the sharpest of their place."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 STEP, TURN = 0.15, np.radians(10.0)
-"""A camera that moved by this, or turned by that, sees something else [m], [rad]."""
-DENSE = 4
-"""Frames for each such motion: several images of a place make better depth [-]."""
-FEWEST = 30
-"""A camera that hardly moves gives at least so many [-]."""
-STILL = 0.1
-"""Share of the frames that are spread over time rather than motion [-]."""
+"""A camera that moved or turned by this sees something else [m], [rad]."""
+FRAMES_PER_STEP = 4
+"""Frames per such motion: several images of a place improve depth [-]."""
+MIN_FRAMES = 30
+"""Frames of a camera that hardly moves [-]."""
+TIME_SHARE = 0.1
+"""Share of the frames that are spread over time instead of motion [-]."""
 CANDIDATES = 4
 """Neighboring frames whose sharpness is compared [-]."""
 
@@ -34,23 +34,22 @@ def choose(
     limit: int,
     sharpness: Callable[[int], float] | None = None,
 ) -> list[int]:
-    """Choose frames of a walk.
+    """Choose frames of a recording.
 
-    All of them where they are no more than the limit; else the walk is divided into stretches of
-    equal motion, and of each the sharpest frame is taken: at 30 Hz neighbors show the same, but
-    for how blurred they are.
+    If there are more than `limit`, the recording is divided into stretches of equal motion, and the
+    sharpest frame of each is chosen: at 30 Hz, neighbors differ only in blur.
 
     Args:
-        poses: Of all frames in the order of recording, camera to world.
-        limit: How many to choose at most.
-        sharpness: Of a frame; called by several threads. The middle of each stretch where
-            nothing tells, the first and the last frame at the ends.
+        poses: Poses of all frames in recording order, camera to world.
+        limit: Maximum number of frames.
+        sharpness: Sharpness of a frame, called by several threads. If None, the middle frame of
+            each stretch is chosen, and the first and the last frame at the ends.
 
     Raises:
         InputError: The limit is below 1.
     """
     if limit < 1:
-        raise InputError(f"max_frames is {limit}; at least 1 frame is needed")
+        raise InputError(f"max_frames must be at least 1, not {limit}")
     if len(poses) <= limit:
         return list(range(len(poses)))
     stretches, middles = _stretches(poses, limit)
@@ -64,19 +63,19 @@ def choose(
 
 
 def _stretches(poses: Float[np.ndarray, "n 4 4"], limit: int) -> tuple[list[list[int]], list[int]]:
-    """Frames of stretches of equal motion, in order, and the middle frame of each.
+    """Return the frames of stretches of equal motion, in order, and the middle frame of each.
 
-    Stretches without a frame are left out; the first begins, the last ends in its middle.
+    Empty stretches are dropped; the first starts and the last ends in its middle.
     """
     moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     turned = np.einsum("nij,nij->n", poses[1:, :3, :3], poses[:-1, :3, :3])
     angles = np.arccos(np.clip((turned - 1) / 2, -1, 1))
-    motion = np.minimum(moved / STEP + angles / TURN, 1.0)  # a jump shows one new place, not many
+    motion = np.minimum(moved / STEP + angles / TURN, 1.0)  # a jump counts as one new place
     whole = float(motion.sum())
-    count = int(np.clip(np.ceil(DENSE * whole), min(FEWEST, limit), limit))
-    steps = (1 - STILL) * motion / max(whole, 1e-9) + STILL / len(motion)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    place = way / way[-1] * (count - 1)
+    count = int(np.clip(np.ceil(FRAMES_PER_STEP * whole), min(MIN_FRAMES, limit), limit))
+    steps = (1 - TIME_SHARE) * motion / max(whole, 1e-9) + TIME_SHARE / len(motion)
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    place = path / path[-1] * (count - 1)
     stretch = np.round(place).astype(int)
     members = [np.flatnonzero(stretch == k) for k in np.unique(stretch)]
     off = np.abs(place - stretch)
@@ -84,12 +83,12 @@ def _stretches(poses: Float[np.ndarray, "n 4 4"], limit: int) -> tuple[list[list
 
 
 def sharpness_of(colors: Sequence[Path]) -> Callable[[int], float]:
-    """How sharp images are, by their place in a sequence of files."""
+    """Return a function that measures the sharpness of images by their index."""
 
     def sharpness(index: int) -> float:
         try:
             gray = read_small_gray(colors[index])
-        except FileFormatError:  # found damaged again, and counted, where it is chosen
+        except FileFormatError:  # reported when it is read
             return -np.inf
         return laplacian_variance(gray)
 
@@ -97,7 +96,7 @@ def sharpness_of(colors: Sequence[Path]) -> Callable[[int], float]:
 
 
 def laplacian_variance(gray: Float[np.ndarray, "h w"]) -> float:
-    """Variance of the Laplacian of an image: small where it is blurred."""
+    """Return the variance of the Laplacian of an image, which is small if it is blurred."""
     if min(gray.shape) < 3:
         return 0.0
     middle = gray[1:-1, 1:-1]

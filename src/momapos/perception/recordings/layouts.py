@@ -1,8 +1,8 @@
-"""Folders of posed images: the 7-Scenes, ScanNet and OpenMask3D layouts.
+"""Read folders of posed images in the 7-Scenes, ScanNet and OpenMask3D layouts.
 
-7-Scenes and 3DMatch keep everything in one folder, `frame-000000.color.jpg` and so on. A ScanNet
-export and OpenMask3D have a folder for each kind, `color/0.jpg` and so on. All poses are from
-camera to world, with OpenCV's camera axes.
+7-Scenes and 3DMatch have all files in one folder, `frame-000000.color.jpg` and so on. A ScanNet
+export and OpenMask3D have a folder per kind, `color/0.jpg` and so on. All poses are from camera to
+world, with OpenCV's camera axes.
 """
 
 from __future__ import annotations
@@ -42,39 +42,39 @@ _Out = TypeVar("_Out")
 _IMAGES = (".jpg", ".jpeg", ".png")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameFiles:
-    """The files of one frame."""
+    """Files of one frame."""
 
     name: str
     color: Path
     depth: Path | None
     pose: Path | Float[np.ndarray, "4 4"]
-    """From camera to world, or the file of it."""
+    """Camera to world, or the file with it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What a folder of frames holds, before any image is read."""
+    """Contents of a folder of frames, before any image is read."""
 
     folder: Path
     frames: tuple[FrameFiles, ...]
     K_color: Float[np.ndarray, "3 3"]
     K_depth: Float[np.ndarray, "3 3"] | None
-    """None where one matrix is given for both; then it belongs to the color image."""
+    """None if one matrix is given for both; then it belongs to the color image."""
     warnings: tuple[str, ...] = ()
     depth_scale: float = MILLIMETERS
-    """Units of integer depth in a meter, as is usual [-]."""
+    """Default units of integer depth per meter [-]."""
 
 
 def find_layout(folder: Path) -> Layout | None:
-    """Recognize a folder of frames by the files in it.
+    """Recognize a folder of frames by its files.
 
     Returns:
-        What it holds; None where it is no such folder.
+        Its layout; None if it is not such a folder.
 
     Raises:
-        FileFormatError: It is one, but lacks poses or intrinsics, or holds too many files.
+        FileFormatError: It is one, but lacks poses or intrinsics, or has too many files.
     """
     names = set(list_names(folder))
     if any(name.startswith("frame-") and ".color." in name for name in names):
@@ -89,19 +89,19 @@ def read_frames(
 ) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
     """Read the images of a layout.
 
-    Frames without a usable pose are left out before the choice. Images that are not chosen are
-    not kept, so that a walk of any length takes the memory of `max_frames`.
+    Frames without a usable pose are dropped before frames are chosen. Other images are not stored,
+    so that a scan of any length takes the memory of `max_frames`.
 
     Args:
         layout: From `find_layout`.
-        max_frames: How many to read at most, see `keyframes.choose`.
-        depth_scale: Units of a depth image in a meter; those of the layout by default.
+        max_frames: Maximum number of frames, see `keyframes.choose`.
+        depth_scale: Units of a depth image per meter; the layout's default if None.
 
     Returns:
-        The frames, and one line for each kind of frame that was skipped.
+        The frames, and one line per kind of skipped frame.
 
     Raises:
-        FileFormatError: No frame can be used, sizes differ, or depth is in another unit.
+        FileFormatError: No frame is usable, sizes differ, or depth is in another unit.
         InputError: They do not fit into memory.
     """
     where, scale = str(layout.folder), depth_scale or layout.depth_scale
@@ -146,7 +146,6 @@ def _read_frame(
 def _common_intrinsics(
     layout: Layout, color_size: Size, depth_size: Size | None
 ) -> Float[np.ndarray, "3 3"]:
-    """Intrinsics of the frames: those of depth, where there is depth."""
     K, size = layout.K_color, color_size
     if depth_size is not None and layout.K_depth is not None:
         K, size = layout.K_depth, depth_size
@@ -155,13 +154,13 @@ def _common_intrinsics(
         if abs(ratios[0] / ratios[1] - 1) > 0.02:
             raise FileFormatError(
                 f"{layout.folder}: color is {color_size} and depth {depth_size} pixels, which "
-                "is not the same view; give intrinsic_color.txt and intrinsic_depth.txt"
+                "are different views; add intrinsic_color.txt and intrinsic_depth.txt"
             )
         K, size = scaled_intrinsics(K, color_size, depth_size), depth_size
     if not (0 < K[0, 2] < size[0] and 0 < K[1, 2] < size[1]):
         raise FileFormatError(
-            f"{layout.folder}: the intrinsics have their center at ({K[0, 2]:.0f}, {K[1, 2]:.0f}), "
-            f"outside images of {size[0]} x {size[1]}; they belong to another size"
+            f"{layout.folder}: the center of the intrinsics, ({K[0, 2]:.0f}, {K[1, 2]:.0f}), is "
+            f"outside of the images of {size[0]} x {size[1]}; they belong to another image size"
         )
     if depth_size is not None and layout.K_depth is not None:
         try:
@@ -227,7 +226,7 @@ def _seven_scenes(folder: Path, names: set[str]) -> Layout:
         )
         for stem in stems
     )
-    # 3DMatch keeps the matrix beside its sequences.
+    # 3DMatch has the matrix next to its sequences.
     for file in (folder / "camera-intrinsics.txt", folder.parent / "camera-intrinsics.txt"):
         if file.is_file():
             K = read_intrinsics(file)
@@ -240,23 +239,23 @@ def _seven_scenes(folder: Path, names: set[str]) -> Layout:
 
 
 def read_intrinsics(file: Path) -> Float[np.ndarray, "3 3"]:
-    """Read a pinhole camera that is written as 3 x 3.
+    """Read the 3 x 3 matrix of a pinhole camera.
 
     Raises:
-        FileFormatError: The file holds something else.
+        FileFormatError: The file is something else.
     """
     return check_intrinsics(_numbers(file), str(file))
 
 
 def image_names(folder: Path) -> list[str]:
-    """Names of the images in a folder, in order.
+    """Return the names of the images in a folder, in order.
 
     Raises:
-        FileFormatError: It holds none, or too many, or cannot be listed.
+        FileFormatError: It has none, or too many, or is not readable.
     """
     found = {Path(name).stem: name for name in list_names(folder) if _is_image(name)}
     if not found:
-        raise FileFormatError(f"{folder}: holds no images such as 0.jpg")
+        raise FileFormatError(f"{folder}: has no images such as 0.jpg")
     return [found[stem] for stem in _in_order(found)]
 
 
@@ -275,7 +274,7 @@ def _export(folder: Path) -> Layout:
         for stem in _in_order(colors)
     )
     if not frames:
-        raise FileFormatError(f"{folder / 'color'}: holds no images such as 0.jpg")
+        raise FileFormatError(f"{folder / 'color'}: has no images such as 0.jpg")
     K_color, K_depth = _export_intrinsics(folder)
     return Layout(folder, frames, K_color, K_depth)
 
@@ -296,34 +295,32 @@ def _export_intrinsics(
     if len(only) != 1:
         raise FileFormatError(
             f"{folder}: no intrinsics; expected intrinsic/intrinsic_color.txt, and "
-            "intrinsic/intrinsic_depth.txt where depth has another size"
+            "intrinsic/intrinsic_depth.txt if depth has another size"
         )
     if only[0] == depth.name:
-        # The only matrix there is counts for both, which is right if they are registered.
+        # A single matrix applies to both, which is right if they are registered.
         return _matrix(depth), _matrix(depth)
     return _matrix(place / only[0]), None
 
 
 def _matrix(file: Path) -> Float[np.ndarray, "3 3"]:
-    """Read intrinsics that are written as 3 x 3 or, as ScanNet does, 4 x 4."""
     return check_intrinsics(_numbers(file)[:3, :3], str(file))
 
 
 def _numbers(file: Path) -> Float[np.ndarray, "n n"]:
-    """Read a small square matrix from a text file."""
     data = read_bytes_bounded(file, MAX_TEXT_BYTES)
     try:
         values = np.array(data.decode("ascii").split(), float)
     except ValueError as error:
-        raise FileFormatError(f"{file}: holds more than numbers") from error
+        raise FileFormatError(f"{file}: must have only numbers") from error
     if len(values) not in (9, 16):
-        raise FileFormatError(f"{file}: holds {len(values)} numbers, not a matrix of 4 x 4")
+        raise FileFormatError(f"{file}: must be a 3 x 3 or 4 x 4 matrix, not {len(values)} numbers")
     side = 3 if len(values) == 9 else 4
     return values.reshape(side, side)
 
 
 def list_names(folder: Path) -> list[str]:
-    """Names in a folder, counted while they are listed."""
+    """Return the names in a folder, with a limit on their number."""
     names = []
     try:
         with os.scandir(folder) as entries:
@@ -331,7 +328,7 @@ def list_names(folder: Path) -> list[str]:
                 names.append(entry.name)
                 if len(names) > 4 * MAX_FRAMES_LISTED:
                     raise FileFormatError(
-                        f"{folder}: holds more than {MAX_FRAMES_LISTED} frames; give a part of them"
+                        f"{folder}: has more than {MAX_FRAMES_LISTED} frames; split it"
                     )
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot be listed ({error.strerror})") from error

@@ -1,7 +1,7 @@
-"""Instances that another program found in the same cloud.
+"""Read instances that another program found in the same cloud.
 
-Read are the ScanNet export of Mask3D, the masks of OpenMask3D, one label per point, and boxes as
-JSON. Which of them a file is, its content says.
+Supported are the ScanNet export of Mask3D, the masks of OpenMask3D, one label per point, and boxes
+as JSON. The format is detected from the content.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ def read_instances(
 
     Args:
         path: The file.
-        cloud_size: How many points the cloud has, in the order the masks count them.
-        classes: What class numbers mean; guessed from the numbers if None: the 20 classes if all
-            of them are among those, else the 200.
+        cloud_size: Number of points of the cloud, in the order of the masks.
+        classes: Meaning of class numbers. If None, it is guessed: the 20 classes if all numbers
+            are among them, else the 200.
 
     Returns:
         The instances in the file's order, with `members`, or with `box` for a JSON of boxes.
-        Empty masks are left out.
+        Empty masks are dropped.
 
     Raises:
-        FileFormatError: It cannot be read, belongs to another cloud, or would run code.
+        FileFormatError: It is not readable, belongs to another cloud, or would run code.
         MissingExtraError: It is OpenMask3D's, and torch is not installed.
     """
     path = Path(path)
@@ -63,13 +63,13 @@ def read_instances(
         return _by_label(_npy_labels(path, cloud_size), path)
     if head.startswith(b"\x80"):
         raise FileFormatError(
-            f"{path}: refused, it is a bare pickle, which can run code when loaded; save it with "
-            "PyTorch 1.6 or later"
+            f"{path}: refused because it is a bare pickle, which can run code when loaded; save it "
+            "with PyTorch 1.6 or later"
         )
     if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         return _boxes(path)
     if b"\0" in head or not head.strip():
-        raise FileFormatError(f"{path}: holds no instances; {_ACCEPTED}")
+        raise FileFormatError(f"{path}: has no instances; {_ACCEPTED}")
     if len(head.strip().splitlines()[0].split()) == 3:
         return _mask3d(path, cloud_size, classes)
     return _by_label(_text_labels(path, cloud_size), path)
@@ -78,7 +78,7 @@ def read_instances(
 def _mask3d(path: Path, cloud_size: int, classes: ClassSet | None) -> list[Instance]:
     rows = [line.split() for line in _text(path, MAX_LIST_BYTES).splitlines() if line.strip()]
     if len(rows) > MAX_INSTANCES:
-        raise FileFormatError(f"{path}: lists {len(rows)} masks; at most {MAX_INSTANCES} are read")
+        raise FileFormatError(f"{path}: has {len(rows)} masks; the limit is {MAX_INSTANCES}")
     parsed = [_mask3d_row(row, number + 1, path) for number, row in enumerate(rows)]
     chosen = classes or class_set(label for _, label, _ in parsed)
     instances = []
@@ -96,24 +96,24 @@ def _mask3d_row(row: list[str], number: int, path: Path) -> tuple[Path, int, flo
             raise ValueError
     except (ValueError, IndexError):
         raise FileFormatError(
-            f"{path}: line {number} is not `pred_mask/name.txt class score`"
+            f"{path}: line {number} must be `pred_mask/name.txt class score`"
         ) from None
     try:
         folder = path.parent.resolve()
         mask = (folder / name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a NUL
-        raise FileFormatError(f"{path}: line {number} names {name!r:.80}, no file") from error
+    except (OSError, RuntimeError, ValueError) as error:  # cyclic links, a NUL
+        raise FileFormatError(f"{path}: line {number} names {name!r:.80}, not a file") from error
     if not mask.is_relative_to(folder):
         raise FileFormatError(f"{path}: line {number} names {name:.80}, outside its folder")
     return mask, label, min(max(score, 0.0), 1.0)
 
 
 def _mask_file(path: Path, cloud_size: int) -> Bool[np.ndarray, " n"]:
-    """Read one digit a line; far quicker than parsing numbers."""
+    """Read one digit per line; much faster than parsing numbers."""
     raw = np.frombuffer(_point_lines(path, 8, cloud_size), np.uint8)
     digit = (raw == ord("0")) | (raw == ord("1"))
     if np.any(digit[1:] & digit[:-1]) or np.any(~digit & (raw > ord(" "))):
-        raise FileFormatError(f"{path}: holds more than one 0 or 1 a line")
+        raise FileFormatError(f"{path}: must have one 0 or 1 per line")
     mask = raw[digit] == ord("1")
     return _fitting(mask, cloud_size, path)
 
@@ -122,15 +122,15 @@ def _open_masks(path: Path, cloud_size: int) -> list[Instance]:
     masks = load_tensors(path)
     shape = tuple(getattr(masks, "shape", ()))
     if len(shape) != 2:
-        raise FileFormatError(f"{path}: must hold one tensor (vertices, masks); it holds {shape}")
+        raise FileFormatError(f"{path}: must have one tensor (vertices, masks), not {shape}")
     _check_size(shape[0], cloud_size, path)
     if shape[1] > MAX_INSTANCES:
-        raise FileFormatError(f"{path}: holds {shape[1]} masks; at most {MAX_INSTANCES} are read")
+        raise FileFormatError(f"{path}: has {shape[1]} masks; the limit is {MAX_INSTANCES}")
     try:
         # One at a time: a tensor whose elements share memory may be far larger than its file.
         members = [np.flatnonzero((masks[:, k] > 0.5).numpy()) for k in range(shape[1])]
     except (RuntimeError, TypeError, NotImplementedError) as error:  # sparse, quantized, complex
-        raise FileFormatError(f"{path}: must hold one dense tensor of numbers") from error
+        raise FileFormatError(f"{path}: must have one dense tensor of numbers") from error
     return [Instance("", 1.0, found) for found in members if len(found)]
 
 
@@ -139,7 +139,7 @@ def _npy_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:
         shape, dtype = _npy_header(file, path)
         if len(shape) != 1 or not np.issubdtype(dtype, np.integer):
             raise FileFormatError(
-                f"{path}: is {dtype} of shape {shape}; expected one integer a point"
+                f"{path}: must have one integer per point, not {dtype} of shape {shape}"
             )
         _check_size(shape[0], cloud_size, path)
         labels = np.fromfile(file, dtype, cloud_size)
@@ -149,7 +149,7 @@ def _npy_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:
 
 
 def _npy_header(file: BinaryIO, path: Path) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type that a `.npy` file claims; nothing is allocated for them yet."""
+    """Read the shape and type in the header of a `.npy` file, without allocating memory for it."""
     read = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -157,8 +157,8 @@ def _npy_header(file: BinaryIO, path: Path) -> tuple[tuple[int, ...], np.dtype]:
     try:
         version = np.lib.format.read_magic(file)
         shape, _, dtype = read[version](file, max_header_size=MAX_NPY_HEADER)
-    except Exception as error:  # numpy evaluates the header, which raises whatever it trips over
-        raise FileFormatError(f"{path}: is no array of numbers ({error})") from error
+    except Exception as error:  # numpy evaluates the header, which may raise anything
+        raise FileFormatError(f"{path}: not an array of numbers ({error})") from error
     return shape, dtype
 
 
@@ -166,16 +166,16 @@ def _text_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:
     try:
         labels = np.array(_point_lines(path, 12, cloud_size).split(), np.int64)
     except (ValueError, OverflowError) as error:
-        raise FileFormatError(f"{path}: is not one integer a line; {_ACCEPTED}") from error
+        raise FileFormatError(f"{path}: must have one integer per line; {_ACCEPTED}") from error
     return _fitting(labels, cloud_size, path)
 
 
 def _by_label(labels: Int[np.ndarray, " n"], path: Path) -> list[Instance]:
-    """Split points by label; zero and below are no instance."""
+    """Split points by label; labels of zero and below are not instances."""
     order = np.argsort(labels, kind="stable")
     values, starts = np.unique(labels[order], return_index=True)
     if np.count_nonzero(values > 0) > MAX_INSTANCES:
-        raise FileFormatError(f"{path}: has {len(values)} labels; at most {MAX_INSTANCES} are read")
+        raise FileFormatError(f"{path}: has {len(values)} labels; the limit is {MAX_INSTANCES}")
     groups = np.split(order, starts[1:])
     return [
         Instance("", 1.0, members)
@@ -186,7 +186,7 @@ def _by_label(labels: Int[np.ndarray, " n"], path: Path) -> list[Instance]:
 
 def _boxes(path: Path) -> list[Instance]:
     def refuse(constant: str) -> NoReturn:
-        raise ValueError(f"it holds {constant}")
+        raise ValueError(f"it has {constant}")
 
     try:
         data = json.loads(_text(path, MAX_LIST_BYTES).lstrip("\ufeff"), parse_constant=refuse)
@@ -194,7 +194,7 @@ def _boxes(path: Path) -> list[Instance]:
         raise FileFormatError(f"{path}: damaged JSON ({error})") from error
     if data.get("format") != FORMAT or data.get("version") != VERSION:
         raise FileFormatError(
-            f'{path}: is no file of boxes; expected "format": "{FORMAT}", "version": {VERSION}'
+            f'{path}: not a file of boxes; expected "format": "{FORMAT}", "version": {VERSION}'
         )
     entries = data.get("boxes")
     if not isinstance(entries, list) or len(entries) > MAX_INSTANCES:
@@ -204,7 +204,7 @@ def _boxes(path: Path) -> list[Instance]:
 
 def _box(entry: Any, where: str) -> Instance:
     if not isinstance(entry, dict) or not set(entry) <= _BOX_KEYS:
-        raise FileFormatError(f"{where} must have only {', '.join(sorted(_BOX_KEYS))}")
+        raise FileFormatError(f"{where} may have only {', '.join(sorted(_BOX_KEYS))}")
     label = entry.get("label")
     if not isinstance(label, str) or len(label) > 100:
         raise FileFormatError(f'{where} needs a "label" of at most 100 characters')
@@ -236,20 +236,20 @@ def _fitting(values: np.ndarray, cloud_size: int, path: Path) -> np.ndarray:
 def _check_size(count: int, cloud_size: int, path: Path) -> None:
     if count != cloud_size:
         raise FileFormatError(
-            f"{path}: is for a cloud of {count} points, and this one has {cloud_size}; "
-            "give the cloud that was segmented"
+            f"{path}: is for a cloud of {count} points, but this one has {cloud_size}; "
+            "use the cloud that was segmented"
         )
 
 
 def _point_lines(path: Path, width: int, cloud_size: int) -> bytes:
-    """Read a file of one line a point; what is far too long belongs to another cloud."""
+    """Read a file of one line per point; a far too long file belongs to another cloud."""
     limit = width * cloud_size + 4096
     with open_regular(path) as file:
         data = file.read(limit + 1)
     if len(data) > limit:
         raise FileFormatError(
-            f"{path}: is for a larger cloud (more than {limit // width} points), and this one has "
-            f"{cloud_size}; give the cloud that was segmented"
+            f"{path}: is for a larger cloud (more than {limit // width} points); this one has "
+            f"{cloud_size}; use the cloud that was segmented"
         )
     return data
 

@@ -1,4 +1,4 @@
-"""The points of a PCD file (version 0.7 and before): ASCII, binary, and LZF-compressed."""
+"""Read PCD files (up to version 0.7): ASCII, binary, and LZF-compressed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 MAX_HEADER_BYTES = 10_000
 MAX_FIELDS = 64
-MAX_RATIO = 100  # a copy of 264 bytes takes 3 in LZF
+MAX_RATIO = 100  # LZF encodes a copy of up to 264 bytes in 3
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS")
 _KINDS = {"F": "f", "U": "u", "I": "i"}
 _PACKED = ("rgb", "rgba")
@@ -27,8 +27,8 @@ def read_pcd(path: Path) -> Columns:
     """Read the fields of a PCD file.
 
     Returns:
-        The fields by name; `red`, `green`, `blue` (uint8) where it has a packed color. Fields of
-        several values are left out.
+        The fields by name; `red`, `green`, `blue` (uint8) if it has a packed color. Fields with
+        several values are dropped.
 
     Raises:
         FileFormatError: It is damaged, or has more than `MAX_POINTS`.
@@ -66,9 +66,9 @@ def _header(file: BinaryIO, path: Path) -> dict[str, list[str]]:
         words = line.decode("ascii", errors="replace").split()
         if words and not words[0].startswith("#"):
             header[words[0].upper()] = words[1:]
-    lacks = [key for key in ("FIELDS", "SIZE", "TYPE", "DATA") if not header.get(key)]
-    if lacks:
-        raise FileFormatError(f"{path}: its PCD header lacks {', '.join(lacks)}")
+    missing = [key for key in ("FIELDS", "SIZE", "TYPE", "DATA") if not header.get(key)]
+    if missing:
+        raise FileFormatError(f"{path}: its PCD header lacks {', '.join(missing)}")
     return header
 
 
@@ -91,14 +91,14 @@ def _layout(header: dict[str, list[str]], path: Path) -> tuple[np.dtype, int]:
             raise ValueError("too many fields")
         dtype = np.dtype(columns)
     except (ValueError, KeyError, IndexError, TypeError) as error:
-        raise FileFormatError(f"{path}: its PCD header contradicts itself ({error})") from error
+        raise FileFormatError(f"{path}: its PCD header is inconsistent ({error})") from error
     if not 0 <= count <= MAX_POINTS:
-        raise FileFormatError(f"{path}: has {count} points; at most {MAX_POINTS} are read")
+        raise FileFormatError(f"{path}: has {count} points; the limit is {MAX_POINTS}")
     return dtype, count
 
 
 def _own_name(name: str, index: int) -> str:
-    # PCL pads records with fields that are all called "_".
+    # PCL pads records with fields that are all named "_".
     return f"_{index}" if name == "_" else name
 
 
@@ -134,7 +134,7 @@ def _compressed(file: BinaryIO, path: Path, dtype: np.dtype, count: int) -> np.n
     table = np.empty(count, dtype)
     start = 0
     for name in dtype.names or ():
-        # Compressed data go field by field, not point by point.
+        # Compressed data are stored field by field, not point by point.
         stop = start + dtype[name].itemsize * count
         table[name] = plain[start:stop].view(dtype[name].base).reshape(count, *dtype[name].shape)
         start = stop
@@ -146,12 +146,12 @@ def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
     left = file.seek(0, 2) - here
     file.seek(here)
     if left < size:
-        raise FileFormatError(f"{path}: ends early, {left} of {size} bytes of points are there")
+        raise FileFormatError(f"{path}: ends early, with {left} of {size} bytes of points")
     return file.read(size)
 
 
 def _unpacked(packed: np.ndarray) -> Columns:
-    """Split a color that PCL packs into the bits of one number, a float for old files."""
+    """Split a color that PCL packs into the bits of one number, a float in old files."""
     if packed.dtype.itemsize != 4:
         return {}
     bits = np.ascontiguousarray(packed).view("<u4")
@@ -163,10 +163,10 @@ def _unpacked(packed: np.ndarray) -> Columns:
 
 @njit(cache=True)
 def unpack_lzf(data: UInt8[np.ndarray, " n"], out: UInt8[np.ndarray, " m"]) -> int:
-    """Unpack LZF, LibLZF's format: runs of plain bytes, and copies of what came before.
+    """Unpack LZF (LibLZF's format): runs of plain bytes, and copies of earlier bytes.
 
     Returns:
-        How many bytes were written; -1 where the data run out of either array.
+        Number of bytes written; -1 if either array is too short.
     """
     i, o = 0, 0
     while i < len(data):

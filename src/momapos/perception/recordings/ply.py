@@ -1,4 +1,4 @@
-"""The points of a PLY file, in the file's order, so that masks of its vertices still fit."""
+"""Read the points of a PLY file, in the file's order, so that masks of its vertices fit."""
 
 from __future__ import annotations
 
@@ -17,23 +17,10 @@ if TYPE_CHECKING:
 MAX_POINTS = 50_000_000
 MAX_HEADER_BYTES = 100_000
 _TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 Columns = dict[str, np.ndarray]
@@ -44,7 +31,7 @@ class _Element:
     name: str
     count: int
     columns: list[tuple[str, str]] = field(default_factory=list)
-    """Name and type of each property; a list has the types of its length and its items."""
+    """Name and type of each property; a list has the types of its length and items."""
 
     @property
     def has_lists(self) -> bool:
@@ -52,7 +39,7 @@ class _Element:
 
 
 def read_ply(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:
-    """Read the vertices of a PLY file, and its faces where all of them are triangles.
+    """Read the vertices of a PLY file, and its faces if all of them are triangles.
 
     Returns:
         The properties of the vertices by name, and the triangles or None.
@@ -65,7 +52,7 @@ def read_ply(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:
             order, elements = _header(file, path)
             return _body(file, path, order, elements)
     except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+        raise FileFormatError(f"{path}: not readable ({error.strerror})") from error
 
 
 def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
@@ -91,14 +78,14 @@ def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
         except (IndexError, KeyError, ValueError) as error:
             raise FileFormatError(f"{path}: bad line in its PLY header: {line[:60]!r}") from error
     if order is None:
-        raise FileFormatError(f"{path}: its PLY header names no format")
+        raise FileFormatError(f"{path}: its PLY header has no format line")
     return order, elements
 
 
 def _count(word: str, path: Path) -> int:
     count = int(word)
     if not 0 <= count <= 4 * MAX_POINTS:
-        raise FileFormatError(f"{path}: claims {count} entries; at most {MAX_POINTS} are read")
+        raise FileFormatError(f"{path}: has {count} entries; the limit is {MAX_POINTS}")
     return count
 
 
@@ -115,9 +102,9 @@ def _body(
         _scalars(file, path, order, other)
     element = elements[index]
     if element.has_lists or len({name for name, _ in element.columns}) < len(element.columns):
-        raise FileFormatError(f"{path}: its vertices have lists or twice the same property")
+        raise FileFormatError(f"{path}: its vertices have lists or duplicate properties")
     if element.count > MAX_POINTS:
-        raise FileFormatError(f"{path}: has {element.count} points; at most {MAX_POINTS} are read")
+        raise FileFormatError(f"{path}: has {element.count} points; the limit is {MAX_POINTS}")
     vertices = _scalars(file, path, order, element)
     rest = elements[index + 1 : index + 2]
     triangles = None
@@ -138,7 +125,7 @@ def _scalars(file: BinaryIO, path: Path, order: str, element: _Element) -> Colum
         try:
             rows = read_rows(file, element.count)
         except ValueError as error:
-            raise FileFormatError(f"{path}: {element.name} holds no numbers ({error})") from error
+            raise FileFormatError(f"{path}: {element.name} must be numbers ({error})") from error
         if rows.shape[1:] != (len(names),) and rows.size:
             raise FileFormatError(
                 f"{path}: {element.name} has {rows.shape[1]} columns, not {names}"
@@ -156,19 +143,19 @@ def _scalars(file: BinaryIO, path: Path, order: str, element: _Element) -> Colum
 
 
 def read_rows(file: BinaryIO, count: int) -> Float[np.ndarray, "rows columns"]:
-    """Read lines of numbers, at most so many; empty lines are passed over.
+    """Read at most `count` lines of numbers; empty lines are skipped.
 
     Raises:
-        ValueError: They hold something else, or lines are of different length.
+        ValueError: They are not numbers, or lines have different lengths.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # numpy's, about empty lines
-        # comments=None: a "#" is no comment here.
+        warnings.simplefilter("ignore", UserWarning)  # about empty lines
+        # comments=None: a "#" is not a comment here.
         return np.loadtxt(file, max_rows=count, ndmin=2, comments=None)
 
 
 def _available(file: BinaryIO, itemsize: int, count: int) -> int:
-    """No more entries than the file holds, whatever its header says."""
+    """Return the number of entries in the rest of the file, at most `count`."""
     here = file.tell()
     left = file.seek(0, 2) - here
     file.seek(here)
@@ -178,7 +165,7 @@ def _available(file: BinaryIO, itemsize: int, count: int) -> int:
 def _triangles(
     file: BinaryIO, order: str, element: _Element, vertices: int
 ) -> Int[np.ndarray, "m 3"] | None:
-    """Faces, or None where they are not all triangles or damaged: only normals need them."""
+    """Return the faces; None if damaged or not all triangles, since only normals need them."""
     kinds = [kind.split() for _, kind in element.columns]
     if [len(kind) for kind in kinds] != [2] + [1] * (len(kinds) - 1):
         return None

@@ -1,8 +1,8 @@
-"""Whether recorded poses agree with depth: what one image measured is looked for in another.
+"""Check whether recorded poses agree with depth, by comparing the depth of pairs of images.
 
-Of each pair of images the small motion that brings their surfaces together is found, point to
-plane (Chen and Medioni, 1991). Between neighbors it is the noise of poses and depth; between
-images of one place that were taken far apart in time it is how far the poses have drifted.
+The small motion that aligns the surfaces of two images is estimated by point-to-plane ICP (Chen and
+Medioni, 1991). Between consecutive images it is the noise of poses and depth. Between images of one
+place that were taken far apart in time it is the drift of the poses.
 """
 
 from __future__ import annotations
@@ -21,58 +21,58 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 STRIDE = 8
-"""Of the pixels that are looked up [px]."""
-GATE = 0.15
-"""Surfaces farther apart than this are different ones [m]."""
-SHARED = 0.25
-"""Two images show one place where at least this share of the pixels of one is in the other [-]."""
-FITTING = 0.5
-"""Of the pixels of one that are in the other at least this share lies on its surfaces [-]: a floor
-fits to itself however far a camera was moved along it."""
+"""Pixel stride [px]."""
+MAX_DISTANCE = 0.15
+"""Surfaces farther apart are different surfaces [m]."""
+MIN_SHARED = 0.25
+"""Two images show one place if at least this share of one's pixels project into the other [-]."""
+MIN_MATCHED = 0.5
+"""Share of these pixels that must lie on the other's surfaces [-]: a floor matches itself however
+far a camera moved along it."""
 ROUNDS = 3
-"""Of matching and aligning [-]."""
+"""Iterations of matching and aligning [-]."""
 DAMPING = 1e-2
-"""What surfaces do not tell, as sliding along a wall, is taken for no motion [-]."""
-PAIRS = 40
-"""Pairs far apart in time that are compared at most [-]."""
-LATER, LEAST_LATER = 0.2, 10
-"""Far apart in time is this share of the walk, and this many frames [-]."""
-NEAR, ALIKE = 1.0, np.cos(np.radians(35.0))
-"""Such pairs were taken from places this near [m], looking alike."""
+"""Regularization toward zero motion in unobservable directions, such as along a wall [-]."""
+MAX_PAIRS = 40
+"""Number of pairs far apart in time that are compared [-]."""
+LATER, MIN_LATER = 0.2, 10
+"""Far apart in time means this share of the recording, and this many frames [-]."""
+MAX_BASELINE, MIN_COSINE = 1.0, np.cos(np.radians(35.0))
+"""Distance between the cameras of such a pair [m], and cosine between their directions [-]."""
 JUMP = 0.08
-"""A frame this far off from both its neighbors, which agree, was lost by the tracking [m]."""
-DRIFTED = 0.03
-"""Poses that are farther off than this blur what is fused [m]."""
+"""Tracking failed at a frame this far off from both neighbors, which agree [m]."""
+MAX_DRIFT = 0.03
+"""Larger drift blurs the fused surfaces [m]."""
 
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """How well poses agree with depth."""
+    """Agreement of poses with depth."""
 
     neighbors: float
-    """Median distance by which images that follow each other are apart [m]."""
+    """Median misalignment of consecutive images [m]."""
     drift: float | None
-    """The same of images of one place, taken far apart in time [m]; None where no place was
+    """Median misalignment of images of one place taken far apart in time [m]; None if no place was
     seen twice."""
     lost: tuple[int, ...] = ()
-    """Indices of frames that do not fit to their neighbors."""
+    """Indices of frames that do not agree with their neighbors."""
 
     def text(self) -> str:
-        """One line for people."""
-        near = f"poses agree with depth within {100 * self.neighbors:.1f} cm from frame to frame"
+        """Return one line for users."""
+        near = f"poses agree with depth to {100 * self.neighbors:.1f} cm between consecutive frames"
         if self.drift is None:
-            return f"{near}; no place was seen twice, so drift is not known"
-        return f"{near}, {100 * self.drift:.1f} cm where a place was seen again later"
+            return f"{near}; drift is unknown because no place was seen twice"
+        return f"{near}, and to {100 * self.drift:.1f} cm between visits of the same place"
 
 
 def check_poses(frames: Sequence[Frame]) -> PoseCheck | None:
     """Measure how well poses agree with depth.
 
     Args:
-        frames: In the order in which they were recorded.
+        frames: In recording order.
 
     Returns:
-        None where no two images that follow each other show one place.
+        The agreement; None if no two consecutive images show one place.
     """
     clouds = [_Surface.of(frame) for frame in frames if frame.depth is not None]
     if len(clouds) < len(frames) or len(clouds) < 2:
@@ -88,7 +88,7 @@ def check_poses(frames: Sequence[Frame]) -> PoseCheck | None:
 
 
 def _is_lost(k: int, steps: Sequence[float | None], clouds: Sequence[_Surface]) -> bool:
-    """Whether a frame fits to neither neighbor, and these to each other."""
+    """Check whether a frame agrees with neither neighbor, and these with each other."""
     before, after = steps[k - 1], steps[k]
     if before is None or after is None or min(before, after) < JUMP:
         return False
@@ -97,27 +97,27 @@ def _is_lost(k: int, steps: Sequence[float | None], clouds: Sequence[_Surface]) 
 
 
 def _far_apart(frames: Sequence[Frame]) -> list[tuple[int, int]]:
-    """Pairs of frames of one place, taken far apart in time; the most alike first."""
+    """Return pairs of frames of one place, taken far apart in time; the most similar first."""
     places = np.array([frame.T_world_camera[:3, 3] for frame in frames])
-    ways = np.array([frame.T_world_camera[:3, 2] for frame in frames])
+    directions = np.array([frame.T_world_camera[:3, 2] for frame in frames])
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
-    alike = ways @ ways.T
-    later = max(LEAST_LATER, round(LATER * len(frames)))
-    i, j = np.nonzero(np.triu((apart < NEAR) & (alike > ALIKE), later))
-    order = np.argsort(apart[i, j] / NEAR - alike[i, j], kind="stable")[:PAIRS]
+    alike = directions @ directions.T
+    later = max(MIN_LATER, round(LATER * len(frames)))
+    i, j = np.nonzero(np.triu((apart < MAX_BASELINE) & (alike > MIN_COSINE), later))
+    order = np.argsort(apart[i, j] / MAX_BASELINE - alike[i, j], kind="stable")[:MAX_PAIRS]
     return list(zip(i[order].tolist(), j[order].tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """What one depth image measured, on a coarse raster."""
+    """Surface of one depth image, on a coarse raster."""
 
     points: Float[np.ndarray, "h w 3"]
     """In the camera's frame [m]."""
     normals: Float[np.ndarray, "h w 3"]
-    """Of unit length; 0 where a neighbor is missing or there is an edge."""
+    """Unit vectors; 0 at edges and where a neighbor is missing."""
     intrinsics: Float[np.ndarray, "3 3"]
-    """Of the raster."""
+    """Intrinsics of the raster."""
     T_world_camera: Float[np.ndarray, "4 4"]
 
     @classmethod
@@ -144,11 +144,11 @@ class _Surface:
 
 
 def offset(a: _Surface, b: _Surface) -> float | None:
-    """How far what one image measured must move to lie on what another one did [m].
+    """Return the distance by which one image's surface must move to lie on another's [m].
 
     Returns:
-        The mean distance that its points move; None where the images share too little, and
-        `GATE` where they should share enough and their surfaces are nowhere near.
+        The mean distance; None if the images share too little, and `MAX_DISTANCE` if they should
+        share enough but no surfaces match.
     """
     points = a.points[a.points[..., 2] > 0]
     T = invert(b.T_world_camera) @ a.T_world_camera
@@ -157,8 +157,8 @@ def offset(a: _Surface, b: _Surface) -> float | None:
     used = np.zeros(len(points), bool)
     for _ in range(ROUNDS):
         used, on, normals, shared = _matched(moved, b)
-        if used.mean() < SHARED or used.sum() < FITTING * shared.sum():
-            return GATE if shared.mean() > 1.5 * SHARED else None
+        if used.mean() < MIN_SHARED or used.sum() < MIN_MATCHED * shared.sum():
+            return MAX_DISTANCE if shared.mean() > 1.5 * MIN_SHARED else None
         moved = moved + _alignment(moved, used, on, normals)
     return float(np.linalg.norm((moved - start)[used], axis=1).mean())
 
@@ -171,8 +171,8 @@ def _matched(
     Float[np.ndarray, "m 3"],
     Bool[np.ndarray, " n"],
 ]:
-    """Which points lie on the surface of an image, the places and normals there, and which points
-    are in the image at all, where it measured something."""
+    """Match points to the surface of an image: which points lie on it, the places and normals
+    there, and which points project to measured pixels at all."""
     height, width = b.points.shape[:2]
     depth = np.where(points[:, 2] > 0.1, points[:, 2], np.inf)
     pixels = np.round((points @ b.intrinsics.T)[:, :2] / depth[:, None]).astype(int)
@@ -181,8 +181,8 @@ def _matched(
     u, v = np.where(inside, u, 0), np.where(inside, v, 0)
     on, normals = b.points[v, u], b.normals[v, u]
     apart = np.einsum("ni,ni->n", points - on, normals)
-    used = inside & (normals != 0).any(axis=1) & (np.abs(apart) < GATE)
-    used &= np.abs(points[:, 2] - on[:, 2]) < 2 * GATE
+    used = inside & (normals != 0).any(axis=1) & (np.abs(apart) < MAX_DISTANCE)
+    used &= np.abs(points[:, 2] - on[:, 2]) < 2 * MAX_DISTANCE
     return used, on[used], normals[used], inside & (on[:, 2] > 0)
 
 
@@ -192,11 +192,11 @@ def _alignment(
     on: Float[np.ndarray, "m 3"],
     normals: Float[np.ndarray, "m 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """How all points move by the small turn and shift that bring the used ones onto planes."""
+    """Return the motion of all points by the small rotation and shift that align the used ones."""
     middle = points[used].mean(axis=0)
     local = points[used] - middle
     apart = np.einsum("ni,ni->n", points[used] - on, normals)
-    weights = 1.0 / np.maximum(np.abs(apart), 0.01)  # far ones are other things more often
+    weights = 1.0 / np.maximum(np.abs(apart), 0.01)  # far ones are more often other objects
     rows = np.hstack([np.cross(local, normals), normals])
     A = (rows * weights[:, None]).T @ rows
     A += np.diag(np.full(6, DAMPING * np.trace(A) / 6))

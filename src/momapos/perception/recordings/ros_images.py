@@ -1,4 +1,4 @@
-"""Images in ROS messages: raw and compressed, color and depth."""
+"""Decode images in ROS messages: raw and compressed, color and depth."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ _DEPTH_HEADER_BYTES = 12  # of image_transport's compressedDepth, before its PNG
 
 
 def depth_of(message: Any, scale: float, where: str) -> Float32[np.ndarray, "h w"]:
-    """Decode a message of depth, raw or compressed.
+    """Decode a depth message, raw or compressed.
 
     Args:
-        message: A sensor_msgs Image or CompressedImage, as rosbags gives it.
-        scale: How many units of 16-bit depth are a meter; 32-bit depth is in meters.
-        where: What errors call it.
+        message: A sensor_msgs Image or CompressedImage from rosbags.
+        scale: Units of 16-bit depth per meter; 32-bit depth is in meters.
+        where: Name in errors.
 
     Returns:
-        Depth [m], 0 where nothing was measured.
+        Depth [m], 0 where unmeasured.
 
     Raises:
-        FileFormatError: It is damaged or of another encoding.
+        FileFormatError: It is damaged or has another encoding.
     """
     if not hasattr(message, "encoding"):
         data = message.data.tobytes()
         if "compressedDepth" in message.format:
             if "32FC1" in message.format:
-                raise FileFormatError(f"{where}: compressed 32FC1 depth is not read; record 16UC1")
+                raise FileFormatError(f"{where}: compressed depth must be 16UC1, not 32FC1")
             data = data[_DEPTH_HEADER_BYTES:]
         return read_depth(data, scale, where)
     if message.encoding not in _DEPTHS:
@@ -48,10 +48,10 @@ def depth_of(message: Any, scale: float, where: str) -> Float32[np.ndarray, "h w
 
 
 def color_of(message: Any, where: str) -> UInt8[np.ndarray, "h w 3"]:
-    """Decode a message of color, raw or compressed.
+    """Decode a color message, raw or compressed.
 
     Raises:
-        FileFormatError: It is damaged or of another encoding.
+        FileFormatError: It is damaged or has another encoding.
     """
     if not hasattr(message, "encoding"):
         return read_color(message.data.tobytes(), where)
@@ -67,7 +67,7 @@ def color_of(message: Any, where: str) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _pixels(message: Any, kind: str, channels: int, where: str) -> np.ndarray:
-    """The pixels (h, w, channels) of a raw image, without the padding at the end of its rows."""
+    """Return the pixels (h, w, channels) of a raw image, without row padding."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     row = width * channels * dtype.itemsize

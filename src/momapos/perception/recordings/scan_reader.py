@@ -1,4 +1,4 @@
-"""Reading a scan, whatever it was recorded as."""
+"""Read a scan of any supported format."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core import FileFormatError, InputError, open_regular
+from momapos.core import (
+    FileFormatError,
+    as_path,
+    finite_number,
+    open_regular,
+    whole_number,
+)
 from momapos.model.records import Scan
 
 from .bags import BagTopics, read_bag
 from .clouds import read_cloud
 from .image_folders import find_walk
 from .layouts import MILLIMETERS, find_layout, list_names, read_frames
-from .pose_check import DRIFTED, check_poses
+from .pose_check import MAX_DRIFT, check_poses
 
 ACCEPTED = (
     "a folder with frame-000000.color.jpg, .depth.png and .pose.txt (7-Scenes, 3DMatch), or with "
@@ -41,30 +47,29 @@ def read_scan(
     depth_scale: float | None = None,
     topics: BagTopics | None = None,
 ) -> Scan:
-    """Read a scan; what it is, its content says.
+    """Read a scan; the format is detected from the content.
 
     Args:
         path: A folder of posed images, a cloud, or a ROS recording.
-        max_frames: How many frames to read at most; of more, sharp ones are chosen all along the
-            way.
-        depth_scale: How many units of integer depth are a meter; float depth is in meters. By
-            default what is usual: 5000 in TUM's folders, 1000 elsewhere.
-        topics: Which topics of a recording are meant, where their names do not tell.
+        max_frames: Maximum number of frames. If there are more, sharp frames are chosen that are
+            spread over the camera's path.
+        depth_scale: Units of integer depth per meter; float depth is in meters. If None, 5000 in
+            TUM's folders and 1000 elsewhere.
+        topics: Topics of a recording to use, if their names are ambiguous.
 
     Returns:
-        The frames in the order they were recorded, the cloud where there is one, and what was
-        skipped or assumed.
+        The frames in recording order, the cloud if there is one, and warnings about skipped frames
+        and assumptions.
 
     Raises:
-        FileFormatError: It is no scan, or a damaged one; one line says what is wrong and where.
+        FileFormatError: It is not a scan or is damaged; one line says what is wrong and where.
         InputError: The frames do not fit into memory, or an argument is out of range.
         MissingExtraError: A recording is given, and rosbags is not installed.
     """
-    path = Path(path)
-    if depth_scale is not None and not 0 < depth_scale < float("inf"):
-        raise InputError(f"depth_scale is {depth_scale}; it is the units of depth in a meter")
-    if max_frames < 1:
-        raise InputError(f"max_frames is {max_frames}; at least 1 frame is needed")
+    path = as_path("path", path)
+    if depth_scale is not None:
+        depth_scale = finite_number("depth_scale", depth_scale, 1e-9)
+    max_frames = whole_number("max_frames", max_frames, 1)
     if path.is_dir():
         return _read_folder(path, max_frames, depth_scale, topics)
     if not path.is_file():
@@ -78,7 +83,7 @@ def read_scan(
             path, max_frames=max_frames, depth_scale=depth_scale or MILLIMETERS, topics=topics
         )
         return _checked(Scan(path.stem, frames, None, warnings))
-    raise FileFormatError(f"{path}: is no scan; expected {ACCEPTED}")
+    raise FileFormatError(f"{path}: not a scan; expected {ACCEPTED}")
 
 
 def _read_folder(
@@ -97,7 +102,7 @@ def _read_folder(
         return replace(scan, name=name)
     frames, skipped = read_frames(layout, max_frames=max_frames, depth_scale=depth_scale)
     warnings = (*layout.warnings, *skipped)
-    file = _cloud_beside(path)
+    file = _cloud_in(path)
     if file is None:
         if frames[0].depth is None:
             raise FileFormatError(f"{path}: has neither depth images nor a cloud (scene.ply)")
@@ -107,7 +112,7 @@ def _read_folder(
 
 
 def _checked(scan: Scan) -> Scan:
-    """A scan whose poses were held against its depth: lost frames are out, drift is told."""
+    """Check poses against depth: drop frames with wrong poses, and warn about drift."""
     check = check_poses(scan.frames)
     if check is None:
         return scan
@@ -115,13 +120,13 @@ def _checked(scan: Scan) -> Scan:
     if check.lost:
         names = ", ".join(scan.frames[k].name for k in check.lost[:3])
         warnings.append(
-            f"{len(check.lost)} of {len(scan.frames)} frames left out: their poses do not fit to "
+            f"dropped {len(check.lost)} of {len(scan.frames)} frames whose poses do not agree with "
             f"the depth of the frames before and after ({names})"
         )
-    if check.drift is not None and check.drift > DRIFTED:
+    if check.drift is not None and check.drift > MAX_DRIFT:
         warnings.append(
-            f"the poses have drifted by {100 * check.drift:.0f} cm where a place was seen again "
-            "later: things come out blurred or twice; scan in one slow round, or align the poses"
+            f"the poses drifted by {100 * check.drift:.0f} cm between visits of the same place, so "
+            "objects appear blurred or twice; scan in one slow round, or align the poses"
         )
     frames = tuple(frame for k, frame in enumerate(scan.frames) if k not in check.lost)
     return replace(scan, frames=frames, warnings=tuple(warnings), notes=(check.text(),))
@@ -134,21 +139,20 @@ def _kind(path: Path) -> str | None:
 
 
 def _only_file(folder: Path) -> Path:
-    """The one cloud or recording in a folder."""
     names = [n for n in list_names(folder) if n.lower().endswith((*_CLOUDS, *_RECORDINGS))]
     if len(names) != 1:
-        found = f"holds {', '.join(sorted(names)[:5])}; give one of them" if names else "is no scan"
+        found = f"has {', '.join(sorted(names)[:5])}; give one of them" if names else "not a scan"
         raise FileFormatError(f"{folder}: {found}; expected {ACCEPTED}")
     return folder / names[0]
 
 
-def _cloud_beside(folder: Path) -> Path | None:
-    """The cloud that belongs to a folder of frames: scene.ply, or the only one."""
+def _cloud_in(folder: Path) -> Path | None:
+    """Return the cloud in a folder of frames: scene.ply, or the only one."""
     names = sorted(n for n in list_names(folder) if n.lower().endswith(_CLOUDS))
     if "scene.ply" in names:
         return folder / "scene.ply"
     if len(names) > 1:
         raise FileFormatError(
-            f"{folder}: holds several clouds ({', '.join(names[:5])}); call the right one scene.ply"
+            f"{folder}: has several clouds ({', '.join(names[:5])}); name the right one scene.ply"
         )
     return folder / names[0] if names else None

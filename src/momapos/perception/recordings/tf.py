@@ -1,4 +1,4 @@
-"""Where a frame was at given times, from the transforms that a robot has recorded."""
+"""Compute the pose of a frame at given times from recorded transforms."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 TOLERANCE = 0.1
-"""How long before its first or after its last sample a transform still holds [s]."""
+"""A transform is extrapolated by this much before its first and after its last sample [s]."""
 MAX_DEPTH = 100
 
 
 @dataclass
 class TransformTree:
-    """Transforms by child frame, as they come in."""
+    """Transforms by child frame."""
 
     parents: dict[str, Counter[str]] = field(default_factory=dict)
     samples: dict[tuple[str, str], list[tuple[int, tuple[float, ...]]]] = field(
@@ -32,7 +32,7 @@ class TransformTree:
     def add(
         self, stamp: int, parent: str, child: str, values: tuple[float, ...], fixed: bool
     ) -> None:
-        """Add one transform; one that is not finite or has no rotation is left out."""
+        """Add one transform, unless it is not finite or has no rotation."""
         if not np.isfinite(values).all() or not 0.5 < np.linalg.norm(values[3:]) < 2:
             return
         edge = (parent.lstrip("/"), child.lstrip("/"))
@@ -42,48 +42,48 @@ class TransformTree:
             self.static.add(edge)
 
     def frames(self) -> list[str]:
-        """Names of all frames."""
+        """Return the names of all frames."""
         return sorted({name for edge in self.samples for name in edge})
 
     def chain(self, frame: str, fixed_frame: str | None) -> list[tuple[str, str]]:
-        """The transforms from a frame upward.
+        """Return the transforms from a frame upward.
 
         Args:
-            frame: Where to begin.
-            fixed_frame: Where to end; the root if None.
+            frame: Start.
+            fixed_frame: End; the root if None.
 
         Returns:
-            Pairs of (parent, child), the frame's own first; empty where it has no parent.
+            Pairs of (parent, child), the frame's own first; empty without a parent.
 
         Raises:
-            ValueError: There is no way, or the frames go in a circle.
+            ValueError: There is no path, or the frames form a cycle.
         """
         edges: list[tuple[str, str]] = []
         here = frame.lstrip("/")
         end = None if fixed_frame is None else fixed_frame.lstrip("/")
         while here != end and here in self.parents:
-            # Two sources may give a frame different parents; the busier one is the odometry.
+            # Two sources may give a frame different parents; the more frequent one is the odometry.
             parent = self.parents[here].most_common(1)[0][0]
             edges.append((parent, here))
             here = parent
             if len(edges) > MAX_DEPTH:
-                raise ValueError(f"the frames above {frame!r} go in a circle")
+                raise ValueError(f"the frames above {frame!r} form a cycle")
         if end is not None and here != end:
-            raise ValueError(f"no way from {end!r} to {frame!r}; {here!r} has no parent")
+            raise ValueError(f"no path from {end!r} to {frame!r}; {here!r} has no parent")
         return edges
 
     def poses(
         self, edges: Iterable[tuple[str, str]], stamps: Int[np.ndarray, " n"]
     ) -> tuple[Float[np.ndarray, "n 4 4"], Bool[np.ndarray, " n"]]:
-        """Follow a chain at given times.
+        """Compose a chain at given times.
 
         Args:
             edges: From `chain`.
             stamps: Times [ns].
 
         Returns:
-            Transforms from the frame to the end of the chain, and at which times every transform
-            on the way is known.
+            Transforms from the frame to the end of the chain, and at which times all of them are
+            known.
         """
         Ts = np.tile(np.eye(4), (len(stamps), 1, 1))
         known = np.ones(len(stamps), bool)

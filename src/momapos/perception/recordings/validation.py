@@ -1,4 +1,4 @@
-"""What every recorded scan is checked for, whatever format it came in."""
+"""Checks that apply to recorded scans of every format."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_TOTAL_PIXELS = 400_000_000
-"""Of all frames that are kept in memory; a depth and a color pixel take 7 bytes."""
+"""Of all frames in memory; a depth and a color pixel take 7 bytes."""
 NEAREST_MEDIAN, FARTHEST_MEDIAN = 0.05, 40.0  # [m]
-MAX_ODD = 0.2
+MAX_ODD_SIZES = 0.2
 _RIGID = 1e-2
 
 
 class Skips:
-    """Counts the frames that cannot be used, by what is wrong with them."""
+    """Counts unusable frames by reason."""
 
     def __init__(self, total: int) -> None:
         self.total = total
@@ -30,39 +30,39 @@ class Skips:
         self._first: dict[str, str] = {}
 
     def add(self, kind: str, reason: str) -> None:
-        """Count one frame; of each kind the first reason is kept."""
+        """Count one frame; the first reason of each kind is stored."""
         self._count[kind] += 1
         self._first.setdefault(kind, reason)
 
     def warnings(self) -> tuple[str, ...]:
-        """One line for each kind."""
+        """Return one line per kind."""
         return tuple(
-            f"{count} of {self.total} frames skipped for their {kind}; the first: "
+            f"skipped {count} of {self.total} frames because of their {kind}; the first: "
             f"{self._first[kind]}"
             for kind, count in self._count.items()
         )
 
     def refuse_none_left(self, left: int, where: str) -> None:
-        """Raise FileFormatError where no frame is left."""
+        """Raise FileFormatError if no frame is left."""
         if left:
             return
         reasons = "; ".join(f"{kind}: {reason}" for kind, reason in self._first.items())
-        raise FileFormatError(f"{where}: none of its {self.total} frames can be used; {reasons}")
+        raise FileFormatError(f"{where}: none of its {self.total} frames is usable; {reasons}")
 
 
 def rigid_pose(values: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """Check that a matrix is a rigid transform, and round its rotation to the nearest exact one.
+    """Check that a matrix is a rigid transform, and return it with its rotation orthonormalized.
 
     Raises:
-        ValueError: It holds numbers that are not finite, or it scales, shears or mirrors.
+        ValueError: It has numbers that are not finite, or it scales, shears or mirrors.
     """
     T = np.asarray(values, float)
     if T.shape != (4, 4):
         raise ValueError(f"a pose is a 4 x 4 matrix, not {' x '.join(map(str, T.shape))}")
     if not np.isfinite(T).all():
-        raise ValueError("the pose holds numbers that are not finite")
+        raise ValueError("the pose has numbers that are not finite")
     if np.abs(T).max() > 1e6:
-        raise ValueError("the pose is farther than 1000 km from the origin, or no pose")
+        raise ValueError("the pose is farther than 1000 km from the origin")
     R = T[:3, :3]
     off = max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(T[3] - [0, 0, 0, 1]).max())
     if off > _RIGID or np.linalg.det(R) < 0:
@@ -74,7 +74,7 @@ def rigid_pose(values: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def check_intrinsics(K: Float[np.ndarray, "3 3"], where: str) -> Float[np.ndarray, "3 3"]:
-    """Check that a matrix is a pinhole camera's.
+    """Check that a matrix is that of a pinhole camera.
 
     Raises:
         FileFormatError: It is not.
@@ -82,30 +82,30 @@ def check_intrinsics(K: Float[np.ndarray, "3 3"], where: str) -> Float[np.ndarra
     good = K.shape == (3, 3) and np.isfinite(K).all() and K[0, 0] > 1 and K[1, 1] > 1
     if not good or np.abs(K[2] - [0, 0, 1]).max() > 1e-6 or np.abs(K).max() > 1e6:
         raise FileFormatError(
-            f"{where}: is no pinhole camera; expected [fx 0 cx; 0 fy cy; 0 0 1] in pixels"
+            f"{where}: not a pinhole camera; expected [fx 0 cx; 0 fy cy; 0 0 1] in pixels"
         )
     return K
 
 
 def evenly_spaced(count: int, limit: int) -> list[int]:
-    """At most `limit` indices out of `count`, the first and the last among them."""
+    """Return at most `limit` of `count` indices, including the first and the last."""
     if limit < 1:
-        raise InputError(f"max_frames is {limit}; at least 1 frame is needed")
+        raise InputError(f"max_frames must be at least 1, not {limit}")
     if count <= limit:
         return list(range(count))
     return np.round(np.linspace(0, count - 1, limit)).astype(int).tolist()
 
 
 def keep_common_size(sizes: Mapping[int, Hashable], skips: Skips, where: str) -> list[int]:
-    """Frames that have the size most have.
+    """Return the frames that have the most common size.
 
     Args:
         sizes: Size of each frame, by its index.
-        skips: Where the others are counted.
-        where: What the error names.
+        skips: Counts the other frames.
+        where: Name of the scan in errors.
 
     Returns:
-        Indices of the frames to keep, in order.
+        Indices of the frames, in order.
 
     Raises:
         FileFormatError: A fifth or more have another size.
@@ -115,31 +115,31 @@ def keep_common_size(sizes: Mapping[int, Hashable], skips: Skips, where: str) ->
         return []
     common, count = counted[0]
     odd = len(sizes) - count
-    if odd >= MAX_ODD * len(sizes) and odd > 0:
+    if odd >= MAX_ODD_SIZES * len(sizes) and odd > 0:
         listed = ", ".join(f"{n} of {size}" for size, n in counted[:4])
         raise FileFormatError(
             f"{where}: its frames have different sizes ({listed}); record them with one size"
         )
     for size in sizes.values():
         if size != common:
-            skips.add("size", f"{size} where most have {common} pixels")
+            skips.add("size", f"{size} pixels, where most frames have {common}")
     return [index for index, size in sizes.items() if size == common]
 
 
 def check_memory(frames: int, pixels: int, where: str) -> None:
-    """Raise InputError where so many frames of that size do not fit into memory."""
+    """Raise InputError if the frames do not fit into memory."""
     if frames * pixels > MAX_TOTAL_PIXELS:
         raise InputError(
             f"{where}: {frames} frames of {pixels / 1e6:.1f} million pixels do not fit into "
-            f"memory; give max_frames={max(1, MAX_TOTAL_PIXELS // pixels)} or smaller images"
+            f"memory; use max_frames={max(1, MAX_TOTAL_PIXELS // pixels)} or smaller images"
         )
 
 
 def check_depth_unit(frames: Sequence[Frame], scale: float, where: str) -> None:
-    """Check that depth is as far away as things in a room are.
+    """Check that depth is in the range of a room.
 
     Raises:
-        FileFormatError: Nothing was measured at all, or the median is not within 0.05 m and 40 m.
+        FileFormatError: All depth is 0, or the median is not within 0.05 m and 40 m.
     """
     samples = [f.depth[::8, ::8] for f in frames if f.depth is not None]
     if not samples:
@@ -154,5 +154,5 @@ def check_depth_unit(frames: Sequence[Frame], scale: float, where: str) -> None:
     guess = "meters or centimeters" if median < NEAREST_MEDIAN else "a unit finer than expected"
     raise FileFormatError(
         f"{where}: the median depth is {median:.3g} m at {scale:g} units a meter, so depth looks "
-        f"as if it were in {guess}; expected 16-bit millimeters, or give depth_scale"
+        f"as if it were in {guess}; expected 16-bit millimeters, or set depth_scale"
     )

@@ -1,4 +1,4 @@
-"""From a cloud to things, each with its box and label."""
+"""Segment an upright cloud into objects with boxes and labels."""
 
 import lazy_loader
 

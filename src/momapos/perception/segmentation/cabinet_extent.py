@@ -1,4 +1,4 @@
-"""What is below a top: how far the body reaches, and whether it is closed."""
+"""Measure the furniture body below a top: its extent, and whether it is closed."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from .supports import Rectangle
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-LOWEST, LIP = 0.12, 0.1
-"""Sides are looked for this far above the floor, and this far below the top [m]."""
+MIN_Z, MIN_DROP = 0.12, 0.1
+"""Sides are measured this far above the floor, and this far below the top [m]."""
 
 
 @dataclass(frozen=True)
 class CabinetExtentConfig:
-    """What makes a side of furniture."""
+    """When a surface is a side of furniture."""
 
     near: float = 0.11
-    """Surfaces this near to an edge of the top may be the side below it [m]."""
+    """Surfaces this close to an edge of the top may be the side below it [m]."""
     eaves: tuple[float, float] = (0.05, 0.4)
-    """Tops that hang over by less are flush with their furniture; by more, they do not [m]."""
+    """Smaller overhangs are flush, larger ones are not overhangs [m]."""
     broad: float = 0.25
-    """Share of a side that a surface covers to be that side [-]."""
+    """Minimum share of a side that a surface covers [-]."""
     sharp: float = 0.015
     """Points of one surface are within this of its plane [m]."""
 
@@ -36,10 +36,10 @@ class _Side:
     """An upright surface below an edge of a top."""
 
     depth: float
-    """How far inward of the edge it is [m]."""
+    """Distance from the edge, inward [m]."""
     low: float
     high: float
-    """Where it begins and ends along the edge [m]."""
+    """Start and end along the edge [m]."""
 
 
 def cabinet_extent(
@@ -49,20 +49,20 @@ def cabinet_extent(
     height: float,
     config: CabinetExtentConfig,
 ) -> Rectangle:
-    """Outline of the furniture below a top that may hang over.
+    """Return the outline of the furniture below a top that may overhang.
 
-    Each side is the outermost upright surface that faces out and is broad enough, but no farther
-    in than its neighbors end: furniture may be open at a side. Where none is seen, and where the
-    difference is small, it is below the edge of the top.
+    Each side is the outermost broad surface that faces out, but no farther in than its neighbors
+    end, because furniture may be open at a side. Unseen sides and small overhangs are flush with
+    the top.
 
     Args:
-        points: What is below the top.
-        normals: Of the points.
+        points: Points below the top.
+        normals: Normals of the points.
         rectangle: The top seen from above.
-        height: Of the top [m].
+        height: Height of the top [m].
         config: Constants.
     """
-    if height - LOWEST - LIP < 0.1:
+    if height - MIN_Z - MIN_DROP < 0.1:
         return rectangle
     sides = [_side(points, normals, rectangle, height, side, config) for side in range(4)]
     body = list(rectangle)
@@ -86,17 +86,16 @@ def _side(
     side: int,
     config: CabinetExtentConfig,
 ) -> _Side | None:
-    """The side of the body below one edge of a top."""
     axis, sign = side % 2, -1.0 if side < 2 else 1.0
     start, stop = rectangle[1 - axis], rectangle[3 - axis]
     inward, along = sign * (rectangle[side] - points[:, axis]), points[:, 1 - axis]
     on = (sign * normals[:, axis] > 0.8) & (along > start) & (along < stop)
-    on &= (points[:, 2] > LOWEST) & (points[:, 2] < height - LIP)
+    on &= (points[:, 2] > MIN_Z) & (points[:, 2] < height - MIN_DROP)
     on &= (inward > -config.near) & (inward < config.eaves[1])
     for depth in sorted(peaks(inward[on], config.sharp, 10, 2 * config.sharp)):
         flat = on & (np.abs(inward - depth) < config.sharp)
         covered = area(along[flat], points[flat, 2])
-        share = covered / ((stop - start) * (height - LIP - LOWEST))
+        share = covered / ((stop - start) * (height - MIN_DROP - MIN_Z))
         if share > config.broad:
             return _Side(depth, *ends(along[flat], 2 * config.sharp))
     return None
@@ -109,16 +108,16 @@ def closed_share(
     height: float,
     near: float,
 ) -> float:
-    """Share of the fullest side below a surface on which upright surfaces are seen [-].
+    """Return the share of the fullest side below a surface that upright surfaces cover [-].
 
     Args:
-        points: What is below it and around.
-        normals: Of the points.
+        points: Points below and around it.
+        normals: Normals of the points.
         rectangle: The surface seen from above.
-        height: Of the surface [m].
-        near: Points this near to a side belong to it [m].
+        height: Height of the surface [m].
+        near: Points this close to a side belong to it [m].
     """
-    low_z, high_z = LOWEST, height - LIP
+    low_z, high_z = MIN_Z, height - MIN_DROP
     if high_z - low_z < 0.1:
         return 0.0
     shares = []

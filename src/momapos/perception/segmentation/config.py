@@ -1,4 +1,4 @@
-"""How a room is divided into things: every length and share in one record."""
+"""Configuration of the classical segmenter."""
 
 from __future__ import annotations
 
@@ -12,49 +12,48 @@ from .supports import SupportConfig
 
 @dataclass(frozen=True)
 class SegmentConfig:
-    """How a room is divided."""
+    """How a room is segmented."""
 
     room: RoomConfig = field(default_factory=RoomConfig)
     support: SupportConfig = field(default_factory=SupportConfig)
     front: FrontPlaneConfig = field(default_factory=FrontPlaneConfig)
     extent: CabinetExtentConfig = field(default_factory=CabinetExtentConfig)
     touching: float = 0.05
-    """Pieces of furniture nearer than this to each other are one, unless planes divide them [m]."""
+    """Furniture closer than this is one piece, unless planes divide it [m]."""
     touching_small: float = 0.025
-    """The same for things on a surface [m]."""
+    """The same for objects on a surface [m]."""
     least_points: int = 25
-    """Groups of fewer points are noise [-]."""
+    """Smaller groups of points are noise [-]."""
     least_small: int = 14
-    """The same for things on a surface [-]."""
+    """The same for objects on a surface [-]."""
     reach: float = 0.5
-    """Things on a surface are this high at most [m]; cabinets hang above it."""
+    """Maximum height of objects on a surface [m]; cabinets hang above it."""
     lift: float = 0.015
     """Points this far above a surface do not belong to it [m]."""
     overhang: float = 0.09
-    """Fronts and handles stand out from under a top, or in front of a front, by this [m]."""
+    """Fronts and handles protrude by up to this from under a top or from a front [m]."""
     lip: float = 0.07
-    """Fronts end this far below the top that they belong to, at most [m]."""
+    """Fronts end at most this far below their top [m]."""
     slab: float = 0.04
-    """Thickness of a counter's top [m]; it is a thing of its own, above cabinets and machines."""
+    """Thickness of a countertop [m]. It is an object of its own."""
     slab_length: float = 1.2
-    """Tops at least this long are a slab across several pieces of furniture [m]."""
+    """Tops at least this long are countertops across several pieces of furniture [m]."""
     closed: float = 0.45
-    """Share of its fullest side that is seen to be closed, below which furniture is open: a table
-    stands on legs [-]."""
+    """Furniture is open, like a table, if surfaces cover less than this share of each side [-]."""
     open: float = 0.1
-    """Share of a corner on which the floor is seen, above which nothing stands in it [-]."""
+    """A corner is empty if the floor is seen on more than this share of it [-]."""
     tall: float = 1.2
-    """Tops above this are seen in part, if at all: fronts say more about the furniture [m]."""
+    """Tops above this are hardly visible: fronts define such furniture [m]."""
     flat: float = 0.08
-    """What stands out from a wall by less is left to the wall [m]."""
+    """Objects that protrude less from a wall belong to it [m]."""
     corner: float = 0.35
-    """Furniture is divided where its front ends this far from its own end: the rest is a corner,
-    behind other furniture [m]."""
+    """A row is divided where its front ends this far from its own end: the rest is a corner behind
+    other furniture [m]."""
     seat: tuple[float, float] = (0.6, 0.35)
-    """Tops lower [m] and smaller [m2] than this are seats: what rises from them is a back."""
+    """Tops lower [m] and smaller [m2] than this are seats, and objects on them are backs."""
     back: float = 0.7
-    """Backs rise from seats by this, at most [m]."""
+    """Maximum height of a back above its seat [m]."""
     back_thick: float = 0.2
-    """And are this thick, at most, leaning backward included [m]."""
+    """Maximum thickness of a back, including its inclination [m]."""
     shelf: float = 0.4
-    """Open furniture at a wall that is less deep than this is a shelf, not a table [m]."""
+    """Open furniture at a wall that is less deep is a shelf, not a table [m]."""

@@ -1,4 +1,4 @@
-"""Flat fronts of furniture, and how far it reaches back behind them."""
+"""Find flat fronts of furniture, and how far the furniture extends behind them."""
 
 from __future__ import annotations
 
@@ -11,50 +11,50 @@ import numpy as np
 from momapos.core.geometry import UprightBox, corners, from_corners
 from momapos.model.records import Cloud, Instance
 
-from .room_shell import Room, Wall, area, ends, floor_seen, peaks
+from .room_shell import RoomShell, Wall, area, ends, floor_seen, peaks
 from .supports import components
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
-CLEAR = 4.0
-"""A step of what stands on the floor is clear that is so many times as high as its edges are
-ragged; the upper edges of what hangs are above the cameras, and seen as they chance to be [-]."""
+MIN_CLEAR_STEP = 4.0
+"""A step in the edge of standing furniture counts if it is this many times the roughness of the
+edge [-]. Upper edges of hanging furniture are above the cameras and randomly cut off."""
 
 
 @dataclass(frozen=True)
 class FrontPlaneConfig:
-    """What makes a surface the front of a piece of furniture."""
+    """When a surface is the front of furniture."""
 
     area: float = 0.06
-    """Least area [m2]."""
+    """Minimum area [m2]."""
     side: float = 0.2
-    """Least width and height [m]."""
+    """Minimum width and height [m]."""
     step: float = 0.02
     """Surfaces with a step of more than twice this are two fronts [m]."""
     gap: float = 0.04
     """Gaps of up to twice this, as between doors, are bridged [m]."""
     depth: float = 0.9
-    """Furniture is at most this deep [m], unless it hides all of the floor back to a wall."""
+    """Maximum depth of furniture [m], unless it hides all of the floor back to a wall."""
     deepest: float = 1.25
-    """That furniture is at most this deep [m]."""
+    """Maximum depth in that case [m]."""
     open: float = 0.2
-    """Share of a footprint on which the floor is seen, above which nothing fills it: the floor is
-    seen a little way under doors that end above it [-]."""
+    """A footprint is not filled if the floor is seen on more than this share of it; under raised
+    doors the floor is seen a little [-]."""
     foot: float = 0.25
     """Fronts whose lower edge is below this stand on the floor, on feet or a plinth [m]."""
     stands_out: float = 0.15
-    """Handles stand out from fronts by this, at most [m]."""
+    """Maximum protrusion of handles [m]."""
     shallow: float = 0.05
-    """And at least this [m]."""
+    """Minimum depth of furniture [m]."""
     stack: float = 0.15
-    """Fronts of one width, one above the other, belong together when no farther apart [m]."""
+    """Maximum gap between stacked fronts of one width that belong together [m]."""
     profile: float = 0.03
-    """A step in the upper or lower edge of a front by more than this divides it [m]."""
+    """Steps in the upper or lower edge of a front larger than this divide it [m]."""
     ragged: float = 0.2
-    """The same for the upper edge of tall furniture that stands on the floor: what is at the height
-    of the camera or above is often not seen up to its end [m]. Doors divide such a row later."""
+    """The same for the upper edge of tall standing furniture, which is often cut off because it is
+    above the camera [m]. Doors divide such a row later."""
     hung: float = 1.0
     """Fronts whose lower edge is above this hang on the wall [m]."""
     tall: float = 1.2
@@ -66,22 +66,22 @@ class FrontPlane:
     """A flat upright surface and the box behind it."""
 
     axis: int
-    """0 where it looks along x, 1 along y."""
+    """0 if it faces along x, 1 if along y."""
     sign: float
-    """+1 where it looks toward larger coordinates, else -1."""
+    """+1 if it faces toward larger coordinates, else -1."""
     box: UprightBox
     members: Int[np.ndarray, " k"]
     rank: float
-    """How good a front it is: the seen area, more where a wall is behind."""
+    """Quality: the seen area, times 3 with a wall behind it."""
 
 
 def find_front_planes(
-    cloud: Cloud, room: Room, among: Int[np.ndarray, " m"], config: FrontPlaneConfig
+    cloud: Cloud, room: RoomShell, among: Int[np.ndarray, " m"], config: FrontPlaneConfig
 ) -> list[FrontPlane]:
     """Find fronts among some points of an upright cloud.
 
     Returns:
-        Those that look away from a wall near behind them first, then by area.
+        The fronts by rank, highest first.
     """
     found = []
     for axis in (0, 1):
@@ -94,7 +94,7 @@ def find_front_planes(
 
 
 def _stacked(fronts: list[FrontPlane], config: FrontPlaneConfig) -> list[FrontPlane]:
-    """Join fronts one above the other in one plane: the doors of a fridge, with a gap for hands."""
+    """Merge stacked fronts in one plane, such as the doors of a fridge with a grip gap."""
     out: list[FrontPlane] = []
     for front in fronts:
         for k, other in enumerate(out):
@@ -129,7 +129,6 @@ def _flat(
     axis: int,
     config: FrontPlaneConfig,
 ) -> Iterator[Int[np.ndarray, " k"]]:
-    """Groups of points that lie in one plane and touch."""
     cell = [config.gap] * 3
     cell[axis] = config.step
     label = components(points, (cell[0], cell[1], cell[2]))
@@ -146,8 +145,8 @@ def _divided(
     axis: int,
     config: FrontPlaneConfig,
 ) -> Iterator[Int[np.ndarray, " k"]]:
-    """Divide a flat surface where its upper or lower edge has a step, into pieces that are wide
-    enough for a front: a strip at an end is what was not seen of the edge."""
+    """Divide a flat surface where its upper or lower edge has a step, into pieces wide enough for
+    a front: a narrow strip at an end is just an unseen part of the edge."""
     along, z = points[:, 1 - axis], points[:, 2]
     strip = 0.03
     low = float(along.min())
@@ -159,13 +158,15 @@ def _divided(
     if not len(seen):
         yield members
         return
-    # One row below the top: a single stray point is no edge.
+    # Second row below the top: a single stray point is not an edge.
     top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
     bottom = np.array([z[order[starts[k] + 1]] for k in seen])
     hangs = float(np.median(bottom)) > config.hung
     tall = not hangs and float(np.median(top)) > config.tall
-    cuts = _steps(top, config.ragged if tall else config.profile, np.inf if hangs else CLEAR)
-    # Lower edges near the floor are hidden by what stands before them.
+    cuts = _steps(
+        top, config.ragged if tall else config.profile, np.inf if hangs else MIN_CLEAR_STEP
+    )
+    # Lower edges near the floor are hidden by objects in front of them.
     if hangs:
         cuts |= _steps(bottom, config.profile, np.inf)
     edges = [low]
@@ -179,10 +180,10 @@ def _divided(
 
 
 def _steps(profile: Float[np.ndarray, " n"], least: float, clear: float, side: int = 4) -> set[int]:
-    """Where a profile changes for good: the medians on both sides differ.
+    """Return where a profile has a lasting step: the medians on both sides differ.
 
-    By more than `least` [m] where neither side is ragged by that, else by more than `clear` times
-    as much as either is ragged [-].
+    The step must exceed `least` [m], and both sides must be smoother than `least` or than the step
+    divided by `clear` [-].
     """
     n = len(profile)
     jumps = np.zeros(n)
@@ -201,14 +202,13 @@ def _steps(profile: Float[np.ndarray, " n"], least: float, clear: float, side: i
 
 def _front(
     cloud: Cloud,
-    room: Room,
+    room: RoomShell,
     among: Int[np.ndarray, " m"],
     members: Int[np.ndarray, " k"],
     axis: int,
     sign: float,
     config: FrontPlaneConfig,
 ) -> FrontPlane | None:
-    """The box behind a flat surface; None for one that is too small."""
     points = cloud.points[members]
     other = 1 - axis
     if len(points) < 20:
@@ -221,7 +221,7 @@ def _front(
     size = area(points[:, other], points[:, 2])
     if size < config.area:
         return None
-    # The densest plane: of a curved front it is the middle, which stands out farthest.
+    # The densest plane: of a curved front it is the middle, which protrudes most.
     face = peaks(points[:, axis], config.step / 2, 1, config.step)[0]
     wall = _wall_behind(cloud, room, low, high, face, axis, sign, config)
     if wall is not None:
@@ -247,11 +247,11 @@ def _next_front(
     places: Float[np.ndarray, "n 2"],
     config: FrontPlaneConfig,
 ) -> float:
-    """Behind a front, where the side or front of the next thing is; at most `depth` [m].
+    """Return the distance from a front to the next front or side behind it; at most `depth` [m].
 
     Args:
-        away: How far behind the front surfaces are that look the same way [m].
-        places: Where they are across it [m].
+        away: Distance behind the front of surfaces that face the same way [m].
+        places: Their position across it [m].
         config: Constants.
     """
     behind = away[away > config.stands_out]
@@ -264,7 +264,7 @@ def _next_front(
 
 def _wall_behind(
     cloud: Cloud,
-    room: Room,
+    room: RoomShell,
     low: Float[np.ndarray, "3"],
     high: Float[np.ndarray, "3"],
     face: float,
@@ -272,13 +272,12 @@ def _wall_behind(
     sign: float,
     config: FrontPlaneConfig,
 ) -> Wall | None:
-    """The nearest wall behind a front, within the depth of furniture."""
     middle = (low + high) / 2
     middle[axis] = face
     behind = [
         wall
         for wall in room.walls
-        if wall.axis == axis and wall.sign == sign and wall.beside(middle[None], 0.2)[0]
+        if wall.axis == axis and wall.sign == sign and wall.spans(middle[None], 0.2)[0]
     ]
     reach = config.deepest if low[2] < config.foot else config.depth
     near = [w for w in behind if config.shallow < w.distance(middle[None])[0] < reach]
@@ -292,13 +291,13 @@ def _wall_behind(
     return None if floor_seen(cloud, start, stop) > config.open else wall
 
 
-def hung_together(
+def attach_hoods(
     furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, near: float
 ) -> list[Instance]:
-    """Join a hood's rim with its chimney: a flat thing that hangs right below a narrower one."""
+    """Merge a hood's rim with its chimney: a flat object right below a narrower hanging one."""
     out, alone = list(furniture), []
-    for thing in rest:
-        points = cloud.points[thing.members]
+    for item in rest:
+        points = cloud.points[item.members]
         low, high = points.min(axis=0), points.max(axis=0)
         for k, body in enumerate(out):
             if body.box is None:
@@ -309,24 +308,24 @@ def hung_together(
             flat = high[2] - low[2] < 0.15 and start[2] > 1.0
             if flat and below and low[2] - near < start[2] < high[2] + near:
                 box = from_corners(np.minimum(low, start), np.maximum(high, stop))
-                members = np.concatenate([body.members, thing.members])
+                members = np.concatenate([body.members, item.members])
                 out[k] = replace(body, members=members, box=box)
                 break
         else:
-            alone.append(thing)
+            alone.append(item)
     return out + alone
 
 
-def without_handles(
+def attach_handles(
     furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, config: FrontPlaneConfig
 ) -> tuple[list[Instance], list[Instance]]:
-    """Give handles that touch no other points to the furniture that they stand out from.
+    """Add handles that touch no other points to the furniture that they protrude from.
 
-    What reaches down to the floor stands before the furniture and is no handle.
+    Objects that reach down to the floor stand in front of furniture and are not handles.
     """
     out, alone = list(furniture), []
-    for thing in rest:
-        points = cloud.points[thing.members]
+    for item in rest:
+        points = cloud.points[item.members]
         low, high = points.min(axis=0), points.max(axis=0)
         for k, body in enumerate(out):
             if (
@@ -334,10 +333,10 @@ def without_handles(
                 and low[2] > config.foot
                 and _before(body.box, low, high, config)
             ):
-                out[k] = replace(body, members=np.concatenate([body.members, thing.members]))
+                out[k] = replace(body, members=np.concatenate([body.members, item.members]))
                 break
         else:
-            alone.append(thing)
+            alone.append(item)
     return out, alone
 
 
@@ -347,9 +346,9 @@ def _before(
     high: Float[np.ndarray, "3"],
     config: FrontPlaneConfig,
 ) -> bool:
-    """Whether something lies before an upright face of a box, near to it."""
+    """Check whether an object lies close in front of an upright face of a box."""
     start, stop = corners(box)
-    out = np.maximum(start - low, high - stop)[:2]  # how far it stands out along x and y
+    out = np.maximum(start - low, high - stop)[:2]  # protrusion along x and y
     beside = (high < start) | (low > stop)
     return any(
         0 < out[axis] < config.stands_out

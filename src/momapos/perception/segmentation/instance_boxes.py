@@ -1,4 +1,4 @@
-"""From instances to boxes: outliers off, faces on surfaces, backs on walls, bottoms on floors."""
+"""Fit boxes to instances: remove outliers, and snap faces to surfaces, walls and the floor."""
 
 from __future__ import annotations
 
@@ -22,59 +22,58 @@ from momapos.core.geometry import (
 )
 from momapos.model.records import UNKNOWN, Cloud, Detection, Instance, LabelSource
 
-from .room_shell import Room, area, peaks
-from .size_labels import Stand, guesses_of, looks_of
+from .room_shell import RoomShell, area, peaks
+from .size_labels import Stand, features_of, guesses_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-PIECE = 0.9
-"""A thing is a piece of another whose box holds more than this share of its points [-]."""
+MIN_INSIDE = 0.9
+"""A fragment has more than this share of its points inside a larger box [-]."""
 
 
 @dataclass(frozen=True)
 class BoxConfig:
-    """How a box is drawn around points."""
+    """How boxes are fitted."""
 
     outlier: float = 0.03
-    """Points whose eight nearest are farther than this on average are outliers [m]."""
+    """Points farther than this from their eight nearest neighbors on average are outliers [m]."""
     percentile: float = 1.0
-    """Share of points that may stick out on each side [%]."""
+    """Share of points that may lie outside on each side [%]."""
     search: float = 0.08
-    """A face is looked for this far from where the outermost points put it [m]: handles stand
-    out by 3 to 6 cm."""
+    """A face is searched this far from the outermost points [m]; handles protrude by 3 to 6 cm."""
     search_given: float = 0.035
-    """The same where a segmenter gave the box: it knows better how far a top overhangs [m]."""
+    """The same for boxes from a segmenter, which knows better how far a top overhangs [m]."""
     face: float = 0.2
-    """Share of a face that a surface must cover to be that face [-]."""
+    """Minimum share of a face that a surface covers [-]."""
     sharp: float = 0.008
     """Points of one surface are within this of its plane [m]."""
     floor: float = 0.12
-    """Bottoms nearer to the floor than this stand on it: the lowest part is rarely seen [m]."""
+    """Bottoms closer to the floor are snapped to it; the lowest part is rarely seen [m]."""
     wall: float = 0.1
-    """Backs nearer to a wall than this touch it: they are never seen [m]."""
+    """Backs closer to a wall are snapped to it; they are never seen [m]."""
     support: float = 0.1
-    """Bottoms nearer to a surface than this stand on it [m]."""
+    """Bottoms closer to a surface are snapped to it [m]."""
     turned: float = 7.0
-    """A thing whose faces are turned by more from x and y gets a turned box [degrees]."""
+    """Objects whose faces are turned by more from x and y get a turned box [deg]."""
     oriented: bool = False
-    """Whether every thing gets the box of least area, whatever its yaw."""
+    """Whether every object gets the box of minimum area, whatever its yaw."""
     small: float = 0.35
-    """Things smaller than this are completed where no side of them was seen [m]."""
+    """Smaller objects are extended if a side was not seen [m]."""
     sheet: float = 0.12
-    """Larger ones are completed where all that was seen of them is thinner than this [m]."""
+    """Larger ones are extended if what was seen of them is thinner than this [m]."""
     least_points: int = 10
-    """Instances without a box and with fewer points are left out [-]."""
+    """Instances without a box and with fewer points are dropped [-]."""
     smallest: float = 0.01
-    """Least edge [m]."""
+    """Minimum edge length [m]."""
     wall_thickness: float = 0.1
-    """Of the boxes of walls [m]."""
+    """Thickness of the boxes of walls [m]."""
 
 
 def boxes(
-    cloud: Cloud, instances: Sequence[Instance], room: Room, config: BoxConfig | None = None
+    cloud: Cloud, instances: Sequence[Instance], room: RoomShell, config: BoxConfig | None = None
 ) -> list[Detection]:
-    """Draw boxes around instances and name them.
+    """Fit boxes to instances and name them.
 
     Args:
         cloud: Upright: z up, floor at z = 0.
@@ -83,8 +82,8 @@ def boxes(
         config: Constants.
 
     Returns:
-        One detection for each instance that has a box or enough points, named `<label>_<k>`: for
-        every label, k counts from 1 by the distance from the world's origin.
+        One detection per instance with a box or enough points, named `<label>_<k>`: for each
+        label, k counts from 1 by distance from the world's origin.
 
     Raises:
         InputError: Members are not indices of the cloud.
@@ -100,16 +99,16 @@ def boxes(
     tops: list[UprightBox] = []
     standing = []
     for instance, members, box in drawn:
-        box, stand = _stood(box, tops, config)
+        box, stand = _on_support(box, tops, config)
         if stand == "support" and instance.box is None:
-            box = _completed(cloud, members, box, room, config)
+            box = _extended(cloud, members, box, room, config)
         tops.append(box)
         standing.append((instance, members, box, stand))
     found = []
     for instance, members, box, stand in standing:
         label, score, guesses = instance.label, instance.score, instance.guesses
         if not label:
-            guesses = guesses_of(looks_of(cloud, members, box, stand, tops, room)) or (UNKNOWN,)
+            guesses = guesses_of(features_of(cloud, members, box, stand, tops, room)) or (UNKNOWN,)
             label, fit = guesses[0]
             score = min(score, fit)
         source: LabelSource = "size" if guesses else "segmenter"
@@ -118,7 +117,7 @@ def boxes(
 
 
 def named(detections: Sequence[Detection]) -> list[Detection]:
-    """Give detections names, `<label>_<k>`, in the order of labels and of distance."""
+    """Name detections `<label>_<k>`, in the order of labels and of distance from the origin."""
 
     def rank(detection: Detection) -> tuple[str, float, tuple[float, ...]]:
         center = np.round(detection.box.center, 3)
@@ -132,28 +131,29 @@ def named(detections: Sequence[Detection]) -> list[Detection]:
     return out
 
 
-def without_pieces(detections: Sequence[Detection], cloud: Cloud) -> list[Detection]:
-    """Leave out what no rule names and whose points lie in the box of something larger.
+def drop_fragments(detections: Sequence[Detection], cloud: Cloud) -> list[Detection]:
+    """Drop unlabeled objects whose points lie inside a larger box.
 
-    It is a piece of that: the rim of a door, a shadow's edge. As a thing of its own it would stand
-    in the door's way.
+    They are fragments of it, such as the rim of a door. As objects they would block the door.
     """
 
-    def piece(item: Detection) -> bool:
+    def is_fragment(item: Detection) -> bool:
         points, volume = cloud.points[item.members], np.prod(item.box.size)
         larger = (other.box for other in detections if np.prod(other.box.size) > volume)
-        return any(inside(points, box).mean() > PIECE for box in larger)
+        return any(inside(points, box).mean() > MIN_INSIDE for box in larger)
 
-    return [d for d in detections if d.label != "object" or not len(d.members) or not piece(d)]
+    return [
+        d for d in detections if d.label != "object" or not len(d.members) or not is_fragment(d)
+    ]
 
 
 def inside(points: Float[np.ndarray, "n 3"], box: UprightBox) -> Bool[np.ndarray, " n"]:
-    """Which points lie in a box, or within 1 cm of it."""
+    """Tell which points lie in a box, or within 1 cm of it."""
     return (np.abs(to_local(points, box)) <= box.size / 2 + 0.01).all(axis=1)
 
 
-def wall_detections(room: Room, config: BoxConfig | None = None) -> list[Detection]:
-    """The walls as boxes behind what is seen of them; a robot must not drive there."""
+def wall_detections(room: RoomShell, config: BoxConfig | None = None) -> list[Detection]:
+    """Return the walls as boxes behind their surfaces; a robot must not drive there."""
     config = config or BoxConfig()
     out = []
     for wall in room.walls:
@@ -170,13 +170,12 @@ def wall_detections(room: Room, config: BoxConfig | None = None) -> list[Detecti
 
 
 def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndarray, " k"]:
-    """Points of an instance, outliers removed."""
     if instance.members is not None:
         members = np.asarray(instance.members)
         if len(members) and not (members.min() >= 0 and members.max() < len(cloud.points)):
             raise InputError(
-                f"members of an instance must be indices below {len(cloud.points)}, the number "
-                f"of points; they reach from {members.min()} to {members.max()}"
+                f"members of an instance must be indices below the number of points, "
+                f"{len(cloud.points)}; they range from {members.min()} to {members.max()}"
             )
     elif instance.box is not None:
         members = np.flatnonzero(inside(cloud.points, instance.box))
@@ -194,7 +193,7 @@ def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndar
 def _draw(
     cloud: Cloud, members: Int[np.ndarray, " k"], given: UprightBox | None, config: BoxConfig
 ) -> UprightBox:
-    """The box around points, or a given one, with its faces on the surfaces seen."""
+    """Return the box around points, or a given one, with its faces snapped to surfaces."""
     points, normals = cloud.points[members], cloud.normals[members]
     yaw = given.yaw if given is not None else _yaw(points, normals, config)
     turned, facing = along_edges(points, yaw), along_edges(normals, yaw)
@@ -227,7 +226,7 @@ def _surface(
     high: Float[np.ndarray, "3"],
     config: BoxConfig,
 ) -> float | None:
-    """Where the largest plane across an axis is, among points that face along it."""
+    """Return the coordinate of the largest plane across an axis, among points facing along it."""
     found = peaks(points[:, axis], config.sharp, 8, config.sharp)
     if not found:
         return None
@@ -241,7 +240,7 @@ def _surface(
 def _yaw(
     points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], config: BoxConfig
 ) -> float:
-    """Turn of a thing's box: none, unless its faces say so."""
+    """Return the yaw of an object's box: 0, unless its faces clearly show another one."""
     least = _least_area(points[:, :2])
     if config.oriented:
         return least
@@ -251,13 +250,13 @@ def _yaw(
     angle = np.arctan2(normals[upright, 1], normals[upright, 0])
     mean = np.exp(4j * angle).mean()
     offset = float(np.angle(mean)) / 4
-    # Round things have faces on all sides: their normals cancel.
+    # Round objects have faces on all sides: their normals cancel.
     clear = abs(mean) > 0.5 and abs(offset) > np.radians(config.turned)
     return offset if clear else 0.0
 
 
 def _least_area(points: Float[np.ndarray, "n 2"]) -> float:
-    """Yaw of the smallest rectangle around points, in (-pi/4, pi/4] [rad]."""
+    """Return the yaw of the smallest rectangle around points, in (-pi/4, pi/4] [rad]."""
     if len(points) < 3:
         return 0.0
     try:
@@ -273,14 +272,14 @@ def _least_area(points: Float[np.ndarray, "n 2"]) -> float:
 # ---------------------------------------------------------------- snapping
 
 
-def _snapped(box: UprightBox, room: Room, config: BoxConfig) -> UprightBox:
-    """A box on the floor and at the walls that it nearly touches."""
+def _snapped(box: UprightBox, room: RoomShell, config: BoxConfig) -> UprightBox:
+    """Snap a box to the floor and the walls that it nearly touches."""
     low, high = corners(box)
     if low[2] < config.floor:
         low[2] = 0.0
     if abs(box.yaw) < 1e-9:
         for wall in room.walls:
-            if wall.beside(box.center[None], 0.3)[0]:
+            if wall.spans(box.center[None], 0.3)[0]:
                 face = low if wall.sign > 0 else high
                 if abs(face[wall.axis] - wall.offset) < config.wall:
                     face[wall.axis] = wall.offset
@@ -289,10 +288,10 @@ def _snapped(box: UprightBox, room: Room, config: BoxConfig) -> UprightBox:
     return from_corners(low, high, box.yaw)
 
 
-def _stood(
+def _on_support(
     box: UprightBox, tops: Sequence[UprightBox], config: BoxConfig
 ) -> tuple[UprightBox, Stand]:
-    """A box on what is below it, and what it stands on."""
+    """Snap a box to the object below it, and tell what it stands on."""
     at = bottom(box)
     if at <= 0.0:
         return box, "floor"
@@ -310,14 +309,17 @@ def _stood(
     return from_corners(low, high, box.yaw), "support"
 
 
-def _completed(
-    cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox, room: Room, config: BoxConfig
+def _extended(
+    cloud: Cloud,
+    members: Int[np.ndarray, " k"],
+    box: UprightBox,
+    room: RoomShell,
+    config: BoxConfig,
 ) -> UprightBox:
-    """Make a thing as deep as it is wide, where its far side was never seen.
+    """Make an object as deep as it is wide if its far side was not seen.
 
-    Of a cup on a counter the half that faces the wall stays hidden, of a microwave below a shelf
-    all but its front. A flat top that was seen from above shows the whole outline: then nothing
-    is added.
+    The camera sees only the near half of a cup on a counter, and only the front of a microwave
+    below a shelf. A flat top seen from above shows the whole outline, so nothing is added.
     """
     sheet = min(box.size[:2]) < config.sheet
     if (max(box.size) > config.small and not sheet) or len(members) < 10:
@@ -337,16 +339,16 @@ def _completed(
             low[axis] -= missing
         else:
             high[axis] += missing
-    return _before_walls(from_corners(low, high, box.yaw), room)
+    return _clipped_at_walls(from_corners(low, high, box.yaw), room)
 
 
-def _before_walls(box: UprightBox, room: Room) -> UprightBox:
-    """A box, cut off at the walls that it would reach through."""
+def _clipped_at_walls(box: UprightBox, room: RoomShell) -> UprightBox:
+    """Clip a box at the walls that it would penetrate."""
     if abs(box.yaw) > 1e-9:
         return box
     low, high = corners(box)
     for wall in room.walls:
-        if wall.beside(box.center[None], 0.3)[0]:
+        if wall.spans(box.center[None], 0.3)[0]:
             if wall.sign > 0 and high[wall.axis] > wall.offset:
                 low[wall.axis] = max(low[wall.axis], wall.offset)
             if wall.sign < 0 and low[wall.axis] < wall.offset:

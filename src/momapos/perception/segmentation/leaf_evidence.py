@@ -1,4 +1,4 @@
-"""What speaks for a door or flap that stands open: the hollow that it shuts, and its free edges."""
+"""Score candidates for open doors and flaps: the cavity that they close, and their free edges."""
 
 from __future__ import annotations
 
@@ -17,78 +17,78 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 Free: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
-"""Whether places were seen to be empty [m]."""
+"""Tells which places were seen to be empty [m]."""
 
 
 @dataclass(frozen=True)
 class OpenLeafConfig:
-    """What makes a surface a door that stands open."""
+    """When a surface is an open door or flap."""
 
     cell: float = 0.03
-    """Of points that are looked at, so far apart [m]."""
+    """Spacing of the points that are examined [m]."""
     thick: tuple[float, ...] = (0.06, 0.12, 0.18)
-    """A leaf is seen to end behind its surface at one of these [m]."""
+    """A leaf is thin: it is empty behind its surface at one of these distances [m]."""
     thin: float = 0.35
-    """Share of a surface along the walls behind which that is so, at least [-]."""
+    """Minimum share of a surface parallel to the walls that is thin [-]."""
     area: float = 0.04
-    """Least area [m2]."""
+    """Minimum area [m2]."""
     sides: tuple[float, float] = (0.15, 2.2)
-    """Least and greatest width and height [m]."""
+    """Minimum and maximum width and height [m]."""
     filled: float = 0.6
-    """Share of its rectangle that a leaf covers, at least [-]."""
+    """Minimum share of its bounding rectangle that a leaf covers [-]."""
     turns: tuple[float, float] = (np.radians(20.0), np.radians(125.0))
-    """How far it is open, at least and at most [rad]."""
+    """Minimum and maximum opening angle [rad]."""
     lifted: float = np.radians(70.0)
-    """Flaps that are lifted farther look like shelves, and are left out [rad]."""
+    """Flaps lifted farther look like shelves and are ignored [rad]."""
     facing: float = 0.85
-    """Cosine between the normals of one leaf, which are uneven where it is seen from far [-]."""
+    """Minimum cosine between the normals of one leaf, which are noisy far from the camera [-]."""
     straight: float = 0.95
-    """And of a front [-]."""
+    """Minimum cosine between the normals of a front [-]."""
     layer: float = 0.015
-    """What is this near to its plane belongs to it, twice that where it is uneven [m]."""
+    """Points this close to a plane belong to it, twice that if it is uneven [m]."""
     dense: float = 0.5
-    """Of clouds of which so few points, at most, are a layer apart only these are looked at [-]."""
+    """Clouds are downsampled to one point per layer if this removes at least this share [-]."""
     thickness: tuple[float, float] = (0.02, 0.1)
-    """Of a leaf of which one side is seen, and of any at most [m]."""
+    """Thickness of a leaf of which one side is seen, and maximum thickness [m]."""
     hinge_depth: float = 0.005
-    """How far behind its outer face its axis is taken to be: between what models of shut doors are
-    given that have something beside them and those that have not [m]."""
+    """Depth of the axis behind the outer face, between those that `furniture_model` gives to doors
+    with and without neighbors [m]."""
     hollow: float = 0.6
-    """Share of the place of the shut leaf through which one sees, at least [-]."""
+    """Minimum share of the closed leaf's rectangle that was seen through [-]."""
     shallow: float = 0.12
-    """So far behind it there is room [m] ..."""
+    """At this depth behind it ... [m]"""
     deep: float = 0.2
-    """... in this share of it, at least: racks and shelves fill the rest [-]."""
+    """... at least this share is empty; racks and shelves fill the rest [-]."""
     depth: float = 1.3
-    """So far behind is what closes the hollow, at most [m]."""
+    """Maximum depth of the back of the cavity [m]."""
     aside: float = 0.3
-    """What is so near beside it in or behind its front belongs to the same furniture [m]."""
+    """Surfaces this close to its sides, in or behind the front, are of the same furniture [m]."""
     before: float = 0.3
-    """Share of a shut leaf that another front may hide [-]."""
+    """Maximum share of a closed leaf that another front hides [-]."""
     beyond: tuple[float, ...] = (0.05, 0.065, 0.08)
-    """A leaf ends at its free edge: so far beyond that it is empty [m] ..."""
+    """At these distances beyond its free edge ... [m]"""
     ends: float = 0.4
-    """... for this share of the edge, and of one of those beside it at least [-]."""
+    """... it is empty for this share of the edge, and for one of the adjacent edges [-]."""
     around: float = 0.6
-    """Fronts are looked for so far around it [m]."""
+    """Distance around a leaf in which fronts are searched [m]."""
     wall: float = 0.05
-    """What is this near to a wall's plane is no front [m]."""
+    """Surfaces this close to a wall's plane are not fronts [m]."""
     fewest: int = 30
-    """And have so many points, at least [-]."""
+    """Minimum number of points of a front [-]."""
     same: float = 0.3
-    """Of two leaves that would cover this share of the smaller one the likelier is taken [-]."""
+    """Of two leaves that overlap by this share of the smaller one, the better one remains [-]."""
     other_side: float = 0.3
-    """Share of a leaf's other side that must be seen to tell how thick it is [-]."""
+    """Share of a leaf's back that must be seen to measure its thickness [-]."""
     jamb: float = 0.5
-    """Share of the hinge and of the edge opposite to it where something is to close against [-]."""
+    """Minimum share of the hinge and of the opposite edge that closes against something [-]."""
     beside: float = 0.08
-    """That lies so far beside the edge, at most [m] ..."""
+    """Maximum distance of that from the edge ... [m]"""
     behind: float = 0.08
-    """... and so far behind the leaf [m]."""
+    """... and behind the leaf [m]."""
 
 
 def evidence(leaf: OpenLeaf, cloud: Cloud, free: Free, config: OpenLeafConfig) -> float:
-    """How much speaks for a leaf; 0 where it closes nothing [-]."""
+    """Return the score of a leaf; 0 if it closes nothing [-]."""
     width, height = leaf.size
     steps = np.linspace(0.1, 0.9, 9)
 
@@ -110,10 +110,10 @@ def evidence(leaf: OpenLeaf, cloud: Cloud, free: Free, config: OpenLeafConfig) -
 
 
 def _jambs(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> tuple[list[float], list[float]]:
-    """What a shut leaf would close against: at its hinge, opposite to it, and at either end.
+    """Check what a closed leaf would close against: at its hinge, opposite to it, at both ends.
 
     Returns:
-        Share of each edge beside which there is anything, and a front in one plane with it [-].
+        Share of each edge along which there is anything, and of each with a flush front [-].
     """
     width, height = leaf.size
     place = leaf.local(cloud.points)
@@ -122,7 +122,7 @@ def _jambs(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> tuple[list[f
         (-config.beside, -leaf.thickness - config.behind, -config.beside),
         (width + config.beside, config.layer, height + config.beside),
     )
-    opened = leaf.local(apply(leaf.T_shut_open, cloud.points[beside]))
+    opened = leaf.local(apply(leaf.T_closed_open, cloud.points[beside]))
     still = (opened[:, 0] < 0.0) | (np.abs(opened[:, 1]) > 2 * config.layer)
     place = place[beside][still]
     front = cloud.normals[beside][still] @ leaf.out > config.straight
@@ -132,13 +132,13 @@ def _jambs(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> tuple[list[f
     for k, away in enumerate(beyond):
         axis, length = (2, height) if k < 2 else (0, width)
         shares.append(_covered(place[away > -config.beside / 2, axis], length, config))
-        # The rim that a leaf covers is no front beside it.
+        # The rim that a leaf covers is not an adjacent front.
         flush.append(_covered(place[front & (away > config.layer), axis], length, config))
     return shares, flush
 
 
 def _hidden(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> bool:
-    """Whether another front lies before the one that a leaf belongs to: it is inside of that."""
+    """Check whether another front lies in front of a leaf's own, so that the leaf is inside it."""
     place = leaf.local(cloud.points)
     reach = leaf.size[0] + config.beside + config.thickness[1]
     before = between(place, (0.0, config.beside, 0.0), (leaf.size[0], reach, leaf.size[1]))
@@ -148,7 +148,7 @@ def _hidden(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> bool:
 
 
 def _free_ends(leaf: OpenLeaf, free: Free, config: OpenLeafConfig) -> float:
-    """Share of the free edge, and of one of those beside it, beyond which it is empty [-]."""
+    """Return the share of the free edge, and of one adjacent edge, beyond which it is empty [-]."""
     width, height = leaf.size
     beyond, steps = np.array(config.beyond), np.linspace(0.1, 0.9, 9)
     middle = -leaf.thickness / 2
@@ -156,7 +156,7 @@ def _free_ends(leaf: OpenLeaf, free: Free, config: OpenLeafConfig) -> float:
     def share(along: Float[np.ndarray, "a"], across: Float[np.ndarray, "b"], axis: int) -> float:
         x, z = np.meshgrid(along, across, indexing="ij")
         place = np.stack([x.ravel(), np.full(x.size, middle), z.ravel()], axis=1)
-        there = free(apply(invert(leaf.T_shut_open), leaf.world(place))).reshape(x.shape)
+        there = free(apply(invert(leaf.T_closed_open), leaf.world(place))).reshape(x.shape)
         return float(there.all(axis=axis).mean())
 
     outer = width * (0.5 + steps / 2)
@@ -165,14 +165,13 @@ def _free_ends(leaf: OpenLeaf, free: Free, config: OpenLeafConfig) -> float:
 
 
 def _covered(along: Float[np.ndarray, " n"], length: float, config: OpenLeafConfig) -> float:
-    """Share of a length where there are points [-]."""
     count = max(1, round(length / (2 * config.cell)))
     bins = np.floor(along / length * count)
     return len(np.unique(bins[(bins >= 0) & (bins < count)])) / count
 
 
-def same(one: OpenLeaf, other: OpenLeaf, config: OpenLeafConfig) -> bool:
-    """Whether two leaves close the same opening, are the same slab, or one is in the other."""
+def is_same(one: OpenLeaf, other: OpenLeaf, config: OpenLeafConfig) -> bool:
+    """Check whether two leaves close one opening, are one slab, or one is inside the other."""
     corners = np.array([[0.0, 0.0, 0.0], [other.size[0], 0.0, other.size[1]]])
     place = one.local(other.world(corners))
     low, high = place.min(0), place.max(0)
@@ -181,14 +180,14 @@ def same(one: OpenLeaf, other: OpenLeaf, config: OpenLeafConfig) -> bool:
     shared = float(np.prod(np.maximum(common, 0.0))) > config.same * least
     if shared and np.abs(place[:, 1]).max() < config.beside + config.behind:
         return True
-    now = [apply(invert(leaf.T_shut_open), leaf.middle[None])[0] for leaf in (one, other)]
+    now = [apply(invert(leaf.T_closed_open), leaf.middle[None])[0] for leaf in (one, other)]
     if np.linalg.norm(now[0] - now[1]) < min(*one.size, *other.size) / 2:
         return True
     return any(_behind(leaf, place, config) for leaf, place in ((one, now[1]), (other, now[0])))
 
 
 def _behind(leaf: OpenLeaf, place: Float[np.ndarray, "3"], config: OpenLeafConfig) -> bool:
-    """Whether a place is in or behind the front of which a leaf is: a shelf, or a shut door."""
+    """Check whether a place is in or behind a leaf's front, like a shelf or a closed door."""
     x, y, z = leaf.local(place[None])[0]
     width, height = leaf.size
     return bool(

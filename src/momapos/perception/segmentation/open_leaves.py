@@ -1,8 +1,7 @@
-"""Doors and flaps that stand open in a scan, found before the room is divided into things.
+"""Find doors and flaps that stand open in a scan, before the room is segmented.
 
-An open leaf is a thin slab: what is behind it is seen, too. It stands out of a front at one of its
-edges, and beside that edge, where it would be when shut, one sees into a hollow of its size between
-what the leaf closes against.
+An open leaf is a thin slab: the cameras also see behind it. One of its edges lies at a front, and
+next to that edge, where the leaf would be when closed, there is a cavity of its size.
 """
 
 from __future__ import annotations
@@ -16,21 +15,21 @@ import numpy as np
 from momapos.core.geometry import between
 from momapos.model.records import Cloud, OpenLeaf
 
-from .leaf_evidence import Free, OpenLeafConfig, evidence, same
+from .leaf_evidence import Free, OpenLeafConfig, evidence, is_same
 from .room_shell import area, cell_numbers, peaks
 from .supports import components
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-TURN = np.radians(15.0)
-"""Between the normals that are looked at together [rad]."""
-SQUARE = np.cos(np.radians(15.0))
-"""Cosine between the normal of a surface and an axis from which on it is along the walls [-]."""
-LARGE = 2.0
-"""How much it counts that a leaf stands out of the largest front around [-]."""
-ROUNDS = 6
-"""Of a fit that leaves out what is beside the plane [-]."""
+ANGLE_STEP = np.radians(15.0)
+"""Angle between the normal directions that are searched [rad]."""
+MIN_ALIGNED = np.cos(np.radians(15.0))
+"""Surfaces are parallel to the walls from this cosine between normal and axis on [-]."""
+FRONT_WEIGHT = 2.0
+"""Weight of the size of the front that a leaf protrudes from [-]."""
+FIT_ROUNDS = 6
+"""Iterations of the robust plane fit [-]."""
 
 
 def find_open_leaves(
@@ -39,21 +38,21 @@ def find_open_leaves(
     walls: Sequence[tuple[int, float]] = (),
     config: OpenLeafConfig | None = None,
 ) -> list[OpenLeaf]:
-    """Find doors and flaps that stand open, the largest first.
+    """Find open doors and flaps, the largest first.
 
     Args:
         cloud: Upright, fronts along x and y.
-        free: Whether places were seen to be empty.
-        walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall: what stands out of one
-            is no leaf.
+        free: Tells which places were seen to be empty.
+        walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall; what protrudes from a
+            wall is not a leaf.
         config: Constants.
     """
     config = config or OpenLeafConfig()
-    coarse = _apart(cloud.points, config.layer)
+    coarse = _one_per_cell(cloud.points, config.layer)
     if len(coarse) < config.dense * len(cloud.points):
         cloud = Cloud(cloud.points[coarse], cloud.normals[coarse], cloud.colors[coarse])
     points = cloud.points
-    among = _apart(points, config.cell)
+    among = _one_per_cell(points, config.cell)
     thin = np.zeros(len(points), bool)
     for away in config.thick:
         thin[among] |= free(points[among] - away * cloud.normals[among])
@@ -64,13 +63,12 @@ def find_open_leaves(
     found.sort(key=lambda pair: -pair[0])
     kept: list[OpenLeaf] = []
     for _, leaf in found:
-        if not any(same(leaf, other, config) for other in kept):
+        if not any(is_same(leaf, other, config) for other in kept):
             kept.append(leaf)
     return sorted(kept, key=lambda leaf: -leaf.size[0] * leaf.size[1])
 
 
-def _apart(points: Float[np.ndarray, "n 3"], cell: float) -> Int[np.ndarray, " m"]:
-    """One point of each cell."""
+def _one_per_cell(points: Float[np.ndarray, "n 3"], cell: float) -> Int[np.ndarray, " m"]:
     _, first = np.unique(cell_numbers(points, cell), return_index=True)
     return np.sort(first)
 
@@ -82,17 +80,17 @@ def _patches(
     hinge: Float[np.ndarray, "3"],
     config: OpenLeafConfig,
 ) -> Iterator[Int[np.ndarray, " k"]]:
-    """Flat groups of points whose plane holds the direction of a hinge.
+    """Yield flat groups of points whose plane contains the direction of a hinge.
 
-    Of those along the walls, some are seen to be thin: furniture stands so, too.
+    Groups parallel to the walls must be partly thin, because furniture is parallel to walls too.
     """
     points, normals = cloud.points, cloud.normals
-    square = among[np.abs(normals[among] @ hinge) < np.sin(TURN)]
+    square = among[np.abs(normals[among] @ hinge) < np.sin(ANGLE_STEP)]
     one = np.roll(hinge, 1)
     other = np.cross(hinge, one)
-    for angle in np.arange(0.0, 2 * np.pi, TURN):
+    for angle in np.arange(0.0, 2 * np.pi, ANGLE_STEP):
         facing = np.cos(angle) * one + np.sin(angle) * other
-        group = square[normals[square] @ facing > np.cos(TURN)]
+        group = square[normals[square] @ facing > np.cos(ANGLE_STEP)]
         place = points[group] @ np.stack([np.cross(hinge, facing), facing, hinge], axis=1)
         cell = (2 * config.cell, config.layer + config.cell, 2 * config.cell)
         label = components(place, cell)
@@ -100,29 +98,29 @@ def _patches(
             patch = group[label == k]
             if len(patch) * config.cell**2 < config.area:
                 break
-            askew = np.abs(normals[patch].mean(0)).max() < SQUARE
+            askew = np.abs(normals[patch].mean(0)).max() < MIN_ALIGNED
             if askew or thin[patch].sum() * config.cell**2 >= config.thin * config.area:
                 yield patch
 
 
 @dataclass(frozen=True, eq=False)
 class _Slab:
-    """A flat rectangle that stands out of a front."""
+    """A flat rectangle that protrudes from a front."""
 
     edge: Float[np.ndarray, "3"]
-    """The end of its hinge that is low along it [m]."""
+    """End of its hinge with the lower coordinate along it [m]."""
     open_along: Float[np.ndarray, "3"]
-    """Unit vector from there to its free edge."""
+    """Unit vector from the hinge to the free edge."""
     facing: Float[np.ndarray, "3"]
     """Unit normal toward the side that was seen."""
     out: Float[np.ndarray, "3"]
-    """Unit normal of the front."""
+    """Outward unit normal of the front."""
     hinge: Float[np.ndarray, "3"]
-    """Unit vector."""
+    """Unit vector along the hinge."""
     front: float
-    """Where the front lies along its normal [m]."""
+    """Coordinate of the front along its normal [m]."""
     size: tuple[float, float]
-    """From the hinge to the free edge, and along it [m]."""
+    """From the hinge to the free edge, and along the hinge [m]."""
 
 
 def _leaves_of(
@@ -134,10 +132,9 @@ def _leaves_of(
     walls: Sequence[tuple[int, float]],
     config: OpenLeafConfig,
 ) -> Iterator[tuple[float, OpenLeaf]]:
-    """The leaves that a flat group of points may be, and how much speaks for each.
+    """Yield the leaves that a flat group of points may be, with scores.
 
-    A door that is open by a right angle lies in one plane with the side of what it belongs to: it
-    begins at the front.
+    A door opened by 90 degrees is coplanar with the side of its furniture. It starts at the front.
     """
     points, normals = cloud.points[patch], cloud.normals[patch]
     low, high = points.min(0), points.max(0)
@@ -146,7 +143,9 @@ def _leaves_of(
     reach = config.cell + 2 * config.layer + config.thickness[1]
     near = _part(cloud, low - reach, high + reach)
     for out in np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]]):
-        if abs(out @ hinge) > 0.5 or abs(normals.mean(0) @ out) > np.cos(config.turns[0] - TURN):
+        if abs(out @ hinge) > 0.5 or abs(normals.mean(0) @ out) > np.cos(
+            config.turns[0] - ANGLE_STEP
+        ):
             continue
         for front, likely in _fronts(cloud, out, config):
             if any(abs(front * out[axis] - at) < config.wall and out[axis] for axis, at in walls):
@@ -159,14 +158,13 @@ def _leaves_of(
             slab = _slab(near, points[ahead], normals[ahead], front, out, hinge, config)
             if slab is None:
                 continue
-            askew = np.abs(slab.facing).max() < SQUARE
+            askew = np.abs(slab.facing).max() < MIN_ALIGNED
             if askew or thin[patch[ahead]].mean() >= config.thin:
                 for share, leaf in _leaves(slab, near, cloud, free, config):
-                    yield share + LARGE * likely, leaf
+                    yield share + FRONT_WEIGHT * likely, leaf
 
 
 def _part(cloud: Cloud, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Cloud:
-    """What of a cloud is in a box."""
     there = between(cloud.points, low, high)
     return Cloud(cloud.points[there], cloud.normals[there], cloud.colors[there])
 
@@ -174,9 +172,10 @@ def _part(cloud: Cloud, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"
 def _fronts(
     cloud: Cloud, out: Float[np.ndarray, "3"], config: OpenLeafConfig
 ) -> list[tuple[float, float]]:
-    """Where the fronts of a cloud lie along their normal [m], and how large each is.
+    """Return the coordinates of a cloud's fronts along their normal [m], and their scores.
 
-    As a share of the largest one, less by what is before it and faces the same way [-].
+    The score is the size relative to the largest front, less what lies in front of it and faces
+    the same way [-].
     """
     facing = cloud.normals @ out > config.straight
     at = cloud.points[facing] @ out
@@ -199,13 +198,13 @@ def _slab(
     hinge: Float[np.ndarray, "3"],
     config: OpenLeafConfig,
 ) -> _Slab | None:
-    """The rectangle of what of a group of points lies in one plane; None where it is none."""
+    """Fit a rectangle to the points of a group that lie in one plane; None if there is none."""
     kept = points
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         middle = kept.mean(0)
         flat = kept - middle
         flat = flat - np.outer(flat @ hinge, hinge)
-        _, axes = np.linalg.eigh(flat.T @ flat)  # the hinge, across the line of the leaf, along it
+        _, axes = np.linalg.eigh(flat.T @ flat)  # along the hinge, across the leaf, along it
         facing = np.cross(axes[:, 2], hinge)
         facing = facing / np.linalg.norm(facing) * np.sign(normals.mean(0) @ facing or 1.0)
         off = np.abs((points - middle) @ facing)
@@ -238,7 +237,6 @@ def _slab(
 def _leaves(
     slab: _Slab, near: Cloud, cloud: Cloud, free: Free, config: OpenLeafConfig
 ) -> Iterator[tuple[float, OpenLeaf]]:
-    """The leaves that a slab may be, and how much speaks for each."""
     thickness = _other_side(slab, near, config)
     for along in (np.cross(slab.hinge, slab.out), np.cross(slab.out, slab.hinge)):
         value = float(np.arctan2(slab.open_along @ slab.out, slab.open_along @ along))
@@ -260,9 +258,9 @@ def _leaf(
     cloud: Cloud,
     config: OpenLeafConfig,
 ) -> OpenLeaf | None:
-    """A slab as a leaf that is open by a value [rad]; None where it would lie behind its hinge."""
+    """Return a slab as a leaf opened by an angle [rad]; None if it would lie behind its hinge."""
     leaf = _hinged(slab, along, value, thickness or config.thickness[0], config)
-    if thickness is None and slab.facing @ leaf.looks < 0.0:
+    if thickness is None and slab.facing @ leaf.normal < 0.0:
         rim = _rim(leaf, cloud, config)
         leaf = leaf if rim is None else _hinged(slab, along, value, rim, config)
     return leaf if min(leaf.size) > 0.0 else None
@@ -275,8 +273,8 @@ def _hinged(
     thickness: float,
     config: OpenLeafConfig,
 ) -> OpenLeaf:
-    """A slab as a leaf of some thickness, its axis as far behind its outer face, open and shut."""
-    looks = np.cos(value) * slab.out - np.sin(value) * along  # its outer face, now
+    """Return a slab as a leaf of a given thickness, with its axis behind its outer face."""
+    looks = np.cos(value) * slab.out - np.sin(value) * along  # normal of its outer face, open
     face = slab.edge if slab.facing @ looks > 0.0 else slab.edge + thickness * looks
     deep = slab.front - config.hinge_depth
     aside = (config.hinge_depth - face @ looks + deep * np.cos(value)) / np.sin(value)
@@ -289,7 +287,6 @@ def _hinged(
 
 
 def _other_side(slab: _Slab, cloud: Cloud, config: OpenLeafConfig) -> float | None:
-    """How far behind its face a slab has another one [m]; None where that is not seen."""
     axes = np.stack([slab.open_along, slab.facing, slab.hinge], axis=1)
     place = (cloud.points - slab.edge) @ axes
     on = ((place[:, [0, 2]] > 0.0) & (place[:, [0, 2]] < slab.size)).all(1)
@@ -302,7 +299,7 @@ def _other_side(slab: _Slab, cloud: Cloud, config: OpenLeafConfig) -> float | No
 
 
 def _rim(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> float | None:
-    """How far behind the front what a leaf closes against lies [m]; None where none is seen."""
+    """Return how far behind the front the leaf's stop lies [m]; None if it was not seen."""
     place = leaf.local(cloud.points)
     inside = (place[:, [0, 2]] > -config.layer).all(1)
     inside &= (place[:, [0, 2]] < np.array(leaf.size) + config.layer).all(1)

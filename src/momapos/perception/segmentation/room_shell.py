@@ -1,4 +1,4 @@
-"""The room around the furniture: floor, ceiling and walls of an upright scan."""
+"""Find the shell of a room: floor, ceiling and walls of an upright scan."""
 
 from __future__ import annotations
 
@@ -18,71 +18,73 @@ class Wall:
     """A wall along x or y."""
 
     axis: int
-    """0 where its normal is along x, 1 along y."""
+    """0 if its normal is along x, 1 if along y."""
     sign: float
-    """+1 where the room is on the side of larger coordinates, else -1."""
+    """+1 if the room is on the side of larger coordinates, else -1."""
     offset: float
-    """Its coordinate along the axis [m]."""
+    """Coordinate along the axis [m]."""
     low: float
-    """Where it begins along the other axis [m]."""
+    """Start along the other axis [m]."""
     high: float
-    """Where it ends [m]."""
+    """End along the other axis [m]."""
     top: float
-    """How high it was seen [m]."""
+    """Height up to which it was seen [m]."""
 
     def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """How far points are in front of the wall [m]; negative behind it."""
+        """Return the distance of points in front of the wall [m]; negative behind it."""
         return self.sign * (points[:, self.axis] - self.offset)
 
-    def beside(
+    def spans(
         self, points: Float[np.ndarray, "n 3"], margin: float = 0.0
     ) -> Bool[np.ndarray, " n"]:
-        """Whether points lie between the ends of the wall, or `margin` [m] beyond."""
+        """Tell which points lie between the ends of the wall, extended by `margin` [m]."""
         along = points[:, 1 - self.axis]
         return (along > self.low - margin) & (along < self.high + margin)
 
 
 @dataclass(frozen=True)
-class Room:
-    """What is no furniture; the floor is at z = 0."""
+class RoomShell:
+    """Walls and ceiling of a room; the floor is at z = 0."""
 
     walls: tuple[Wall, ...] = ()
     ceiling: float | None = None
-    """Its height [m]."""
+    """Height of the ceiling [m]."""
 
 
 @dataclass(frozen=True)
 class RoomConfig:
-    """What makes a surface part of the room."""
+    """When a surface belongs to the shell of a room."""
 
     wall_length: float = 1.0
-    """Walls are at least this long [m]."""
+    """Minimum length of a wall [m]."""
     wall_area: float = 0.4
-    """And at least this much of them is seen [m2]."""
+    """Minimum seen area of a wall [m2]."""
     wall_top: float = 1.35
-    """And they are seen up to this height, unless nothing in the scan is this high [m]."""
+    """Minimum seen height of a wall, unless nothing in the scan is this high [m]."""
     behind: float = 0.3
-    """Share of a wall's length with something behind it, at most: fronts of furniture have walls
+    """Maximum share of a wall's length with something behind it: furniture fronts have walls
     behind them, walls have nothing [-]."""
     depth: tuple[float, float] = (0.08, 2.0)
-    """Behind means this far behind [m]: nearer is noise, farther is another room."""
+    """Range of "behind" [m]: closer is noise, farther is another room."""
     thickness: float = 0.03
-    """Points this near to a plane of the room belong to it [m]."""
+    """Points this close to a plane of the shell belong to it [m]."""
     ceiling: float = 2.0
-    """Ceilings are at least this high [m]."""
+    """Minimum height of a ceiling [m]."""
 
 
-STRIP = 0.1  # [m] of a wall that are judged together
-STRAY = 0.2
-"""Points behind a strip are strays of it up to this share of its own [-]."""
-AT_WALL = 0.15
-"""What stands against a wall is no farther from it [m]: skirting boards and hoses are behind it."""
-FACING = 0.9
-"""Cosine between its normal and that of the wall [-]."""
-CELL = 0.05  # [m], of the raster that areas are measured on
+STRIP = 0.1
+"""Width of the strips of a wall that are checked for points behind them [m]."""
+MAX_STRAY = 0.2
+"""Points behind a strip are strays up to this share of the strip's own [-]."""
+MAX_WALL_DISTANCE = 0.15
+"""Objects at a wall are no farther from it [m]: skirting boards and hoses are behind them."""
+MIN_COSINE = 0.9
+"""Between the normal of an object's back and that of the wall [-]."""
+CELL = 0.05
+"""Raster cell for the measurement of areas [m]."""
 
 
-def find_room(cloud: Cloud, config: RoomConfig | None = None) -> Room:
+def find_room(cloud: Cloud, config: RoomConfig | None = None) -> RoomShell:
     """Find ceiling and walls of an upright cloud."""
     config = config or RoomConfig()
     walls = [
@@ -91,11 +93,13 @@ def find_room(cloud: Cloud, config: RoomConfig | None = None) -> Room:
         for sign in (1.0, -1.0)
         for wall in _walls(cloud, axis, sign, config)
     ]
-    return Room(tuple(walls), _ceiling(cloud, config))
+    return RoomShell(tuple(walls), _ceiling(cloud, config))
 
 
-def in_room(room: Room, cloud: Cloud, config: RoomConfig | None = None) -> Bool[np.ndarray, " n"]:
-    """Whether points belong to floor, ceiling or walls, or lie beyond them."""
+def in_room(
+    room: RoomShell, cloud: Cloud, config: RoomConfig | None = None
+) -> Bool[np.ndarray, " n"]:
+    """Tell which points belong to floor, ceiling or walls, or lie beyond them."""
     config = config or RoomConfig()
     points, normals = cloud.points, cloud.normals
     thick = config.thickness
@@ -105,41 +109,43 @@ def in_room(room: Room, cloud: Cloud, config: RoomConfig | None = None) -> Bool[
     for wall in room.walls:
         away = wall.distance(points)
         facing = wall.sign * normals[:, wall.axis] > 0.9
-        out |= wall.beside(points, 0.5) & (away < np.where(facing, 1.5 * thick, thick))
+        out |= wall.spans(points, 0.5) & (away < np.where(facing, 1.5 * thick, thick))
     return out
 
 
-def flat_on_wall(room: Room, points: Float[np.ndarray, "n 3"], flat: float) -> bool:
-    """Whether points are an image on a wall, or its own unevenness: within `flat` [m] of it."""
+def flat_on_wall(room: RoomShell, points: Float[np.ndarray, "n 3"], flat: float) -> bool:
+    """Check whether points belong to a wall, like a picture: within `flat` [m] of it."""
     return any(
-        np.percentile(wall.distance(points), 95) < flat and bool(wall.beside(points, 0.5).all())
+        np.percentile(wall.distance(points), 95) < flat and bool(wall.spans(points, 0.5).all())
         for wall in room.walls
     )
 
 
-def at_wall(room: Room, place: Float[np.ndarray, "3"], outward: Float[np.ndarray, "3"]) -> bool:
-    """Whether a side of a thing stands against a wall.
+def at_wall(
+    room: RoomShell, place: Float[np.ndarray, "3"], outward: Float[np.ndarray, "3"]
+) -> bool:
+    """Check whether a side of an object stands against a wall.
 
     Args:
-        room: Its walls.
-        place: The middle of the side [m].
-        outward: Its normal.
+        room: The walls.
+        place: Middle of the side [m].
+        outward: Normal of the side.
     """
     return any(
-        -wall.sign * outward[wall.axis] > FACING
-        and bool(wall.beside(place[None], AT_WALL)[0])
-        and abs(float(wall.distance(place[None])[0])) < AT_WALL
+        -wall.sign * outward[wall.axis] > MIN_COSINE
+        and bool(wall.spans(place[None], MAX_WALL_DISTANCE)[0])
+        and abs(float(wall.distance(place[None])[0])) < MAX_WALL_DISTANCE
         for wall in room.walls
     )
 
 
 def area(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], cell: float = CELL) -> float:
-    """Area that points of a plane cover, as cells of a raster that hold any [m2]."""
+    """Return the area that coplanar points cover, measured in raster cells [m2]."""
     return len(np.unique(cell_numbers(np.stack([a, b], axis=1), cell))) * cell**2
 
 
 def cell_numbers(points: Float[np.ndarray, "n d"], cell: float) -> Int[np.ndarray, " n"]:
-    """A number of the cell of a raster in which each point is; other cells have others."""
+    """Return the number of each point's raster cell; different cells have different numbers."""
     cells = np.floor(points / cell).astype(np.int64)
     cells -= cells.min(axis=0, initial=0)
     sides = cells.max(axis=0, initial=0) + 1
@@ -149,7 +155,7 @@ def cell_numbers(points: Float[np.ndarray, "n d"], cell: float) -> Int[np.ndarra
 def floor_seen(
     cloud: Cloud, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], margin: float = 0.1
 ) -> float:
-    """Share of a rectangle on which the floor was seen, `margin` [m] off its edges [-]."""
+    """Return the share of a rectangle on which the floor was seen, `margin` [m] off its edges."""
     points, thickness = cloud.points, RoomConfig().thickness
     inside = ((points[:, :2] > low + margin) & (points[:, :2] < high - margin)).all(axis=1)
     floor = points[inside & (points[:, 2] < thickness)]
@@ -157,9 +163,9 @@ def floor_seen(
 
 
 def ends(values: Float[np.ndarray, " n"], step: float) -> tuple[float, float]:
-    """Where values that lie evenly between two ends begin and end.
+    """Return where evenly distributed values start and end.
 
-    Stretches of `step` with less than a third of what is usual hold strays and do not count.
+    Stretches of `step` with less than a third of the median count are strays and do not count.
     """
     low = float(values.min())
     bins = np.floor((values - low) / step).astype(int)
@@ -170,13 +176,13 @@ def ends(values: Float[np.ndarray, " n"], step: float) -> tuple[float, float]:
 
 
 def peaks(values: Float[np.ndarray, " n"], width: float, least: int, apart: float) -> list[float]:
-    """Where values are dense: most first, each at least `apart` from those before.
+    """Return where values are dense: densest first, each at least `apart` from those before.
 
     Args:
         values: Numbers on a line.
-        width: Values within this of each other make a peak.
-        least: Number of values in a peak, at least.
-        apart: Distance between peaks, at least.
+        width: Values within this of each other form a peak.
+        least: Minimum number of values in a peak.
+        apart: Minimum distance between peaks.
     """
     if len(values) < max(least, 1):
         return []
@@ -196,7 +202,6 @@ def peaks(values: Float[np.ndarray, " n"], width: float, least: int, apart: floa
 
 
 def _walls(cloud: Cloud, axis: int, sign: float, config: RoomConfig) -> list[Wall]:
-    """Walls whose normal is one of the four horizontal directions."""
     facing = np.flatnonzero(sign * cloud.normals[:, axis] > 0.9)
     points = cloud.points[facing]
     tall = min(config.wall_top, 0.75 * float(np.percentile(cloud.points[:, 2], 99)))
@@ -221,7 +226,7 @@ def _walls(cloud: Cloud, axis: int, sign: float, config: RoomConfig) -> list[Wal
 def _share_hiding(
     wall: Wall, along: Float[np.ndarray, " n"], cloud: Cloud, config: RoomConfig
 ) -> float:
-    """Share of the strips of a surface that have something behind them."""
+    """Return the share of a surface's strips that have something behind them."""
     away = -wall.distance(cloud.points)
     behind = (away > config.depth[0]) & (away < config.depth[1])
     count = int(np.ceil((wall.high - wall.low) / STRIP)) + 1
@@ -231,13 +236,12 @@ def _share_hiding(
         return np.bincount(bins[(bins >= 0) & (bins < count)], minlength=count)
 
     seen = strips(along)
-    hiding = strips(cloud.points[behind, 1 - wall.axis]) > np.maximum(10, STRAY * seen)
+    hiding = strips(cloud.points[behind, 1 - wall.axis]) > np.maximum(10, MAX_STRAY * seen)
     seen = seen > 3
     return float((seen & hiding).sum() / max(1, seen.sum()))
 
 
 def _ceiling(cloud: Cloud, config: RoomConfig) -> float | None:
-    """Height of the highest large surface that faces down."""
     down = cloud.points[(cloud.normals[:, 2] < -0.9) & (cloud.points[:, 2] > config.ceiling)]
     for z in sorted(peaks(down[:, 2], 0.05, 100, 0.2), reverse=True):
         on = down[np.abs(down[:, 2] - z) < 0.05]

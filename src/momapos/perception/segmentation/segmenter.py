@@ -1,9 +1,8 @@
-"""Dividing a room into things without a trained network.
+"""Segment a room into objects without a trained network.
 
-Furniture has flat tops and flat fronts. What stands on a top is a thing of its own; what is
-under a top, down to the floor, is a piece of furniture; where no top can be seen, as with tall
-and with hanging furniture, a front reaches back to the wall behind it. What is left over falls
-into groups of points that touch.
+Furniture has flat tops and flat fronts. Objects on a top are objects of their own, and everything
+below a top is one piece of furniture. Tall and hanging furniture has no visible top: it reaches
+from its front back to the wall. The rest is divided into groups of touching points.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from momapos.model.records import Cloud, Instance
 
 from .cabinet_extent import cabinet_extent, closed_share
 from .config import SegmentConfig
-from .front_planes import FrontPlane, find_front_planes, hung_together, without_handles
+from .front_planes import FrontPlane, attach_handles, attach_hoods, find_front_planes
 from .room_shell import find_room, flat_on_wall, floor_seen, in_room
 from .supports import Rectangle, Support, components, find_supports, floor_raster, rectangles
 
@@ -30,37 +29,37 @@ if TYPE_CHECKING:
 
 
 class ClassicalSegmenter:
-    """Divides an upright cloud by planes and by which points touch; a `Segmenter`.
+    """Segments an upright cloud by planes and touching points; a `Segmenter`.
 
-    A counter's top and what is below it are two instances. What is below is one instance from
-    end to end, or to the corner of the room: `rows.split_row` divides it where images
-    show its fronts to end. Tops at another height, as an oven's between counters, divide it here.
+    A countertop and the furniture below it are two instances. The furniture is one instance from
+    end to end, or to the corner of the room; `rows.split_row` divides it between the fronts in the
+    images. Tops at another height, such as an oven's between counters, divide it here.
     """
 
     def __init__(self, config: SegmentConfig | None = None) -> None:
         self.config = config or SegmentConfig()
 
     def __call__(self, cloud: Cloud) -> list[Instance]:
-        """Divide a cloud.
+        """Segment a cloud.
 
         Args:
             cloud: z up, floor at z = 0, furniture along x and y; with normals.
 
         Returns:
-            Instances: furniture first, with boxes; then the rest; then what stands on furniture.
+            Furniture first, with boxes; then the rest; then objects on furniture.
 
         Raises:
-            InputError: The cloud is empty or holds numbers that are not finite.
+            InputError: The cloud is empty or has values that are not finite.
         """
         if not len(cloud.points):
-            raise InputError("the cloud is empty: there is nothing to divide")
+            raise InputError("the cloud is empty")
         if not (np.isfinite(cloud.points).all() and np.isfinite(cloud.normals).all()):
-            raise InputError("the cloud holds points or normals that are not finite numbers")
-        return _Division(cloud, self.config).run()
+            raise InputError("the cloud has points or normals that are not finite")
+        return _Segmentation(cloud, self.config).run()
 
 
-class _Division:
-    """One cloud while it is divided: which of its points are still free."""
+class _Segmentation:
+    """One cloud during segmentation, with the points that are still free."""
 
     def __init__(self, cloud: Cloud, config: SegmentConfig) -> None:
         self.cloud, self.config = cloud, config
@@ -74,24 +73,24 @@ class _Division:
             return []
         supports = find_supports(self.cloud, self.room, among, self.raster, self.config.support)
         supports = self._lengthened(supports, self._fronts())
-        things = [thing for support in supports for thing in self._things_on(support, supports)]
+        small = [one for support in supports for one in self._objects_on(support, supports)]
         tops = [support for support in supports if self.free[support.members].mean() > 0.5]
-        fronts = self._fronts()  # without those of what stands on a top
+        fronts = self._fronts()  # without those of objects on a top
         tops = self._lengthened(tops, fronts)
         furniture = [body for top in tops for body in self._below(top)]
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
-        furniture, rest = without_handles(furniture, rest, self.cloud, self.config.front)
-        return hung_together(furniture, rest, self.cloud, self.config.touching) + things
+        furniture, rest = attach_handles(furniture, rest, self.cloud, self.config.front)
+        return attach_hoods(furniture, rest, self.cloud, self.config.touching) + small
 
     def _fronts(self) -> list[FrontPlane]:
         among = np.flatnonzero(self.free)
         return find_front_planes(self.cloud, self.room, among, self.config.front)
 
-    # ------------------------------------------------------------ what stands on a surface
+    # ------------------------------------------------------------ objects on a surface
 
-    def _things_on(self, support: Support, supports: Sequence[Support]) -> list[Instance]:
-        """Groups of points that stand on a surface and do not reach beyond it."""
+    def _objects_on(self, support: Support, supports: Sequence[Support]) -> list[Instance]:
+        """Return the groups of points that stand on a surface and do not reach beyond it."""
         config, points = self.config, self.cloud.points
         if self._is_seat(support):
             return []
@@ -100,7 +99,7 @@ class _Division:
         for other in supports:
             if 0 < other.height - support.height < 0.08:
                 possible[other.members] = False  # a neighbor's top, one step higher
-        # At the edge of the surface, sides of taller furniture begin.
+        # Sides of taller furniture start at the edge of the surface.
         inner = ndimage.binary_erosion(support.outline)
         inside = np.flatnonzero(possible & self.raster.within(inner, points))
         label = components(points[inside], config.touching_small)
@@ -123,7 +122,7 @@ class _Division:
     def _with_edges(
         self, members: Int[np.ndarray, " k"], possible: Bool[np.ndarray, " n"]
     ) -> Int[np.ndarray, " m"]:
-        """Add what the erosion of the surface cut off a thing."""
+        """Add the points of an object that the erosion of the surface cut off."""
         points, margin = self.cloud.points, 1.5 * self.config.support.cell
         low, high = points[members].min(axis=0) - margin, points[members].max(axis=0) + margin
         low[2], high[2] = low[2] + margin, high[2]
@@ -135,10 +134,10 @@ class _Division:
     # ------------------------------------------------------------ furniture with a visible top
 
     def _lengthened(self, tops: Sequence[Support], fronts: Sequence[FrontPlane]) -> list[Support]:
-        """Tops that reach as far as the fronts that end just below them; of one front they are one.
+        """Extend tops to the ends of fronts just below them, and merge the tops of one front.
 
-        A camera held low sees a counter's front, but little of its top, and what stands on it hides
-        the middle.
+        A low camera sees a counter's front but little of its top, and objects on it hide the
+        middle.
         """
         config, found = self.config.support, list(tops)
         for front in fronts:
@@ -158,7 +157,6 @@ class _Division:
         return sorted(found, key=lambda top: -top.height)
 
     def _below(self, top: Support) -> list[Instance]:
-        """The furniture below a surface, divided into boxes."""
         if top.height > self.config.tall:
             return []
         out = []
@@ -169,7 +167,7 @@ class _Division:
         ]
         shares = [self._closed_share(piece, top.height) for piece in pieces]
         for piece, share in zip(pieces, shares, strict=True):
-            # A corner shows no side: it is closed when the rest is and no floor is seen below it.
+            # A corner shows no side: it is closed if the rest is and no floor is seen below it.
             hidden = max(shares) >= self.config.closed and not self._shows_floor(piece)
             seen = share >= self.config.closed
             label = "cabinet" if hidden and not seen else ""
@@ -177,7 +175,7 @@ class _Division:
         return [self._with_back(body) for body in out] if self._is_seat(top) else out
 
     def _with_back(self, seat: Instance) -> Instance:
-        """A chair: its seat and the thin back that rises from an edge of it."""
+        """Add the thin back of a chair that rises from an edge of its seat."""
         assert seat.box is not None
         config, points = self.config, self.cloud.points
         low, high = corners(seat.box)
@@ -198,16 +196,15 @@ class _Division:
         return replace(seat, members=np.concatenate([seat.members, rising]), box=box)
 
     def _shows_floor(self, rectangle: Rectangle) -> bool:
-        """Whether the floor inside a rectangle was seen."""
         low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
         return floor_seen(self.cloud, low, high) > self.config.open
 
     def _without_corners(self, rectangle: Rectangle, height: float) -> list[Rectangle]:
-        """Cut off ends of a row that have no front, as in the corner of a room."""
+        """Cut off ends of a row without a front, as in the corner of a room."""
         points, normals, config = self.cloud.points, self.cloud.normals, self.config
         size = rectangle[2] - rectangle[0], rectangle[3] - rectangle[1]
         if max(size) - min(size) < config.corner:
-            return [rectangle]  # too short for a corner and a piece beside it
+            return [rectangle]  # too short to divide
         across = 0 if size[0] < size[1] else 1
         along = 1 - across
         low, high = rectangle[along], rectangle[along + 2]
@@ -257,7 +254,7 @@ class _Division:
         ]
 
     def _column(self, rectangle: Rectangle, height: float) -> Int[np.ndarray, " k"]:
-        """Free points below a top, and a little in front of it."""
+        """Return the free points below a top, and a little in front of it."""
         points, margin = self.cloud.points, self.config.overhang
         low, high = np.array(rectangle[:2]) - margin, np.array(rectangle[2:]) + margin
         near = self.free & (points[:, 2] < height + self.config.lift)
@@ -265,7 +262,6 @@ class _Division:
         return np.flatnonzero(near)
 
     def _closed_share(self, rectangle: Rectangle, height: float) -> float:
-        """Share of the fullest side of a box that surfaces are seen on [-]."""
         members = self._column(rectangle, height)
         points, normals = self.cloud.points[members], self.cloud.normals[members]
         return closed_share(points, normals, rectangle, height, self.config.extent.near)
@@ -273,7 +269,7 @@ class _Division:
     def _open(
         self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float
     ) -> list[Instance]:
-        """A table with what of its legs is seen, or a shelf; chairs below a table stay free."""
+        """Return a table with its visible legs, or a shelf; chairs below a table stay free."""
         config, points = self.config, self.cloud.points
         upper = points[members, 2] > height - 0.12
         below = members[~upper]
@@ -290,7 +286,7 @@ class _Division:
         corner, far = np.array(rectangle[:2]), np.array(rectangle[2:])
         middle = np.array([[*(corner + far) / 2, height]])
         at_wall = any(
-            bool(wall.beside(middle)[0])
+            bool(wall.spans(middle)[0])
             and wall.distance(middle)[0] < (far - corner)[wall.axis] / 2 + 0.12
             for wall in self.room.walls
         )
@@ -300,7 +296,7 @@ class _Division:
         return [Instance("", 0.7, own, _box(rectangle, 0.0, height))]
 
     def _goes_on(self, group: Int[np.ndarray, " k"], column: Int[np.ndarray, " m"]) -> bool:
-        """Whether a group of points is part of something that reaches out of a column."""
+        """Check whether a group of points continues outside of a column."""
         points = self.cloud.points
         margin = self.config.touching
         low, high = points[group].min(axis=0) - margin, points[group].max(axis=0) + margin
@@ -311,7 +307,6 @@ class _Division:
     # ------------------------------------------------------------ furniture without a visible top
 
     def _behind_fronts(self, fronts: Sequence[FrontPlane]) -> list[Instance]:
-        """Boxes behind flat fronts, back to the wall."""
         out = []
         for front in fronts:
             if self.free[front.members].mean() < 0.6:
@@ -323,14 +318,13 @@ class _Division:
         return out
 
     def _inside(self, box: UprightBox, margin: float) -> Int[np.ndarray, " k"]:
-        """Free points in a box that is made larger all around."""
         near = np.abs(self.cloud.points - box.center) < box.size / 2 + margin
         return np.flatnonzero(near.all(axis=1) & self.free)
 
-    # ------------------------------------------------------------ the rest
+    # ------------------------------------------------------------ remaining points
 
     def _rest(self, boxes: Sequence[UprightBox]) -> list[Instance]:
-        """Groups of points that touch and are not just the edges of what was found."""
+        """Return groups of touching points that are not just edges of other objects."""
         points, config = self.cloud.points, self.config
         for box in boxes:
             self.free[self._inside(box, config.overhang)] = False

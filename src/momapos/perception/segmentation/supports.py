@@ -1,4 +1,4 @@
-"""Surfaces that things stand on: tops of counters, tables, ovens, seats."""
+"""Find surfaces that objects stand on: tops of counters, tables, ovens, seats."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from scipy import ndimage
 from momapos.core import InputError
 from momapos.model.records import Cloud
 
-from .room_shell import Room, peaks
+from .room_shell import RoomShell, peaks
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-MOST_CELLS = 200_000_000
-"""Rooms of more cells are refused: the scan holds something far away."""
-DEEP = 1.2
-"""What is more times as deep as wide is no furniture of a row but the arm of a corner [-]."""
+MAX_CELLS = 200_000_000
+"""Larger rooms are refused: the scan contains something far away."""
+MAX_ASPECT = 1.2
+"""Larger ratio of depth to width is not furniture of a row but the arm of a corner [-]."""
 
 Rectangle = tuple[float, float, float, float]
 """Low x, low y, high x, high y [m]."""
@@ -31,24 +31,24 @@ _Cells = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class SupportConfig:
-    """What makes a surface one that things stand on."""
+    """When a surface supports objects."""
 
     cell: float = 0.03
-    """Edge of the floor cells that outlines are drawn on [m]."""
+    """Edge length of the floor cells of outlines [m]."""
     layer: float = 0.015
-    """Height of the cells that surfaces are grown in [m]; steps of more than two divide."""
+    """Height of the cells in which surfaces are grown [m]; larger steps than two cells divide."""
     area: float = 0.06
-    """Least area [m2]."""
+    """Minimum area [m2]."""
     lowest: float = 0.25
-    """Least height above the floor [m]."""
+    """Minimum height above the floor [m]."""
     highest: float = 1.9
-    """Greatest height [m]: a camera above it is rare."""
+    """Maximum height; cameras are rarely above it [m]."""
     closing: float = 0.15
-    """Gaps of twice this in an outline are closed: something that stood there hid it [m]."""
+    """Gaps in an outline up to twice this are closed: objects hide the surface [m]."""
     basin: float = 0.35
-    """Surfaces in the hole of another one, and at most this much lower, are its basin [m]."""
+    """A surface in the hole of another one is its basin if at most this much lower [m]."""
     hole: float = 0.6
-    """Holes up to this area are filled: sinks, and what stands on the surface [m2]."""
+    """Holes up to this area are filled: sinks, and objects on the surface [m2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,26 +60,26 @@ class FloorRaster:
     cell: float
 
     def cells(self, points: Float[np.ndarray, "n d"]) -> Int[np.ndarray, "n 2"]:
-        """The cell below each point, clipped to the raster."""
+        """Return the cell below each point, clipped to the raster."""
         at = np.floor((points[:, :2] - self.low) / self.cell).astype(int)
         return np.clip(at, 0, np.array(self.shape) - 1)
 
     def within(
         self, mask: Bool[np.ndarray, "x y"], points: Float[np.ndarray, "n d"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether points are above or below the cells of a mask."""
+        """Tell which points are above or below the cells of a mask."""
         at = self.cells(points)
         return mask[at[:, 0], at[:, 1]]
 
     def drawn(self, points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, "x y"]:
-        """The cells with points."""
+        """Return the cells with points."""
         mask = np.zeros(self.shape, bool)
         at = self.cells(points)
         mask[at[:, 0], at[:, 1]] = True
         return mask
 
     def filled(self, box: Rectangle) -> Bool[np.ndarray, "x y"]:
-        """The cells whose centers are in a rectangle."""
+        """Return the cells whose centers are in a rectangle."""
         mask = np.zeros(self.shape, bool)
         start = np.ceil((np.array(box[:2]) - self.low) / self.cell - 0.5).astype(int)
         stop = np.ceil((np.array(box[2:]) - self.low) / self.cell - 0.5).astype(int)
@@ -93,25 +93,25 @@ class Support:
     """A horizontal surface."""
 
     height: float
-    """Above the floor [m]."""
+    """Height above the floor [m]."""
     outline: Bool[np.ndarray, "x y"]
-    """Cells that it covers, what hides it included."""
+    """Its cells, including hidden ones."""
     members: Int[np.ndarray, " k"]
-    """Its own points."""
+    """Indices of its points."""
 
 
 def floor_raster(points: Float[np.ndarray, "n 3"], cell: float) -> FloorRaster:
-    """A raster that holds all points, with a margin of half a meter."""
+    """Return a raster around all points, with a margin of half a meter."""
     low = points[:, :2].min(axis=0) - 0.5
     shape = np.ceil((points[:, :2].max(axis=0) + 0.5 - low) / cell).astype(int)
-    if float(shape[0]) * float(shape[1]) > MOST_CELLS / 100:
+    if float(shape[0]) * float(shape[1]) > MAX_CELLS / 100:
         raise InputError(_too_wide(shape * cell))
     return FloorRaster(low, (int(shape[0]), int(shape[1])), cell)
 
 
 def _too_wide(extent: Float[np.ndarray, " d"]) -> str:
     size = " x ".join(f"{edge:.0f}" for edge in extent)
-    return f"the cloud spans {size} m, too much for one room; cut off what lies far away"
+    return f"the cloud spans {size} m, too much for one room; crop it to the room"
 
 
 def components(
@@ -122,7 +122,7 @@ def components(
         return np.zeros(0, int)
     at = np.floor((points - points.min(axis=0)) / np.asarray(cell)).astype(np.int64) + 1
     shape = at.max(axis=0) + 2
-    if np.prod(shape.astype(float)) > MOST_CELLS:
+    if np.prod(shape.astype(float)) > MAX_CELLS:
         raise InputError(_too_wide(np.ptp(points, axis=0)))
     grid = np.zeros(tuple(shape), bool)
     grid[tuple(at.T)] = True
@@ -136,7 +136,7 @@ def components(
 
 def find_supports(
     cloud: Cloud,
-    room: Room,
+    room: RoomShell,
     among: Int[np.ndarray, " m"],
     raster: FloorRaster,
     config: SupportConfig,
@@ -146,8 +146,8 @@ def find_supports(
     Args:
         cloud: Upright.
         room: Walls, at which hidden parts of surfaces end.
-        among: Points to look at.
-        raster: Of the whole cloud.
+        among: Indices of the points to use.
+        raster: Raster of the whole cloud.
         config: Constants.
     """
     z = cloud.points[among, 2]
@@ -177,7 +177,7 @@ def find_supports(
 
 
 def _is_basin(support: Support, higher: Sequence[Support], config: SupportConfig) -> bool:
-    """Whether a surface is the bottom of a hole in a higher one, as a sink's is."""
+    """Check whether a surface is the bottom of a hole in a higher one, like a sink's."""
     size = support.outline.sum()
     return any(
         other.height - support.height < config.basin
@@ -192,19 +192,19 @@ def _same_height(
     raster: FloorRaster,
     config: SupportConfig,
 ) -> list[Int[np.ndarray, " _"]]:
-    """Join pieces of one surface between which something hides it."""
-    joined: list[tuple[float, Bool[np.ndarray, "x y"], list[Int[np.ndarray, " _"]]]] = []
+    """Merge pieces of one surface that objects divide."""
+    merged: list[tuple[float, Bool[np.ndarray, "x y"], list[Int[np.ndarray, " _"]]]] = []
     reach = _square(config.closing, config.cell)
     for group in groups:
         height = float(np.median(cloud.points[group, 2]))
         mask = ndimage.binary_dilation(raster.drawn(cloud.points[group]), reach)
-        for k, (other, reached, pieces) in enumerate(joined):
+        for k, (other, reached, pieces) in enumerate(merged):
             if abs(height - other) < config.layer and (reached & mask).any():
-                joined[k] = (other, reached | mask, [*pieces, group])
+                merged[k] = (other, reached | mask, [*pieces, group])
                 break
         else:
-            joined.append((height, mask, [group]))
-    return [np.concatenate(pieces) for _, _, pieces in joined]
+            merged.append((height, mask, [group]))
+    return [np.concatenate(pieces) for _, _, pieces in merged]
 
 
 def _square(radius: float, cell: float) -> Bool[np.ndarray, "k k"]:
@@ -213,9 +213,9 @@ def _square(radius: float, cell: float) -> Bool[np.ndarray, "k k"]:
 
 
 def _hidden_too(
-    seen: Bool[np.ndarray, "x y"], room: Room, raster: FloorRaster, config: SupportConfig
+    seen: Bool[np.ndarray, "x y"], room: RoomShell, raster: FloorRaster, config: SupportConfig
 ) -> Bool[np.ndarray, "x y"]:
-    """Fill gaps, holes, and notches that end at a wall: the shadows of what stands there."""
+    """Fill gaps, holes, and notches that end at a wall: objects hide the surface there."""
     outside = np.zeros_like(seen)
     for wall in room.walls:
         edge = [wall.low - 0.1, wall.high + 0.1]
@@ -242,15 +242,15 @@ def rectangles(
 ) -> list[Rectangle]:
     """Cover an outline by rectangles that do not overlap, largest first.
 
-    Where two arms meet, as in the corner of a row of cabinets, the corner is a rectangle of its
-    own: neither arm's fronts reach into it. Where one piece of a row is deeper than its neighbors,
-    its rectangle reaches from its front to the wall.
+    Where two arms of a row meet in a corner, the corner is a rectangle of its own, because neither
+    arm's fronts reach into it. Where one piece of a row is deeper than its neighbors, its rectangle
+    reaches from its front to the wall.
 
     Args:
         mask: The outline.
-        raster: What its cells mean.
-        least: Sides are at least this long [m]; smaller remains are left out.
-        deepest: A piece of a row is as deep as this at most [m].
+        raster: Raster of the outline.
+        least: Minimum length of sides [m]; smaller remains are dropped.
+        deepest: Maximum depth of a piece of a row [m].
     """
     rest = mask.copy()
     cells: list[_Cells] = []
@@ -269,10 +269,10 @@ def rectangles(
 
 
 def _to_the_wall(cells: list[_Cells], shortest: int, deepest: float) -> list[_Cells]:
-    """Join the front and the rear of what is deeper than its neighbors.
+    """Merge the front and the rear of pieces that are deeper than their neighbors.
 
-    The rear may end earlier where taller neighbors hide it, by less than `shortest`; not where
-    there is another rectangle.
+    The rear may be up to `shortest` narrower where taller neighbors hide it, but not where there
+    is another rectangle.
     """
     out: list[_Cells] = []
     for j, box in enumerate(cells):
@@ -281,7 +281,7 @@ def _to_the_wall(cells: list[_Cells], shortest: int, deepest: float) -> list[_Ce
             size = high - low
             ends = np.abs(np.subtract(box, other)).reshape(2, 2).max(axis=0)
             behind = (size == np.add(_size(box), _size(other))) & (ends[::-1] < shortest)
-            behind &= (size <= deepest) & (size <= DEEP * size[::-1])
+            behind &= (size <= deepest) & (size <= MAX_ASPECT * size[::-1])
             rest = np.array([*out[:k], *out[k + 1 :], *cells[j + 1 :]]).reshape(-1, 4)
             free = (rest[:, :2] >= high) | (rest[:, 2:] <= low)
             if behind.any() and free.any(axis=1).all():
@@ -297,7 +297,6 @@ def _size(box: _Cells) -> tuple[int, int]:
 
 
 def _largest(mask: Bool[np.ndarray, "x y"]) -> _Cells:
-    """The largest rectangle of set cells."""
     best, area = (0, 0, 0, 0), 0
     xs = np.flatnonzero(mask.any(axis=1))
     for start in range(xs[0], xs[-1] + 1):

@@ -1,4 +1,4 @@
-"""How much of a thing was seen: on which of its faces surfaces were measured."""
+"""Measure how much of an object's surface was seen."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 SIDES = ((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0), (2, 1.0))
-"""Axis and sign of the faces that count: outward along x, y, -x, -y, up."""
-NEAR = 0.08
-"""Surfaces this near to a face's plane belong to it: doors stand out, handles more [m]."""
-BEFORE = 0.05
-"""A place this far before a face must be free for it to be seen [m]."""
-FACING = 0.5
-"""Cosine between the normal of such a surface and the face's, at least [-]."""
-PLACES = 6
-"""Places a side of a face that are looked up [-]."""
+"""Axis and sign of the relevant faces: outward along x, y, -x, -y, up."""
+MAX_DISTANCE = 0.08
+"""Surfaces this close to a face's plane belong to it: doors and handles protrude [m]."""
+CLEARANCE = 0.05
+"""A face is visible where it is free at this distance in front of it [m]."""
+MIN_COSINE = 0.5
+"""Between the normal of a surface and the face's [-]."""
+SAMPLES = 6
+"""Samples along each edge of a face [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """What was seen of a box; faces are outward along its x, y, -x, -y, and up."""
+    """Coverage of a box; faces are outward along its x, y, -x, -y, and up."""
 
     open: Float[np.ndarray, "5"]
     """Share of each face that nothing stands against [-]."""
     seen: Float[np.ndarray, "5"]
     """Share of each face on which surfaces were measured [-]."""
     areas: Float[np.ndarray, "5"]
-    """[m2]"""
+    """Area of each face [m2]."""
 
     @property
     def share(self) -> float:
-        """Share of the surface that can be seen that was seen, in [0, 1]; 0 where none can."""
+        """Share of the visible surface that was seen, in [0, 1]; 0 if nothing is visible."""
         can = self.open * self.areas
         if not can.any():
             return 0.0
@@ -49,12 +49,12 @@ class Coverage:
 
 
 def coverage(cloud: Cloud, item: Detection, others: Sequence[UprightBox]) -> Coverage:
-    """Measure how much of a thing was seen.
+    """Measure how much of an object was seen.
 
     Args:
         cloud: Upright, floor at z = 0.
-        item: With members in the cloud.
-        others: Boxes of everything else, walls among them.
+        item: Object with members in the cloud.
+        others: Boxes of all other objects, including walls.
     """
     box, size = item.box, np.asarray(item.box.size)
     local = to_local(cloud.points[item.members], box)
@@ -64,7 +64,9 @@ def coverage(cloud: Cloud, item: Detection, others: Sequence[UprightBox]) -> Cov
     for axis, sign in SIDES:
         a, b = (k for k in range(3) if k != axis)
         away = np.abs(sign * local[:, axis] - size[axis] / 2)
-        on = local[(away < min(NEAR, size[axis] / 2)) & (sign * facing[:, axis] > FACING)]
+        on = local[
+            (away < min(MAX_DISTANCE, size[axis] / 2)) & (sign * facing[:, axis] > MIN_COSINE)
+        ]
         areas.append(float(size[a] * size[b]))
         seen.append(min(1.0, area(on[:, a], on[:, b], cell) / areas[-1]) if len(on) else 0.0)
     free = ~_taken(_places(box), others).reshape(len(SIDES), -1)
@@ -72,23 +74,22 @@ def coverage(cloud: Cloud, item: Detection, others: Sequence[UprightBox]) -> Cov
 
 
 def with_coverage(
-    things: Sequence[Detection],
+    objects: Sequence[Detection],
     cloud: Cloud,
     walls: Sequence[Detection],
     measured: int | None = None,
 ) -> list[Detection]:
-    """Things that know how much of them was seen.
+    """Return objects with their coverage and share of completed points.
 
     Args:
-        things: With members in the cloud.
+        objects: Objects with members in the cloud.
         cloud: Upright, floor at z = 0.
-        walls: Of the room.
-        measured: How many points of the cloud were measured; the others, behind them, were
-            completed. All by default.
+        walls: Walls of the room.
+        measured: Number of measured points; completed points follow them. All if None.
     """
     found = []
-    for item in things:
-        others = [one.box for one in (*things, *walls) if one is not item]
+    for item in objects:
+        others = [one.box for one in (*objects, *walls) if one is not item]
         seen = replace(item, members=item.members[item.members < (measured or len(cloud.points))])
         share = coverage(cloud, seen, others).share
         lacking = 1.0 - len(seen.members) / max(len(item.members), 1)
@@ -97,20 +98,20 @@ def with_coverage(
 
 
 def _places(box: UprightBox) -> Float[np.ndarray, "n 3"]:
-    """Places just before the faces of a box, side by side, as many for each face."""
-    steps = (np.arange(PLACES) + 0.5) / PLACES - 0.5
-    local = np.zeros((len(SIDES), PLACES, PLACES, 3))
+    """Return sample points in front of the faces of a box, the same number for each face."""
+    steps = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    local = np.zeros((len(SIDES), SAMPLES, SAMPLES, 3))
     for places, (axis, sign) in zip(local, SIDES, strict=True):
         a, b = (k for k in range(3) if k != axis)
         places[..., a], places[..., b] = (steps * box.size[a])[:, None], (steps * box.size[b])[None]
-        places[..., axis] = sign * (box.size[axis] / 2 + BEFORE)
+        places[..., axis] = sign * (box.size[axis] / 2 + CLEARANCE)
     return along_edges(local.reshape(-1, 3), -box.yaw) + box.center
 
 
 def _taken(
     places: Float[np.ndarray, "n 3"], others: Sequence[UprightBox]
 ) -> Bool[np.ndarray, " n"]:
-    """Which places are below the floor or in a box."""
+    """Tell which places are below the floor or in a box."""
     below = places[:, 2] < 0.0
     if not others:
         return below

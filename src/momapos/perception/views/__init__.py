@@ -1,4 +1,4 @@
-"""Which images show the front of a thing, and what that front looks like seen straight on."""
+"""Find the front of an object in the images, and rectify it."""
 
 import lazy_loader
 

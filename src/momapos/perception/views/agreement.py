@@ -1,10 +1,10 @@
-"""The parts on a front that several images agree on.
+"""Merge the parts that several images show on a front.
 
-What one image shows of a front depends on where it was taken: a seam or a knob is a pixel there
-and none here, and the networks then take two drawers for one. Each image's parts are hypotheses;
-those of different images that lie on each other are one, and what is kept is the set of parts, free
-of overlaps, that explains most of what was seen in all of them. A part with the handle of another
-one in it explains the less, the more images show that handle.
+How one image shows a front depends on its viewpoint: a seam or a knob may be a pixel wide in one
+image and invisible in another, and the networks then merge two drawers into one. The parts in each
+image are hypotheses; overlapping parts of different images become one hypothesis. The result is the
+overlap-free set of parts with the largest total weight. A part's weight drops with the number of
+images that show the handle of another part inside it.
 """
 
 from __future__ import annotations
@@ -17,74 +17,78 @@ import numpy as np
 
 from momapos.model.records import Part, PartKind
 
-from .placed_parts import shared
+from .placed_parts import overlap_share
 from .projection import area, common_area, overlap
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-SAME = 0.6
-"""Parts of two images that overlap by this much are one (IoU) [-]."""
-APART = 0.3
+MIN_SAME_IOU = 0.6
+"""Parts of two images with at least this IoU are the same part [-]."""
+MAX_OVERLAP = 0.3
 """Two parts of a front share less than this of the smaller one [-]."""
-LEAST = 0.12
-"""Mean score over all images from which on there is a part, 0 where one shows none [-]."""
-HELD = 0.5
-"""A handle is within a part by more than this share of it [-]."""
+MIN_SUPPORT = 0.12
+"""Parts with a lower mean score over all images are dropped; a missing part scores 0 [-]."""
+MIN_HANDLE_INSIDE = 0.5
+"""A handle is inside a part if more than this share of it is [-]."""
 UNSEEN = 0.01
-"""How probable a kind is where an image says nothing of it [-]."""
+"""Probability of a part kind that an image does not name [-]."""
 
 
-Voices = dict[int, Part]
-"""One part as several images show it, by their indices; the surest first."""
+Hypothesis = dict[int, Part]
+"""One part as several images show it, by image index; the most confident first."""
 
 
-def agreed(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
-    """The parts that images of one face agree on, the surest first.
+def consensus(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
+    """Return the parts that images of one face agree on, the most confident first.
 
     Args:
-        fronts: What each image shows, as fractions of the face; the best image first.
+        fronts: The parts in each image, as fractions of the face; the best image first.
     """
-    voices = _voices(fronts)
-    support = np.array([sum(p.score for p in v.values()) / len(fronts) for v in voices])
-    voices = [voice for voice, share in zip(voices, support, strict=True) if share >= LEAST]
-    joined = [_joined(voice) for voice in voices]
-    weights = support[support >= LEAST] * [area(part.box) for part in joined]
-    weights *= [1.0 - _unexplained(*pair, fronts) for pair in zip(joined, voices, strict=True)]
-    apart = np.array([[shared(a, b) < APART for b in joined] for a in joined], bool)
-    apart = apart.reshape(len(joined), len(joined))
-    kept = [joined[k] for k in _heaviest(weights, apart)]
+    hypotheses = _hypotheses(fronts)
+    support = np.array([sum(p.score for p in v.values()) / len(fronts) for v in hypotheses])
+    hypotheses = [
+        hypothesis
+        for hypothesis, share in zip(hypotheses, support, strict=True)
+        if share >= MIN_SUPPORT
+    ]
+    merged = [_merged(hypothesis) for hypothesis in hypotheses]
+    weights = support[support >= MIN_SUPPORT] * [area(part.box) for part in merged]
+    weights *= [1.0 - _unexplained(*pair, fronts) for pair in zip(merged, hypotheses, strict=True)]
+    apart = np.array([[overlap_share(a, b) < MAX_OVERLAP for b in merged] for a in merged], bool)
+    apart = apart.reshape(len(merged), len(merged))
+    kept = [merged[k] for k in _heaviest(weights, apart)]
     return tuple(sorted(kept, key=lambda part: -part.score))
 
 
-def _voices(fronts: Sequence[Sequence[Part]]) -> list[Voices]:
-    """Parts that lie on each other in different images, the surest first."""
+def _hypotheses(fronts: Sequence[Sequence[Part]]) -> list[Hypothesis]:
+    """Group overlapping parts of different images, the most confident first."""
     every = sorted(
         ((part, image) for image, parts in enumerate(fronts) for part in parts),
         key=lambda pair: -pair[0].score,
     )
-    found: list[Voices] = []
+    found: list[Hypothesis] = []
     for part, image in every:
         free = [(overlap(next(iter(v.values())).box, part.box), v) for v in found if image not in v]
-        common, voice = max(free, key=lambda pair: pair[0], default=(0.0, {}))
-        if common < SAME:
-            voice = {}
-            found.append(voice)
-        voice[image] = part
+        common, hypothesis = max(free, key=lambda pair: pair[0], default=(0.0, {}))
+        if common < MIN_SAME_IOU:
+            hypothesis = {}
+            found.append(hypothesis)
+        hypothesis[image] = part
     return found
 
 
-def _unexplained(part: Part, voices: Voices, fronts: Sequence[Sequence[Part]]) -> float:
-    """Share of the images that show the handle of another part within a part [-].
+def _unexplained(part: Part, hypotheses: Hypothesis, fronts: Sequence[Sequence[Part]]) -> float:
+    """Return the share of images that show another part's handle inside a part [-].
 
-    Only of parts that cannot be there beside it: the handles of neighbors are explained by these.
+    Neighbors do not count: only parts that cannot coexist with this one.
     """
-    own = [v.handle for v in voices.values() if v.handle is not None]
+    own = [v.handle for v in hypotheses.values() if v.handle is not None]
     shows = [
         any(
             other.handle is not None
-            and shared(part, other) >= APART
-            and common_area(part.box, other.handle) > HELD * area(other.handle)
+            and overlap_share(part, other) >= MAX_OVERLAP
+            and common_area(part.box, other.handle) > MIN_HANDLE_INSIDE * area(other.handle)
             and all(not common_area(other.handle, one) for one in own)
             for other in parts
         )
@@ -94,7 +98,6 @@ def _unexplained(part: Part, voices: Voices, fronts: Sequence[Sequence[Part]]) -
 
 
 def _heaviest(weights: Float[np.ndarray, " n"], apart: Bool[np.ndarray, "n n"]) -> list[int]:
-    """Indices of the heaviest set of parts that are all apart."""
     from scipy.optimize import Bounds, LinearConstraint, milp
 
     if not len(weights):
@@ -111,9 +114,8 @@ def _heaviest(weights: Float[np.ndarray, " n"], apart: Bool[np.ndarray, "n n"]) 
     return np.flatnonzero(solved.x > 0.5).tolist()
 
 
-def _joined(voices: Voices) -> Part:
-    """One part of what several images say of it."""
-    parts = list(voices.values())
+def _merged(hypotheses: Hypothesis) -> Part:
+    parts = list(hypotheses.values())
     scores = np.array([part.score for part in parts])
     box = np.median([part.box for part in parts], axis=0).tolist()
     odds = _odds(parts, scores)
@@ -126,7 +128,7 @@ def _joined(voices: Voices) -> Part:
 def _odds(
     parts: Sequence[Part], scores: Float[np.ndarray, " n"]
 ) -> tuple[tuple[PartKind, float], ...]:
-    """How a part may open: the geometric mean of what the images say, the surer the more."""
+    """Return the geometric mean of the images' kind probabilities, weighted by score."""
     known = [(dict(p.odds), s) for p, s in zip(parts, scores, strict=True) if p.odds]
     if not known:
         return ()

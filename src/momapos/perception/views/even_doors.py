@@ -1,4 +1,4 @@
-"""Doors beside each other whose seams nobody sees are taken to be equally wide."""
+"""Give adjacent doors without visible seams equal widths."""
 
 from __future__ import annotations
 
@@ -16,31 +16,30 @@ if TYPE_CHECKING:
     from jaxtyping import Float32
 
 DOORS = ("door_left", "door_right")
-LEVEL = 0.05
+MAX_LEVEL_DIFFERENCE = 0.05
 """Tops and bottoms of doors in one row differ by less than this share of the face's height [-]."""
-MEET = 0.4
-"""And they overlap, or are apart, by less than this share of the narrower one [-]."""
-NEAR = 0.02
-"""A seam is looked for this far from where it is believed [m]."""
+MAX_GAP = 0.4
+"""Doors in a row overlap or are apart by less than this share of the narrower one [-]."""
+SEARCH_RADIUS = 0.02
+"""Seams are searched for this far from their predicted place [m]."""
 RIM = 0.04
-"""A door that begins nearer than this to the rim of its face begins there, unless a seam is seen
+"""A door that starts closer to the rim of its face starts at the rim, unless a seam is visible
 [m]."""
-SEEN = 0.05
-"""Contrast of a seam that is seen, as `dark_lines` tells it [-]."""
-MOST = 0.3
-"""No door gets wider or narrower than it was believed by more than this share [-]."""
+MIN_CONTRAST = 0.05
+"""Contrast of a visible seam in `dark_lines` [-]."""
+MAX_WIDTH_CHANGE = 0.3
+"""No door changes its width by more than this share [-]."""
 
 
-def evened(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
-    """Divide what doors beside each other take up evenly between the seams that are seen.
+def equalize_doors(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Divide rows of doors evenly between the visible seams.
 
     Args:
         face: The face.
-        parts: What is on it, whole.
+        parts: All parts on it.
 
     Returns:
-        The same parts in the same order; only doors of a row that meet where no line is seen have
-        other sides.
+        The same parts in the same order. Only doors that meet without a visible seam change.
     """
     found, rows = list(parts), _rows(parts)
     upright = dark_lines(face.color, 1) if rows else np.zeros((0, 0), np.float32)
@@ -56,7 +55,7 @@ def evened(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
 
 
 def _rows(parts: Sequence[Part]) -> list[list[int]]:
-    """Indices of the doors that stand side by side, from left to right, of each row of several."""
+    """Return the indices of the doors of each row, from left to right."""
     rows: list[list[int]] = []
     for k in sorted(range(len(parts)), key=lambda k: parts[k].box[0]):
         if parts[k].kind not in DOORS:
@@ -71,16 +70,16 @@ def _rows(parts: Sequence[Part]) -> list[list[int]]:
 
 
 def _side_by_side(a: Part, b: Part) -> bool:
-    level = max(abs(a.box[1] - b.box[1]), abs(a.box[3] - b.box[3])) < LEVEL
-    return level and abs(b.box[0] - a.box[2]) < MEET * min(_width(a), _width(b))
+    level = max(abs(a.box[1] - b.box[1]), abs(a.box[3] - b.box[3])) < MAX_LEVEL_DIFFERENCE
+    return level and abs(b.box[0] - a.box[2]) < MAX_GAP * min(_width(a), _width(b))
 
 
 def _edges(
     face: FaceImage, doors: Sequence[Part], upright: Float32[np.ndarray, "h w"]
 ) -> dict[int, float]:
-    """Where a row begins, where its doors meet as far as that is seen, and where it ends.
+    """Return the visible seams of a row, and its start and end, by index.
 
-    Of what is next to the rim nothing shows but the door where no line is seen between them.
+    Without a visible seam, a door near the rim extends to the rim.
     """
     first, last = doors[0].box, doors[-1].box
     rim = RIM / face.width
@@ -101,9 +100,9 @@ def _seam(
     about: tuple[float, float],
     upright: Float32[np.ndarray, "h w"],
 ) -> float | None:
-    """Where a line is seen near two places, over most of the height of two doors, or None."""
+    """Find a line near two places over most of the height of two doors; None if there is none."""
     h, w = upright.shape
-    near = NEAR / face.width
+    near = SEARCH_RADIUS / face.width
     left, right = min(about) - near, max(about) + near
     start = max(int(left * w), 0)
     tops, bottoms = zip(*((door.box[1], door.box[3]) for door in doors), strict=True)
@@ -113,14 +112,16 @@ def _seam(
         return None
     contrast = np.median(lines, axis=0)
     place = (start + int(contrast.argmax()) + 0.5) / w
-    return place if contrast.max() > SEEN else None
+    return place if contrast.max() > MIN_CONTRAST else None
 
 
 def _between(door: Part, left: float, right: float) -> Part | None:
-    """A door with other sides; None where it would change too much or lose its handle."""
-    held = door.handle
+    """Return a door with other sides; None if it changes too much or loses its handle."""
+    handle = door.handle
     off = abs((right - left) / max(_width(door), 1e-9) - 1.0)
-    if off > MOST or (held is not None and not left <= (held[0] + held[2]) / 2 <= right):
+    if off > MAX_WIDTH_CHANGE or (
+        handle is not None and not left <= (handle[0] + handle[2]) / 2 <= right
+    ):
         return None
     return replace(door, box=(left, door.box[1], right, door.box[3]))
 

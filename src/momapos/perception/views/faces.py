@@ -1,4 +1,4 @@
-"""The upright faces of a box, and what images show of them when they are seen straight on."""
+"""The upright faces of a box, and frontal images of them."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ if TYPE_CHECKING:
 
 FACES = 4
 """Upright faces of a box: outward along its x, y, -x, -y."""
-NEAREST = 0.1
-"""Surfaces nearer to a camera are not looked at [m]."""
-APART = 0.15
-"""What lies farther before or behind a face is another thing, which hides it or is seen past it
-[m]."""
-ALIKE = 0.2
-"""Lines of sight are alike when their slopes differ by this, one standard deviation: a handle that
-stands out by 4 cm is displaced by less than 1 cm between them [-]."""
-BESIDE = 0.08
-"""What stands beside a thing is nearer to it [m]."""
+MIN_DEPTH = 0.1
+"""Surfaces closer to a camera are ignored [m]."""
+MAX_PLANE_OFFSET = 0.15
+"""Surfaces farther in front of or behind a face belong to other objects [m]."""
+PARALLAX_SIGMA = 0.2
+"""Standard deviation of the difference in slope between lines of sight that are merged: a handle
+that protrudes by 4 cm shifts by less than 1 cm between them [-]."""
+MAX_GAP = 0.08
+"""Neighbors are closer to an object than this [m]."""
 HIDDEN, CLEAR = 1, 2
-"""What frames showed of a place: another thing, or the face."""
+"""What a frame shows at a pixel of a face: another object, or the face."""
 PLANE_STEP = 4
-"""Every so many pixels of a face tell where its plane is [-]."""
-FLAT = 0.1
-"""Doors, handles and frames stay within this of a front's plane; legs and shelves do not [m]."""
+"""Pixel stride for the estimate of a face's plane [-]."""
+MAX_FRONT_DEPTH = 0.1
+"""Doors, handles and frames lie within this of a front's plane; legs and shelves do not [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +43,13 @@ class Face:
     T_world_face: Float[np.ndarray, "4 4"]
     """Origin in the middle; x to the right as seen from outside, y up, z outward."""
     width: float
-    """Along x [m]."""
+    """Extent along x [m]."""
     height: float
-    """Along y [m]."""
+    """Extent along y [m]."""
 
     @property
     def outward(self) -> Float[np.ndarray, "3"]:
-        """Unit normal in the world."""
+        """Outward unit normal in the world."""
         return self.T_world_face[:3, 2]
 
     @property
@@ -59,13 +58,13 @@ class Face:
         return (self.index + FACES // 2) % FACES
 
     @property
-    def beside(self) -> tuple[int, int]:
+    def neighbors(self) -> tuple[int, int]:
         """Indices of the faces to the left and right, as seen from outside."""
         return (self.index - 1) % FACES, (self.index + 1) % FACES
 
 
 def box_faces(box: UprightBox) -> tuple[Face, ...]:
-    """The four upright faces of a box."""
+    """Return the four upright faces of a box."""
     c, s = np.cos(box.yaw), np.sin(box.yaw)
     along = np.array([[c, s, 0.0], [-s, c, 0.0], [-c, -s, 0.0], [s, -c, 0.0]])
     up = np.array([0.0, 0.0, 1.0])
@@ -78,19 +77,18 @@ def box_faces(box: UprightBox) -> tuple[Face, ...]:
     return tuple(faces)
 
 
-def standing_beside(side: Face, front: Face, others: Sequence[UprightBox]) -> float | None:
-    """How far what stands close before one face of a thing stands out of another face of it.
+def neighbor_protrusion(side: Face, front: Face, others: Sequence[UprightBox]) -> float | None:
+    """Return how far neighbors at one face of an object protrude beyond another face.
 
     Args:
-        side: Before which others may stand, nearer than `BESIDE`.
-        front: Out of which they may stand, another face of the same box.
-        others: What may stand there.
+        side: Face next to which neighbors may stand, closer than `MAX_GAP`.
+        front: Face beyond which they may protrude, of the same box.
+        others: Boxes of possible neighbors.
 
     Returns:
-        Of what stands out farthest [m], negative where that ends behind the front; None where
-        nothing stands before the side.
+        The largest protrusion [m], negative if all end behind the front; None without neighbors.
     """
-    across, up, out = np.meshgrid([-0.45, -0.2, 0.0, 0.2, 0.45], [-0.4, 0.0, 0.4], [0.02, BESIDE])
+    across, up, out = np.meshgrid([-0.45, -0.2, 0.0, 0.2, 0.45], [-0.4, 0.0, 0.4], [0.02, MAX_GAP])
     local = np.stack([across * side.width, up * side.height, out], axis=-1).reshape(-1, 3)
     points = apply(side.T_world_face, local)
     plane = float(front.outward @ front.T_world_face[:3, 3])
@@ -104,40 +102,40 @@ def standing_beside(side: Face, front: Face, others: Sequence[UprightBox]) -> fl
 
 
 def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:
-    """Look straight at a face, as `Sampled.image` does.
+    """Return a frontal image of a face, see `SampledFace.image`.
 
     Args:
-        face: Where to look.
+        face: The face.
         frames: Images that show the face, the best first.
         pixels: Length of the longer side of the result [px].
     """
-    return Sampled.of(face, frames, pixels=pixels).image(range(len(frames)))
+    return SampledFace.of(face, frames, pixels=pixels).image(range(len(frames)))
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class SampledFace:
     """What each of several frames shows at every pixel of a face.
 
-    Their depth is looked up once, however many images of the face are made of it.
+    The frames' depth is sampled once, for any number of images of the face.
     """
 
     face: Face
     frames: Sequence[Frame]
     cameras: Float[np.ndarray, "n 3"]
-    """Where they were taken, in the frame of the face [m]."""
+    """Camera positions in the frame of the face [m]."""
     heights: Float32[np.ndarray, "n h w"]
-    """What lies at a place, out of the face [m]; NaN where that was not measured."""
+    """Height of the surface above the face [m]; NaN where not measured."""
     states: UInt8[np.ndarray, "n h w"]
-    """0 where a frame does not look, `HIDDEN` where it shows something else, `CLEAR` elsewhere."""
+    """0 outside a frame's image, `HIDDEN` where it shows another object, `CLEAR` elsewhere."""
 
     @staticmethod
-    def of(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> Sampled:
-        """Look along the rays of all frames.
+    def of(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> SampledFace:
+        """Sample all frames at the pixels of a face.
 
         Args:
-            face: Where to look.
+            face: The face.
             frames: Images that show the face.
-            pixels: Along its longer side [px].
+            pixels: Length of the longer side [px].
         """
         shape = (len(frames), *_shape(face, pixels))
         heights, states = np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8)
@@ -146,19 +144,19 @@ class Sampled:
             if photo is not None:
                 _sample(photo, face.width, face.height, height_map, state)
         cameras = np.array([camera_position_of(face, frame) for frame in frames]).reshape(-1, 3)
-        return Sampled(face, frames, cameras, heights, states)
+        return SampledFace(face, frames, cameras, heights, states)
 
     def image(self, order: Sequence[int]) -> FaceImage:
-        """The face, seen straight on.
+        """Return the face, seen straight on.
 
-        Color comes from the first frame that shows a place with nothing before it. The height map
-        is the mean of what all such frames measured there, since one depth image alone is too noisy
-        to tell a handle from a door. Each counts by the inverse variance of a stereo camera at its
-        distance, and the more the nearer its line of sight is to that of the first: what stands out
-        is seen displaced. Only where something else hides a place in all frames is that looked at.
+        Color comes from the first frame that shows a pixel unobstructed. The height map is the mean
+        of the depth in all such frames, because the noise of one depth image hides handles. Frames
+        are weighted by the inverse variance of a stereo camera at their distance, and by how close
+        their line of sight is to that of the first, because of parallax. Pixels that all frames
+        show obstructed show the obstruction.
 
         Args:
-            order: Indices of the frames to make it of, the best first.
+            order: Indices of the frames to use, the best first.
         """
         face, chosen = self.face, np.array(order, int)
         cameras = self.cameras[chosen]
@@ -174,21 +172,21 @@ class Sampled:
 
 
 def camera_position_of(face: Face, frame: Frame) -> Float[np.ndarray, "3"]:
-    """Where an image was taken, in the frame of a face [m]."""
+    """Return the camera position of an image in the frame of a face [m]."""
     return (invert(face.T_world_face) @ frame.T_world_camera)[:3, 3]
 
 
 def _weight(camera: Float[np.ndarray, "3"], first: Float[np.ndarray, "3"]) -> float:
-    """How much the depth of one camera counts beside that of another, by where they are [m]."""
-    slopes = camera[:2] / max(camera[2], NEAREST) - first[:2] / max(first[2], NEAREST)
-    length = max(float(np.linalg.norm(camera)), NEAREST)
-    return float(np.exp(-(slopes @ slopes) / (2 * ALIKE**2))) / length**4
+    """Return the depth weight of a camera relative to the first, from their positions [m]."""
+    slopes = camera[:2] / max(camera[2], MIN_DEPTH) - first[:2] / max(first[2], MIN_DEPTH)
+    length = max(float(np.linalg.norm(camera)), MIN_DEPTH)
+    return float(np.exp(-(slopes @ slopes) / (2 * PARALLAX_SIGMA**2))) / length**4
 
 
-def solid(image: FaceImage, box: tuple[float, float, float, float] | None = None) -> float:
-    """Part of what was measured of a face that lies in one plane, in [0, 1]; 1 without depth.
+def coplanar_share(image: FaceImage, box: tuple[float, float, float, float] | None = None) -> float:
+    """Return the share of a face's measured pixels that lie in one plane; 1 without depth.
 
-    The plane is that of what was measured near the face: below a top that stands out a front lies
+    The plane is estimated from the pixels near the face: below a protruding top, the front lies
     behind the face.
 
     Args:
@@ -197,24 +195,23 @@ def solid(image: FaceImage, box: tuple[float, float, float, float] | None = None
     """
     height_map = image.height_map
     sparse = height_map[::PLANE_STEP, ::PLANE_STEP]
-    near = sparse[np.abs(sparse) < APART]  # NaN compares as false
+    near = sparse[np.abs(sparse) < MAX_PLANE_OFFSET]  # NaN compares as false
     plane = float(np.median(near)) if len(near) else 0.0
     if box is not None:
         h, w = height_map.shape
         left, top, right, bottom = np.round(np.array(box) * [w, h, w, h]).astype(int)
         height_map = height_map[top : bottom + 1, left : right + 1]
     measured = height_map[np.isfinite(height_map)]
-    return float((np.abs(measured - plane) < FLAT).mean()) if len(measured) else 1.0
+    return float((np.abs(measured - plane) < MAX_FRONT_DEPTH).mean()) if len(measured) else 1.0
 
 
-def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
-    """Part of a face that a frame shows with nothing before it, in [0, 1].
+def visible_share(face: Face, frame: Frame, *, pixels: int = 48) -> float:
+    """Return the share of a face that a frame shows unobstructed, in [0, 1].
 
-    Of what is not open: where a frame sees through the face, as into the room for knees at a desk,
-    there is nothing to show.
+    Open places, such as the leg space of a desk, do not count.
     """
-    seen = Sampled.of(face, [frame], pixels=pixels)
-    through = seen.heights < -APART  # NaN compares as false
+    seen = SampledFace.of(face, [frame], pixels=pixels)
+    through = seen.heights < -MAX_PLANE_OFFSET  # NaN compares as false
     return float((seen.states == CLEAR).sum() / max((~through).sum(), 1))
 
 
@@ -224,18 +221,18 @@ def _shape(face: Face, pixels: int) -> tuple[int, int]:
 
 
 class _Photo(NamedTuple):
-    """One frame, seen from a face, as the kernel takes it."""
+    """One frame relative to a face, for the kernels."""
 
     image: UInt8[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"]
     has_depth: bool
-    """Whether the depth was measured; it is not looked at otherwise."""
+    """Whether `depth` was measured; it is not read otherwise."""
     intrinsics: Float[np.ndarray, "3 3"]
     T_camera_face: Float[np.ndarray, "4 4"]
 
 
 def _photo(face: Face, frame: Frame) -> _Photo | None:
-    """A frame as the kernels take it; None where its camera is not on the outer side."""
+    """Prepare a frame for the kernels; None if its camera is behind the face."""
     T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
     if T_camera_face[:3, 2] @ T_camera_face[:3, 3] >= 0:
         return None
@@ -248,10 +245,10 @@ def _photo(face: Face, frame: Frame) -> _Photo | None:
 def _pixel(
     photo: _Photo, width: float, height: float, shape: tuple[int, int], i: int, j: int
 ) -> tuple[bool, float, float, float, float, float]:
-    """Where a pixel of a face is in a photo: whether there, u, v [px], x, y, z [m].
+    """Project a pixel of a face into a photo: whether it is inside, u, v [px], x, y, z [m].
 
     Args:
-        photo: What is looked at.
+        photo: The photo.
         width, height: Size of the face [m].
         shape: Rows and columns of the face.
         i, j: Row and column of the pixel.
@@ -260,7 +257,7 @@ def _pixel(
     tall, wide = photo.image.shape[:2]
     x, y = width * ((j + 0.5) / shape[1] - 0.5), height * (0.5 - (i + 0.5) / shape[0])
     pz = T[2, 0] * x + T[2, 1] * y + T[2, 3]
-    if pz < NEAREST:
+    if pz < MIN_DEPTH:
         return False, 0.0, 0.0, 0.0, 0.0, 0.0
     px = T[0, 0] * x + T[0, 1] * y + T[0, 3]
     py = T[1, 0] * x + T[1, 1] * y + T[1, 3]
@@ -277,7 +274,7 @@ def _sample(
     height_map: Float32[np.ndarray, "h w"],
     state: UInt8[np.ndarray, "h w"],
 ) -> None:
-    """Look along the ray through every pixel of a face of a size [m]; the last two in place."""
+    """Sample a photo at every pixel of a face; fills `height_map` and `state`."""
     T, shape = photo.T_camera_face, state.shape
     for i in range(shape[0]):
         for j in range(shape[1]):
@@ -291,7 +288,7 @@ def _sample(
                     # The measured point lies on the same ray, at z instead of pz.
                     out = T[0, 2] * px + T[1, 2] * py + T[2, 2] * pz
                     height_map[i, j] = (z / pz - 1.0) * out
-                    if abs(height_map[i, j]) > APART:
+                    if abs(height_map[i, j]) > MAX_PLANE_OFFSET:
                         state[i, j] = HIDDEN
 
 
@@ -302,12 +299,12 @@ def _merged(
     order: Int[np.ndarray, " m"],
     weights: Float[np.ndarray, " m"],
 ) -> tuple[Float32[np.ndarray, "h w"], Int16[np.ndarray, "h w"]]:
-    """Mean height map of a face, and which frame shows the color of each place, -1 where none.
+    """Return the mean height map of a face, and the source frame of each pixel's color, -1 if none.
 
     Args:
         heights, states: Of all frames.
-        order: Those that count, the best first.
-        weights: By which their depth counts.
+        order: The frames to use, the best first.
+        weights: Weights of their depth.
     """
     _, rows, columns = heights.shape
     height_map = np.full((rows, columns), np.nan, np.float32)
@@ -344,7 +341,7 @@ def _paint(
     index: int,
     color: UInt8[np.ndarray, "h w 3"],
 ) -> None:
-    """Color the places of a face of a size [m] that a photo is the source of, in place."""
+    """Color the pixels of a face whose source is this photo; fills `color`."""
     image, shape = photo.image, source.shape
     for i in range(shape[0]):
         for j in range(shape[1]):

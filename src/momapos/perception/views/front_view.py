@@ -1,4 +1,4 @@
-"""Which face of an object is its front, and which image shows it best."""
+"""Find the front face of an object, and the image that shows it best."""
 
 from __future__ import annotations
 
@@ -11,38 +11,46 @@ import numpy as np
 from momapos.core.geometry import UprightBox
 from momapos.model.records import FaceImage, Frame, Front, Part
 
-from .agreement import agreed
-from .even_doors import evened
-from .faces import FACES, Face, Sampled, box_faces, camera_position_of, face_image, shown, solid
-from .placed_parts import handles_seen_from, placed, surest
-from .projection import Sight
+from .agreement import consensus
+from .even_doors import equalize_doors
+from .faces import (
+    FACES,
+    Face,
+    SampledFace,
+    box_faces,
+    camera_position_of,
+    coplanar_share,
+    face_image,
+    visible_share,
+)
+from .placed_parts import most_confident, shift_handles, transferred
+from .projection import Observation
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-AROUND = (0.03, 0.1)
-"""How much of what surrounds a face is looked at with it; the second where the first shows no
-front [m]."""
-STRAIGHT = 10
-"""How much more an image counts that is taken straight on: power of the cosine [-]."""
-NEAREST = 0.5
-"""Images taken from nearer than this are no better for it [m]."""
-UNBACKED = 0.5
-"""What is said for a face counts so much less where another one has a wall behind the thing: what
-stands against a wall opens away from it [-]."""
-Look = Callable[[FaceImage], Front]
-"""Says what is on a face, and whether it is a front."""
+SURROUNDINGS = (0.03, 0.1)
+"""Width of the surroundings shown with a face; the second if the first shows no front [m]."""
+FRONTAL_POWER = 10
+"""Power of the cosine of the viewing angle by which images are weighted [-]."""
+MIN_DISTANCE = 0.5
+"""Closer images are not better [m]."""
+UNBACKED_WEIGHT = 0.5
+"""Weight of a face without a wall behind the object, if another face has one: objects at a wall
+open away from it [-]."""
+FrontDetector = Callable[[FaceImage], Front]
+"""Finds the parts on a face, and whether it is a front."""
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """Parts that were seen before, on a face of which the object's own may be a piece."""
+class KnownFront:
+    """Parts that are already known, on a face that may contain the object's own."""
 
     face: Face
     score: float
-    """Probability that the face is a front, where there are parts on it."""
+    """Probability that the face is a front where it has parts."""
     parts: tuple[Part, ...]
-    """In fractions of that face; handles are where they would be seen from far away."""
+    """In fractions of that face; handles are at their true place."""
 
 
 @dataclass(frozen=True)
@@ -50,85 +58,85 @@ class ViewConfig:
     """How the front of an object is chosen."""
 
     method: Literal["voting", "first"] = "voting"
-    """Votes of all images for each face, or the first image that passes, as in the paper."""
+    """Vote of all images for each face, or the first image that passes, as in the paper."""
     frontal: float = 30.0
-    """Images taken farther than this from a face's normal say nothing about it [deg]."""
+    """Images farther than this from a face's normal are ignored [deg]."""
     oblique: float = 45.0
-    """Where there is none within `frontal`, images up to here are taken [deg]."""
+    """Used instead of `frontal` if no image lies within it [deg]."""
     least: float = 0.5
     """A face is a front from this probability on [-]."""
     flat: float = 0.3
-    """And where so much of it lies in its plane: half of a desk is room for knees [-]."""
+    """Share of a front that must be coplanar; half of a desk is leg space [-]."""
     shown: float = 0.55
-    """Part of a face that an image must show [-]."""
+    """Share of a face that an image must show [-]."""
     votes: int = 2
-    """Images that vote for a face [-]."""
+    """Number of images that vote for a face [-]."""
     agreeing: int = 4
-    """Images whose parts are brought together on the face that is the front [-]."""
+    """Number of images whose parts are merged on the front [-]."""
     partly: float = 0.15
-    """Images that show less of it do not help to measure its height map [-]."""
+    """Images that show less of a face are not merged into its height map [-]."""
     merged: int = 12
-    """Images whose depth is merged to the height map of a face [-]."""
+    """Number of images whose depth is merged into the height map of a face [-]."""
     looked_at: int = 32
-    """Images of a face that are looked at, the most promising first [-]."""
+    """Number of images of a face that are examined, the most promising first [-]."""
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """The front of an object, as the best image shows it."""
+class FrontView:
+    """The front of an object in its best image."""
 
     face: Face
     frame: int
-    """Index of the image that was chosen."""
+    """Index of the image."""
     angle: float
-    """Between the line of sight and the face's normal [rad]."""
+    """Angle between the line of sight and the face's normal [rad]."""
     image: FaceImage
     front: Front
     evidence: tuple[float, ...]
-    """Mean of what the images say for each face: by its looks and by the handles on it, half
-    and half, times how flat it is, less where another side has the wall behind it; of as many
-    images as it took to see which face wins. NaN for faces that no image was asked about."""
+    """Mean vote for each face: the mean of its appearance score and handle evidence, times
+    its coplanar share, lower if another side has a wall behind it. Voting stops as soon as the
+    winner is certain. NaN for faces without a vote."""
 
 
 def choose_view(
     box: UprightBox,
     frames: Sequence[Frame],
-    seen: Sequence[Sight],
-    look: Look,
+    seen: Sequence[Observation],
+    look: FrontDetector,
     config: ViewConfig,
-    before: Sequence[Seen] = (),
+    known: Sequence[KnownFront] = (),
     backed: Sequence[bool] = (False,) * FACES,
-) -> View | None:
+) -> FrontView | None:
     """Find the front of a box (MoMa-Pos, III-B).
 
-    The paper takes the most central image that a classifier calls frontal. Where poses are
-    known, every image votes for the face that it shows; one image's error is outvoted.
+    The paper takes the most central image that a classifier calls frontal. With known poses, every
+    image votes for the face that it shows, so the error of one image is outvoted.
 
     Args:
         box: The object.
         frames: All images.
-        seen: Those that show it, most central first.
-        look: What is on a face.
+        seen: The images that show it, most central first.
+        look: Finds the parts on a face.
         config: How to choose.
-        before: What was seen on the rows that the box may be a piece of.
+        known: Fronts of rows that the box may be a piece of.
         backed: Whether the side opposite to each face stands against a wall.
 
     Returns:
-        None where no image shows a front.
+        The front; None if no image shows one.
     """
     if config.method == "first":
-        return _first(box, frames, seen, look, config, before)
-    return _voting(box, frames, seen, look, config, before, backed)
+        return _first(box, frames, seen, look, config, known)
+    return _voting(box, frames, seen, look, config, known, backed)
 
 
 def _first(
     box: UprightBox,
     frames: Sequence[Frame],
-    seen: Sequence[Sight],
-    look: Look,
+    seen: Sequence[Observation],
+    look: FrontDetector,
     config: ViewConfig,
-    before: Sequence[Seen],
-) -> View | None:
+    known: Sequence[KnownFront],
+) -> FrontView | None:
     faces = box_faces(box)
     for sight in seen:
         cosines = np.array([cosines_to(face, [frames[sight.frame]])[0] for face in faces])
@@ -136,55 +144,55 @@ def _first(
         if cosines.max() < np.cos(np.radians(config.frontal)):
             continue
         frame = frames[sight.frame]
-        if shown(face, frame) < config.shown:
+        if visible_share(face, frame) < config.shown:
             continue
         image = face_image(face, [frame])
-        front = Views(face, [frame], [0]).look(0, look, config.least)
-        front = _with(front, face, frame, before)
+        front = FaceViews(face, [frame], [0]).look(0, look, config.least)
+        front = _with_known(front, face, frame, known)
         if front_evidence(front, image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
-            return View(face, sight.frame, angle, image, front, ())
+            return FrontView(face, sight.frame, angle, image, front, ())
     return None
 
 
 def _voting(
     box: UprightBox,
     frames: Sequence[Frame],
-    seen: Sequence[Sight],
-    look: Look,
+    seen: Sequence[Observation],
+    look: FrontDetector,
     config: ViewConfig,
-    before: Sequence[Seen],
+    known: Sequence[KnownFront],
     backed: Sequence[bool],
-) -> View | None:
+) -> FrontView | None:
     indices = np.array([sight.frame for sight in seen], int)
     if not len(indices):
         return None
     evidence = [float("nan")] * FACES
-    best: tuple[float, Views, list[int], FaceImage, list[Front]] | None = None
-    worth = [1.0 if behind or not any(backed) else UNBACKED for behind in backed]
+    best: tuple[float, FaceViews, list[int], FaceImage, list[Front]] | None = None
+    worth = [1.0 if behind or not any(backed) else UNBACKED_WEIGHT for behind in backed]
     for face in sorted(box_faces(box), key=lambda face: -worth[face.index]):
-        order, partly = showing(face, frames, indices, config)
+        order, partly = choose_frames(face, frames, indices, config)
         if not order:
             continue
         merged = [*order, *partly][: config.merged]
-        views = Views(face, frames, merged)
+        views = FaceViews(face, frames, merged)
         image = face_image(face, [frames[i] for i in merged])
-        flat = solid(image)
-        if flat < config.flat:  # open, as the side of a table: no vote makes it a front
+        flat = coplanar_share(image)
+        if flat < config.flat:  # open, like the side of a table
             evidence[face.index] = 0.0
             continue
         asked, least = order[: config.votes], best[0] if best is not None else -1.0
         own: list[Front] = []
         doors: list[float] = []
         looks: list[float] = []
-        # Where faces compete, doors do not make up for looks: both count, or one side of a
-        # fridge with a seam and a shadow on it passes for the front.
+        # Faces compete by appearance and handles together; doors alone do not win. Otherwise a
+        # side of a fridge with a seam and a shadow on it passes for the front.
         most = worth[face.index] * (flat + 1.0) / 2
         for i in asked:
             if most * (len(asked) - len(looks)) + sum(looks) <= least * len(asked):
                 break
             own.append(views.look(i, look, config.least))
-            vote = _with(own[-1], face, frames[i], before)
+            vote = _with_known(own[-1], face, frames[i], known)
             doors.append(front_evidence(vote, image))
             evident = (flat * vote.score + handle_evidence(vote, image)) / 2
             looks.append(worth[face.index] * evident)
@@ -197,148 +205,149 @@ def _voting(
         return None
     _, views, order, image, own = best
     face, chosen = views.face, order[0]
-    front = _together(views, order[: config.agreeing], look, config.least, own)
-    front = _with(front, face, frames[chosen], before)
-    front = replace(front, parts=evened(image, front.parts))
+    front = _merged_front(views, order[: config.agreeing], look, config.least, own)
+    front = _with_known(front, face, frames[chosen], known)
+    front = replace(front, parts=equalize_doors(image, front.parts))
     angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
-    return View(face, chosen, angle, image, front, tuple(evidence))
+    return FrontView(face, chosen, angle, image, front, tuple(evidence))
 
 
-def _together(
-    views: Views, chosen: Sequence[int], look: Look, least: float, known: Sequence[Front] = ()
-) -> Front:
-    """What several images of a face agree on, with handles as the first of them shows them.
+def _merged_front(
+    views: FaceViews, chosen: Sequence[int], look: FrontDetector, least: float,
+    own: Sequence[Front] = (),
+) -> Front:  # fmt: skip
+    """Merge what several images show of a face, with handles as in the first image.
 
     Args:
         views: The face.
-        chosen: Indices of the images whose colors are looked at, the best first.
-        look: What is on a face.
-        least: From this evidence of a door on, no more of what surrounds the face is looked at.
-        known: What the first of the chosen images were found to show.
+        chosen: Indices of the images to examine, the best first.
+        look: Finds the parts on a face.
+        least: From this door evidence on, no wider surroundings are shown.
+        own: Results for the first of the chosen images, if already known.
     """
     face = views.face
-    fronts = [*known, *(views.look(i, look, least) for i in chosen[len(known) :])]
+    fronts = [*own, *(views.look(i, look, least) for i in chosen[len(own) :])]
     cameras = [camera_position_of(face, views.frames[i]) for i in chosen]
     upright = [
-        handles_seen_from(front.parts, face, camera, undo=True)
+        shift_handles(front.parts, face, camera, undo=True)
         for front, camera in zip(fronts, cameras, strict=True)
     ]
-    parts = handles_seen_from(agreed(upright), face, cameras[0])
+    parts = shift_handles(consensus(upright), face, cameras[0])
     return replace(fronts[0], parts=parts)
 
 
-def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Front:
-    """A front with what was seen on it before.
+def _with_known(front: Front, face: Face, frame: Frame, known: Sequence[KnownFront]) -> Front:
+    """Add the known parts to a front.
 
-    A door that fills its face shows no edges, beside its neighbors it does.
+    A door that fills its face shows no edges on it, but it does next to its neighbors.
     """
-    for seen in before:
-        known = placed(seen.parts, seen.face, face)
-        if known:
-            known = handles_seen_from(known, face, camera_position_of(face, frame))
-            score = max(front.score, seen.score)
-            front = replace(front, score=score, parts=surest([*front.parts, *known]))
+    for one in known:
+        parts = transferred(one.parts, one.face, face)
+        if parts:
+            parts = shift_handles(parts, face, camera_position_of(face, frame))
+            score = max(front.score, one.score)
+            front = replace(front, score=score, parts=most_confident([*front.parts, *parts]))
     return front
 
 
 def front_evidence(front: Front, image: FaceImage) -> float:
-    """How probable it is that there is a door or a drawer in the plane of a face, in [0, 1].
+    """Return the probability of a door or drawer in the plane of a face, in [0, 1].
 
-    The looks of the whole face count as far as it lies in its plane, each part as far as it does:
-    between the legs of a table there is nothing that opens, beside the knees at a desk there is.
+    The score of the face and of each part is weighted by its coplanar share: nothing opens between
+    the legs of a table, but drawers open next to the leg space of a desk.
 
     Args:
-        front: What is on the face.
-        image: The face; its height map tells.
+        front: The parts on the face.
+        image: The face with its height map.
     """
-    looks = solid(image) * front.score
+    looks = coplanar_share(image) * front.score
     return 1.0 - (1.0 - looks) * (1.0 - handle_evidence(front, image))
 
 
 def door_evidence(front: Front) -> float:
-    """How probable it is that there is a door or a drawer on a face, in [0, 1].
+    """Return the probability of a door or drawer on a face, in [0, 1].
 
-    A plain front looks like any panel but for its handles: each part that has one is evidence of
-    its own, and there is none only where all of it errs.
+    Apart from its handles a plain front looks like any panel, so each part with a handle is
+    independent evidence.
     """
     return 1.0 - (1.0 - front.score) * (1.0 - handle_evidence(front))
 
 
 def handle_evidence(front: Front, image: FaceImage | None = None) -> float:
-    """How probable it is that any of the parts with a handle is one, in [0, 1].
+    """Return the probability that any part with a handle is correct, in [0, 1].
 
     Args:
-        front: What is on a face.
-        image: The face, so that a part counts as far as it lies in its plane.
+        front: The parts on a face.
+        image: If given, each part is weighted by its coplanar share.
     """
     held = [part for part in front.parts if part.handle is not None]
-    flat = [1.0 if image is None else solid(image, part.box) for part in held]
+    flat = [1.0 if image is None else coplanar_share(image, part.box) for part in held]
     return 1.0 - float(np.prod([1.0 - p.score * f for p, f in zip(held, flat, strict=True)]))
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
-    """A face with some of what surrounds it, as several images show it."""
+class FaceViews:
+    """A face and its surroundings in several images."""
 
     face: Face
     frames: Sequence[Frame]
     merged: Sequence[int]
-    """Indices of those whose depth is merged, the best first."""
-    _sampled: dict[float, Sampled] = field(default_factory=dict)
-    """By how much of what surrounds the face is seen [m]."""
+    """Indices of the images whose depth is merged, the best first."""
+    _sampled: dict[float, SampledFace] = field(default_factory=dict)
+    """By width of the surroundings [m]."""
 
-    def look(self, chosen: int, look: Look, least: float) -> Front:
-        """What one image's colors say of the face, with the height map that all measured.
+    def look(self, chosen: int, look: FrontDetector, least: float) -> Front:
+        """Find the parts in one image's colors, with the height map of all images.
 
-        The edges of a door that fills its face show only against what is beside it. Parts that lie
-        mostly beside the face belong to another thing.
+        The edges of a door that fills its face show only against the surroundings. Parts that lie
+        mostly outside the face belong to other objects.
 
         Args:
-            chosen: Index of that image.
-            look: What is on a face.
-            least: From this evidence of a door on, no more of what surrounds the face is looked at.
+            chosen: Index of the image.
+            look: Finds the parts on a face.
+            least: From this door evidence on, no wider surroundings are shown.
         """
         fronts = []
-        for around in AROUND:
+        for around in SURROUNDINGS:
             sampled, order = self._around(around, chosen)
             front = look(sampled.image(order))
-            fronts.append(replace(front, parts=placed(front.parts, sampled.face, self.face)))
+            fronts.append(replace(front, parts=transferred(front.parts, sampled.face, self.face)))
             if door_evidence(fronts[-1]) >= least:
                 break
         return max(fronts, key=door_evidence)
 
-    def _around(self, around: float, chosen: int) -> tuple[Sampled, list[int]]:
-        """The face and some of what surrounds it [m], and the frames of it, one of them first."""
+    def _around(self, around: float, chosen: int) -> tuple[SampledFace, list[int]]:
+        """Return the face with its surroundings [m], and its frames with the chosen one first."""
         wide = replace(
             self.face, width=self.face.width + 2 * around, height=self.face.height + 2 * around
         )
         order = [chosen, *(i for i in self.merged if i != chosen)]
         if chosen not in self.merged:
-            return Sampled.of(wide, [self.frames[i] for i in order]), list(range(len(order)))
+            return SampledFace.of(wide, [self.frames[i] for i in order]), list(range(len(order)))
         if around not in self._sampled:
-            self._sampled[around] = Sampled.of(wide, [self.frames[i] for i in self.merged])
+            self._sampled[around] = SampledFace.of(wide, [self.frames[i] for i in self.merged])
         places = {i: place for place, i in enumerate(self.merged)}
         return self._sampled[around], [places[i] for i in order]
 
 
-def showing(
+def choose_frames(
     face: Face, frames: Sequence[Frame], indices: np.ndarray, config: ViewConfig
 ) -> tuple[list[int], list[int]]:
-    """Choose the frames in which a face is looked at.
+    """Choose the images in which to examine a face.
 
-    Straight ones are better, and near ones: from across a room a handle is a few pixels, and the
-    noise of its depth is larger than what it stands out by.
+    Frontal and close images are better: from across a room a handle is a few pixels wide, and depth
+    noise exceeds its protrusion.
 
     Returns:
-        Indices of those, among the given, that show the face well enough, and of those that show
-        a piece of it; each the best first.
+        Indices among the given ones of images that show the face well enough, and of images that
+        show a piece of it; each the best first.
     """
     lines, cosines = _lines_to(face, [frames[i] for i in indices])
-    clear = np.maximum(cosines, 0.0) ** STRAIGHT / np.maximum(lines, NEAREST) ** 2
+    clear = np.maximum(cosines, 0.0) ** FRONTAL_POWER / np.maximum(lines, MIN_DISTANCE) ** 2
     for most in (config.frontal, config.oblique):
         good = np.flatnonzero(cosines >= np.cos(np.radians(most)))
         good = good[np.argsort(-clear[good], kind="stable")][: config.looked_at]
-        parts = np.array([shown(face, frames[indices[i]]) for i in good])
+        parts = np.array([visible_share(face, frames[indices[i]]) for i in good])
         order = np.argsort(-(parts**2 * clear[good]), kind="stable")
         if (parts >= config.shown).any():
             best, parts = indices[good[order]], parts[order]
@@ -348,14 +357,14 @@ def showing(
 
 
 def cosines_to(face: Face, frames: Sequence[Frame]) -> Float[np.ndarray, " n"]:
-    """Cosine of the angle between the face's normal and the line to each camera."""
+    """Return the cosine of the angle between the face's normal and the line to each camera."""
     return _lines_to(face, frames)[1]
 
 
 def _lines_to(
     face: Face, frames: Sequence[Frame]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Length of the line from a face's middle to each camera [m]; cosine to the face's normal."""
+    """Return the distance from a face's middle to each camera [m], and the cosine to its normal."""
     cameras = np.array([frame.T_world_camera[:3, 3] for frame in frames]).reshape(-1, 3)
     lines = cameras - face.T_world_face[:3, 3]
     length = np.linalg.norm(lines, axis=1)

@@ -1,4 +1,4 @@
-"""Where things are in the images: where their boxes are projected, or what a 2-D detector says."""
+"""Locate objects in images, by projecting their boxes or by 2-D detections."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from momapos.core.geometry import UprightBox, apply, invert, pose, rotation_about
 from momapos.model.records import Frame, ImageDetection
 
-from .faces import NEAREST
+from .faces import MIN_DEPTH
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -19,41 +19,40 @@ if TYPE_CHECKING:
 Rectangle = tuple[float, float, float, float]
 """Left, top, right, bottom."""
 
-LEAST_OVERLAP = 0.3
-"""A 2-D detection belongs to a box whose image it overlaps this much (IoU) [-]."""
+MIN_IOU = 0.3
+"""A 2-D detection belongs to a projected box from this IoU on [-]."""
 _CORNERS = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5]), -1).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
-class Sight:
-    """One thing in one image."""
+class Observation:
+    """One object in one image."""
 
     frame: int
     """Index of the frame."""
-    box: tuple[float, float, float, float]
+    box: Rectangle
     """Left, top, right, bottom [px]."""
     off_center: float
     """Distance of its middle from the image's, as a fraction of the image's half diagonal."""
 
 
 def corners(box: UprightBox) -> Float[np.ndarray, "8 3"]:
-    """Corners of a box in the world [m]."""
+    """Return the corners of a box in the world [m]."""
     R = rotation_about(np.array([0.0, 0.0, 1.0]), box.yaw)
     return apply(pose(box.center, R), _CORNERS * box.size)
 
 
-def sights(
+def observations(
     box: UprightBox,
     frames: Sequence[Frame],
     found: Mapping[str, Sequence[ImageDetection]] | None = None,
-) -> list[Sight]:
-    """The images that show a box, the one where it is most central first (MoMa-Pos, III-B).
+) -> list[Observation]:
+    """Return the images that show a box, the one where it is most central first (MoMa-Pos, III-B).
 
     Args:
-        box: The thing, in the world.
+        box: Box of the object, in the world.
         frames: All images.
-        found: What a 2-D detector found, by the frame's name; by default a box is taken to be
-            where its projection is.
+        found: 2-D detections by frame name; if None, the box's projection is used.
     """
     seen = []
     for index, frame in enumerate(frames):
@@ -62,15 +61,15 @@ def sights(
             match = _match(rectangle, found.get(frame.name, ()))
             rectangle = None if match is None else match.box
         if rectangle is not None:
-            seen.append(Sight(index, rectangle, _off_center(rectangle, frame)))
+            seen.append(Observation(index, rectangle, _off_center(rectangle, frame)))
     return sorted(seen, key=lambda s: (s.off_center, s.frame))
 
 
-def projection(box: UprightBox, frame: Frame) -> tuple[float, float, float, float] | None:
-    """Rectangle that holds a box's image [px]; None unless all of it lies before the camera and
-    its middle in the image."""
+def projection(box: UprightBox, frame: Frame) -> Rectangle | None:
+    """Return the rectangle around a projected box [px]; None unless all of the box is in front of
+    the camera and its middle projects into the image."""
     points = apply(invert(frame.T_world_camera), np.vstack([corners(box), box.center]))
-    if points[:, 2].min() < NEAREST:
+    if points[:, 2].min() < MIN_DEPTH:
         return None
     pixels = points @ frame.intrinsics.T
     pixels = pixels[:, :2] / pixels[:, 2:]
@@ -82,33 +81,31 @@ def projection(box: UprightBox, frame: Frame) -> tuple[float, float, float, floa
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _match(
-    rectangle: tuple[float, float, float, float], found: Sequence[ImageDetection]
-) -> ImageDetection | None:
+def _match(rectangle: Rectangle, found: Sequence[ImageDetection]) -> ImageDetection | None:
     overlaps = [overlap(rectangle, item.box) for item in found]
     best = int(np.argmax(overlaps)) if overlaps else -1
-    return found[best] if best >= 0 and overlaps[best] >= LEAST_OVERLAP else None
+    return found[best] if best >= 0 and overlaps[best] >= MIN_IOU else None
 
 
 def overlap(a: Rectangle, b: Rectangle) -> float:
-    """Intersection over union of two rectangles."""
+    """Return the intersection over union of two rectangles."""
     both = common_area(a, b)
     return both / (area(a) + area(b) - both) if both else 0.0
 
 
 def common_area(a: Rectangle, b: Rectangle) -> float:
-    """Area of what two rectangles share."""
+    """Return the area that two rectangles share."""
     wide = min(a[2], b[2]) - max(a[0], b[0])
     tall = min(a[3], b[3]) - max(a[1], b[1])
     return wide * tall if wide > 0 and tall > 0 else 0.0
 
 
 def area(a: Rectangle) -> float:
-    """Area of a rectangle."""
+    """Return the area of a rectangle."""
     return (a[2] - a[0]) * (a[3] - a[1])
 
 
-def _off_center(rectangle: tuple[float, float, float, float], frame: Frame) -> float:
+def _off_center(rectangle: Rectangle, frame: Frame) -> float:
     height, width = frame.color.shape[:2]
     half = np.array([width, height]) / 2
     middle = np.array([rectangle[0] + rectangle[2], rectangle[1] + rectangle[3]]) / 2

@@ -1,8 +1,8 @@
-"""A row of cabinets and appliances, divided by its fronts.
+"""Split a row of cabinets and appliances between its fronts.
 
-Points alone cannot tell where one cabinet ends: fronts lie in one plane and the gaps between them
-are thinner than a depth camera sees. The images show the doors, and where no door crosses, a
-row can be cut.
+Points alone do not separate cabinets: fronts lie in one plane, and the gaps between them are
+thinner than a depth camera resolves. The images show the doors, and a row can be cut wherever no
+door crosses.
 """
 
 from __future__ import annotations
@@ -17,114 +17,118 @@ import numpy as np
 from momapos.core.geometry import UprightBox, apply
 from momapos.model.records import Frame, Part
 
-from .even_doors import evened
+from .even_doors import equalize_doors
 from .faces import Face, box_faces, camera_position_of, face_image
-from .front_view import Look, Seen, ViewConfig, Views, front_evidence, showing
-from .placed_parts import handles_seen_from, placed, surest
+from .front_view import (
+    FaceViews,
+    FrontDetector,
+    KnownFront,
+    ViewConfig,
+    choose_frames,
+    front_evidence,
+)
+from .placed_parts import most_confident, shift_handles, transferred
 from .projection import projection
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-COARSE = 96
-"""Pixels along a window that tell whether it is flat: a table is open [-]."""
+COARSE_PIXELS = 96
+"""Resolution at which a window is checked for flatness: a table is open [px]."""
 
 
 @dataclass(frozen=True)
 class RowConfig:
-    """How a row is divided."""
+    """How a row is split."""
 
     least_width: float = 0.95
-    """Boxes narrower than this are one thing [m]."""
+    """Narrower boxes are not split [m]."""
     window: float = 1.5
-    """Width of what is looked at in one go, in heights of the row [-]."""
+    """Width of the windows in which a face is examined, in heights of the row [-]."""
     least_window: float = 1.3
-    """And at least so much: the drawers of a low row are as wide as those of a high one [m]."""
+    """Minimum window width, since drawers of low rows are as wide as those of high ones [m]."""
     margin: float = 0.03
-    """Parts that end this near to a window's end may go on beyond it [m]."""
+    """Parts that end this close to a window's end may continue beyond it [m]."""
     least_piece: float = 0.2
-    """A stretch without parts that is narrower than this belongs to its neighbor [m]."""
+    """A narrower stretch without parts belongs to its neighbor [m]."""
 
 
 def split_row(
     box: UprightBox,
     frames: Sequence[Frame],
-    look: Look,
+    look: FrontDetector,
     config: RowConfig,
     view: ViewConfig,
-    before: Sequence[Seen] = (),
-) -> tuple[list[UprightBox], Seen | None]:
-    """Divide a box between its fronts, seen on its longer faces.
+    known: Sequence[KnownFront] = (),
+) -> tuple[list[UprightBox], KnownFront | None]:
+    """Split a box between the fronts on its longer faces.
 
     Args:
         box: The row.
         frames: All images.
-        look: What is on a face.
-        config: How to divide.
-        view: How faces are looked at.
-        before: Parts that are known to be there.
+        look: Finds the parts on a face.
+        config: How to split.
+        view: How faces are examined.
+        known: Parts that are already known.
 
     Returns:
-        The pieces from left to right as seen from the front, the box itself where no fronts are
-        seen or they are one thing; and the front with the parts on it, None where there is none, or
-        where a look at the box shows it as well.
+        The pieces from left to right as seen from the front, or the box itself if it is not split;
+        and the front with its parts, None if there is none or if an image of the whole box shows it
+        as well.
     """
     wide = [face for face in box_faces(box) if face.width >= config.least_width]
-    fronts = [_front_of(face, frames, look, config, view, before) for face in wide]
+    fronts = [_front_of(face, frames, look, config, view, known) for face in wide]
     best = max(fronts, key=lambda front: sum(part.score for part in front.parts), default=None)
     if best is None or not best.parts:
         return [box], None
     cuts = _cuts(best.parts, best.face.width, config)
     if not cuts:
-        return [box], None if _at_once(best.face, config) == best.face.width else best
+        return [box], None if _window_width(best.face, config) == best.face.width else best
     return _pieces(box, best.face, cuts), best
 
 
-def _at_once(face: Face, config: RowConfig) -> float:
-    """Width of the windows in which a face is looked at [m]."""
+def _window_width(face: Face, config: RowConfig) -> float:
+    """Return the width of the windows in which a face is examined [m]."""
     return min(face.width, max(config.window * face.height, config.least_window))
 
 
 def _front_of(
     face: Face,
     frames: Sequence[Frame],
-    look: Look,
+    look: FrontDetector,
     config: RowConfig,
     view: ViewConfig,
-    before: Sequence[Seen],
-) -> Seen:
-    """What is on a long face, found in overlapping windows, and what is known to be there."""
-    wide = _at_once(face, config)
+    known: Sequence[KnownFront],
+) -> KnownFront:
+    """Find the parts on a long face in overlapping windows, and add the known ones."""
+    wide = _window_width(face, config)
     count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
     found: list[Part] = []
     evidence = [0.0]
-    for seen in before:
-        known = placed(seen.parts, seen.face, face)
-        found += known
-        evidence += [seen.score] if known else []
+    for one in known:
+        parts = transferred(one.parts, one.face, face)
+        found += parts
+        evidence += [one.score] if parts else []
     for left in np.linspace(0.0, face.width - wide, count):
         window = _window(face, float(left), wide)
         chosen = _frames_for(window, frames, view)
         if not chosen:
             continue
-        front = Views(window, chosen, range(len(chosen))).look(0, look, view.least)
-        likely = front_evidence(front, face_image(window, chosen, pixels=COARSE))
+        front = FaceViews(window, chosen, range(len(chosen))).look(0, look, view.least)
+        likely = front_evidence(front, face_image(window, chosen, pixels=COARSE_PIXELS))
         if likely >= view.least:
             ends = (
                 bool(left > config.margin), bool(left + wide < face.width - config.margin)
             )  # fmt: skip
             whole = _whole(front.parts, wide, ends, config.margin)
-            whole = evened(face_image(window, chosen), whole)
-            whole = handles_seen_from(
-                whole, window, camera_position_of(window, chosen[0]), undo=True
-            )
-            found += placed(whole, window, face)
+            whole = equalize_doors(face_image(window, chosen), whole)
+            whole = shift_handles(whole, window, camera_position_of(window, chosen[0]), undo=True)
+            found += transferred(whole, window, face)
             evidence.append(likely)
-    return Seen(face, max(evidence), surest(found))
+    return KnownFront(face, max(evidence), most_confident(found))
 
 
 def _window(face: Face, left: float, wide: float) -> Face:
-    """A stretch of a face, from `left` [m] on."""
     T = face.T_world_face.copy()
     offset = left + wide / 2 - face.width / 2
     T[:3, 3] = apply(face.T_world_face, np.array([[offset, 0.0, 0.0]]))[0]
@@ -132,21 +136,20 @@ def _window(face: Face, left: float, wide: float) -> Face:
 
 
 def _frames_for(face: Face, frames: Sequence[Frame], view: ViewConfig) -> list[Frame]:
-    """Images that show a window, the best first."""
     thin = UprightBox(
         face.T_world_face[:3, 3],
         np.array([0.02, face.width, face.height]),
         float(np.arctan2(face.outward[1], face.outward[0])),
     )
     candidates = [i for i, frame in enumerate(frames) if projection(thin, frame) is not None]
-    order, partly = showing(face, frames, np.array(candidates, int), view)
+    order, partly = choose_frames(face, frames, np.array(candidates, int), view)
     return [frames[i] for i in [*order, *partly][: view.merged]] if order else []
 
 
 def _whole(
     parts: Sequence[Part], wide: float, ends: tuple[bool, bool], margin: float
 ) -> tuple[Part, ...]:
-    """Parts that a window [m] does not cut off at either end where the row goes on."""
+    """Return the parts that do not touch a window end at which the row continues."""
     return tuple(
         part
         for part in parts
@@ -156,7 +159,6 @@ def _whole(
 
 
 def _cuts(parts: Sequence[Part], width: float, config: RowConfig) -> list[float]:
-    """Where to cut, from the left [m]."""
     spans = sorted((part.box[0] * width, part.box[2] * width) for part in parts)
     spans += [
         (a.box[0] * width, b.box[2] * width) for a in parts for b in parts if _pair(a, b, width)
@@ -180,7 +182,7 @@ def _cuts(parts: Sequence[Part], width: float, config: RowConfig) -> list[float]
 
 
 def _pair(a: Part, b: Part, width: float) -> bool:
-    """Whether two doors are the wings of one cupboard: they meet where their handles are."""
+    """Check whether two doors are a double door, whose handles are where they meet."""
     gap = (b.box[0] - a.box[2]) * width
     level = abs(a.box[1] - b.box[1]) < 0.05 and abs(a.box[3] - b.box[3]) < 0.05
     return a.kind == "door_left" and b.kind == "door_right" and abs(gap) < 0.04 and level

@@ -1,4 +1,4 @@
-"""From tool poses to an arm motion: inverse kinematics, continuous paths, the approach."""
+"""Plan arm motions: inverse kinematics, continuous paths over waypoints, approach from home."""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
 from .arm_planner import RESOLUTION as RESOLUTION
-from .arm_planner import brief as brief
+from .arm_planner import brief_config as brief_config
 from .arm_planner import interpolate as interpolate
-from .arm_planner import plan_with_room as plan_with_room
-from .carried_motion import carried as carried
+from .arm_planner import plan_with_clearance as plan_with_clearance
+from .carried_motion import adapt_motion as adapt_motion
 from .config import PlannerConfig as PlannerConfig
 from .feasibility import Feasibility as Feasibility
 from .feasibility import collision_free_grasps as collision_free_grasps

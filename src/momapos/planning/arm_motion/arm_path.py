@@ -1,4 +1,4 @@
-"""One continuous arm path over the waypoints: all branches, a graph over them, a dense check."""
+"""Find a continuous arm path over the waypoints: all IK branches, a graph search, a dense check."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from momapos.model.kinematics import (
 )
 from momapos.planning.grasps import TaskMotion
 
-from .hand_clearance import arm_spheres, hits_on_the_way
+from .hand_clearance import arm_spheres, hand_hits_along
 from .ik_layers import (
     CUT_OFF,
     MAX_STEP,
@@ -31,60 +31,60 @@ from .ik_layers import (
     joint_step,
     solve_layers,
 )
-from .turning_arm import Arm, hand_poses, robot_of
+from .turning_arm import ArmModel, hand_poses, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
-"""What the hand by itself hits at every step of a motion, of grasps that it keeps all the way."""
+"""Collision codes of the hand at every step of a motion, by grasp; for grasps that do not turn."""
 UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
 MAX_TURN = float(np.radians(25.0))
 """Largest turn of the hand about a bar between waypoints [rad]."""
 MAX_DENSE_STEP = 0.25
-"""Largest joint step between states [rad]; see `SLIDE` for sliding joints."""
+"""Largest joint step between states [rad]; see `PRISMATIC_SCALE` for prismatic joints."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmPath:
-    """What came of one grasp at one base pose."""
+    """The result of the path search for one grasp mode at one base pose."""
 
     status: int
     """UNREACHABLE, HIT, BROKEN (no continuous branch) or FOUND."""
     waypoint: int
-    """The waypoint at which it failed; the number of waypoints when it did not."""
+    """Waypoint of the failure; the number of waypoints if there was none."""
     passed: int
-    """How many waypoints had a free configuration before that."""
+    """Number of waypoints with a free configuration before the failure."""
     obstacle: int
-    """What was hit, a code of the world; FREE where nothing was."""
+    """Code of the obstacle that was hit, or FREE."""
     q: Float[np.ndarray, "d n"] | None = None
     """Arm states at every step of the motion."""
 
 
 def find_paths(
-    robot: Arm,
+    robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
-    ways: Int[np.ndarray, " j"],
+    modes: Int[np.ndarray, " j"],
     hand: HandCodes,
 ) -> list[ArmPath]:
-    """Look for an arm path for each pair of base pose and way of holding.
+    """Search an arm path for each pair of base pose and grasp mode.
 
-    A way is a grasp, or beyond their number one of the motion's turns, in which the hand goes from
-    grasp to grasp of a group. The ends and the middle of the motion are looked at first, since
-    they fail most; a pair that fails at one waypoint is not carried on.
+    A grasp mode is the index of a grasp or, after those, of a group of grasps between which the
+    hand turns. Waypoints that fail most, the ends and the middle, are solved first; a pair ends at
+    its first failure.
 
     Args:
-        robot, world, motion: Whose arm, in which room, for what.
+        robot, world, motion: Arm, obstacles and task motion.
         bases: Base poses.
-        ways: The way of holding at each.
-        hand: What is known of this hand in this room and motion; it is added to.
+        modes: The grasp mode at each.
+        hand: Cache of the hand's collision codes, which is extended.
     """
     waypoint_of = np.unique(motion.layer_of, return_index=True)[1]
     order = np.array(_ends_first(len(waypoint_of)))
     layers = solve_layers(
-        robot, world, motion, bases, motion.turning.members(ways), waypoint_of, order
+        robot, world, motion, bases, motion.turning.members(modes), waypoint_of, order
     )
     return [
         _connect(robot, world, motion, bases[j], _Graph.of(layers, motion, j), hand)
@@ -94,22 +94,21 @@ def find_paths(
     ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Graph:
-    """The configurations of a job at every waypoint, those of a waypoint together."""
+    """The configurations of a job, grouped by waypoint."""
 
     q: Float[np.ndarray, "m n"]
     grasps: Int[np.ndarray, " m"]
     checked: Bool[np.ndarray, " m"]
-    """Whether it is known what a configuration hits; added to."""
+    """Which configurations were checked for collision; updated."""
     banned: Bool[np.ndarray, " m"]
-    """Those that are on no path; added to."""
+    """Which configurations are excluded; updated."""
     first: Int[np.ndarray, " w_plus_1"]
-    """Where those of each waypoint begin, and where the last end."""
+    """First index of each waypoint's configurations, and their number."""
 
     @classmethod
     def of(cls, layers: Layers, motion: TaskMotion, job: int) -> _Graph:
-        """What was found for a job."""
         counts = layers.counts[job, motion.layer_of]
         first = np.append(0, np.cumsum(counts))
         begin = layers.first[job, motion.layer_of] - first[:-1]
@@ -119,14 +118,13 @@ class _Graph:
 
 
 def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
-    """What a waypoint without configurations means for a job."""
     if code == CUT_OFF:
         return ArmPath(BROKEN, waypoint, passed, FREE)
     return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)
 
 
 def _ends_first(count: int) -> list[int]:
-    """All of range(count): the grasp, last, first, then ever finer between them."""
+    """Order range(count): grasp, last, first, then by bisection."""
     order, stride = [1, count - 1, 0], count - 1
     order = list(dict.fromkeys(order))
     while stride > 1:
@@ -136,17 +134,17 @@ def _ends_first(count: int) -> list[int]:
 
 
 def _connect(
-    robot: Arm,
+    robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
     graph: _Graph,
     hand: HandCodes,
 ) -> ArmPath:
-    """Shortest path through the waypoints of one job, then every state between, checked."""
+    """Find the shortest path through the waypoints of one job, fill it densely, and check it."""
     chain, grasps = robot.chain, graph.grasps
     full_turn, scale = full_turns(chain), joint_scale(chain)
-    # The turn of the hand is one more joint of the path.
+    # The turn of the hand is an additional joint of the path.
     states = np.column_stack([graph.q, motion.turning.angles[grasps]])
     free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
     count, number = len(motion.layer_of), motion.layer_of
@@ -165,14 +163,8 @@ def _connect(
         tools = motion.tool_poses(grasps[chosen])
         targets = invert(pose_planar(base)) @ tools
         dense = np.empty((len(motion.object_q), chain.size))
-        bad = _track(
-            q,
-            motion.waypoint_steps,
-            targets,
-            arm_arrays(chain, robot.ik),
-            scale,
-            dense,
-        )
+        arm = arm_arrays(chain, robot.ik)
+        bad = _track(q, motion.waypoint_steps, targets, arm, scale, dense)
         if bad < 0:
             codes = check(
                 world, chain, arm_spheres(robot_of(robot)), dense, np.tile(base, (len(dense), 1)),
@@ -186,21 +178,21 @@ def _connect(
             bad = int(hit[0])
             step = int(np.searchsorted(motion.waypoint_steps, bad))
             worst = ArmPath(HIT, int(number[step]), count, int(codes[bad]))
-        # Without the node after the failure the next path must take another way.
+        # Banning the node after the failure forces another path.
         at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
         graph.banned[chosen[at]] = True
     return worst
 
 
 def _hits(
-    robot: Arm,
+    robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
     graph: _Graph,
     chosen: Int[np.ndarray, " w"],
 ) -> bool:
-    """Whether a node of a path hits something; then all others are checked as well."""
+    """Check the nodes of a path for collision; if one collides, check all other nodes as well."""
     step = np.repeat(motion.waypoint_steps, np.diff(graph.first))
 
     def check_those(nodes: Int[np.ndarray, " k"]) -> None:
@@ -218,7 +210,7 @@ def _hits(
 
 
 def _hand_codes(
-    robot: Arm,
+    robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
     base: Float[np.ndarray, "3"],
@@ -227,15 +219,16 @@ def _hand_codes(
     grasps: Int[np.ndarray, " w"],
     known: HandCodes,
 ) -> Int[np.ndarray, " d"]:
-    """What the hand hits at every step, see `hits_on_the_way`.
+    """Return the hand's collision codes at every step, see `hand_hits_along`.
 
-    A hand that does not turn in what it holds goes the same way from every base pose.
+    Codes of a hand that does not turn about its grasp are cached: they are the same from every
+    base pose.
     """
     grasp = int(grasps[0])
     still = robot is robot_of(robot) and bool((grasps == grasp).all())
     if still and grasp in known:
         return known[grasp]
-    codes = hits_on_the_way(
+    codes = hand_hits_along(
         robot_of(robot), world, motion, hand_poses(robot, base, states, tools),
         np.arange(len(states)), np.full(len(states), motion.grasps.width[grasp]),
     )  # fmt: skip
@@ -255,9 +248,9 @@ def _shortest(
     scale: F1,
     chosen: I1,
 ) -> int:
-    """Path with the smallest sum of steps through the layers; returns the layers reached.
+    """Find the path with the smallest sum of steps; return the number of layers reached.
 
-    To a layer the hand comes from states of the same lane, in the row of lanes that is the layer's.
+    A step connects states of the same lane, by the lanes in the layer's row.
     """
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
@@ -293,7 +286,7 @@ def _shortest(
 def _unwrap(
     q: np.ndarray, full_turn: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Follow joints that turn fully across the cut at pi, inside their limits if possible."""
+    """Unwrap joints that turn fully, within their limits if possible."""
     out = q.copy()
     out[:, full_turn] = np.unwrap(q[:, full_turn], axis=0)
     turn = 2 * np.pi
@@ -305,17 +298,17 @@ def _unwrap(
 
 
 def follow(
-    arm: Arm, states: Float[np.ndarray, "d n"], targets: Float[np.ndarray, "d 4 4"]
+    arm: ArmModel, states: Float[np.ndarray, "d n"], targets: Float[np.ndarray, "d 4 4"]
 ) -> Float[np.ndarray, "d n"] | None:
-    """Arm states with the tool at given poses, each found from one nearby.
+    """Solve for arm states with the tool at given poses, from nearby states.
 
     Args:
-        arm: Whose arm.
-        states: States of the arm with the tool beside those poses.
+        arm: The arm.
+        states: Arm states with the tool near those poses.
         targets: Tool poses in the base frame.
 
     Returns:
-        None where the arm does not come there within its limits and in small steps.
+        The states, or None if the arm does not get there within its limits and in small steps.
     """
     chain, near = arm.chain, np.ascontiguousarray(states)
     found = np.empty_like(near)
@@ -335,9 +328,9 @@ def _track(
     scale: F1,
     dense: F2,
 ) -> int:
-    """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
+    """Fill the states between waypoints by Newton steps; return the step that fails, or -1."""
     n = q.shape[1]
-    # A literal would have Newton compiled once more.
+    # A literal would make Newton compile once more.
     rule = NewtonRule(np.int64(8), 1e-6, EXACT, False)  # type: ignore[arg-type]
     lower, upper = arm.limits
     scratch = newton_scratch(arm.chain, n)

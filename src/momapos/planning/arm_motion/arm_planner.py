@@ -1,4 +1,4 @@
-"""Free arm motions between two configurations: a straight line where it is free, else OMPL."""
+"""Plan free arm motions between two configurations: a straight line if it is free, else OMPL."""
 
 from __future__ import annotations
 
@@ -17,34 +17,33 @@ if TYPE_CHECKING:
 
 RESOLUTION = 0.04
 """Largest joint step at which a motion is checked [rad] or [m]."""
-ROOM = 0.005
-"""What a free motion keeps from everything where it can, from the robot itself as well: an arm is
-some millimeters off its way, and between the states that are checked it may come nearer [m]."""
-BETWEEN = 3000
-"""Most motions checked for a way between holds or home again; most are easy, or none [-]."""
-USUAL = "RRTConnect"
-"""OMPL's planner where none is named."""
+PREFERRED_CLEARANCE = 0.005
+"""Preferred clearance of a free motion to everything, including the robot itself: an arm deviates
+from its path by millimeters, and between the checked states it may come closer [m]."""
+BRIEF_CHECKS = 3000
+"""Maximum number of checks for a path between two grasps or home; most are easy or infeasible."""
+DEFAULT_PLANNER = "RRTConnect"
 _UNBOUNDED = np.pi
-"""Half range in which a joint without limits is sampled, about its start [rad]."""
+"""Half range, around the start, in which a joint without limits is sampled [rad]."""
 
 
-def brief(config: PlannerConfig) -> PlannerConfig:
-    """The same planner for a way between holds or home again, see `BETWEEN`."""
-    return replace(config, checks=min(BETWEEN, config.checks))
+def brief_config(config: PlannerConfig) -> PlannerConfig:
+    """Limit the planner for a path between two grasps or home, see `BRIEF_CHECKS`."""
+    return replace(config, checks=min(BRIEF_CHECKS, config.checks))
 
 
-class CheckerWithRoom(Protocol):
-    """Gives the check of motions that keep so far from everything."""
+class MotionCheckerFactory(Protocol):
+    """Builds checks of motions."""
 
-    def __call__(self, *, room: float) -> CheckMotion:
-        """The check, for a distance [m]."""
+    def __call__(self, *, extra_clearance: float) -> CheckMotion:
+        """Return the check for a clearance [m]."""
         ...
 
 
 def interpolate(
     path: Float[np.ndarray, "k n"], step: float = RESOLUTION
 ) -> Float[np.ndarray, "m n"]:
-    """Fill a path so that no joint moves more than `step` between states."""
+    """Add states to a path so that no joint moves more than `step` between them."""
     pieces = [path[:1]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / step - 1e-9)))
@@ -65,14 +64,14 @@ def plan_motion(
     """Find a free path between two configurations.
 
     Args:
-        start, goal: Configurations; a joint without limits is not wrapped.
-        lower, upper: Joint limits, infinite where there are none.
+        start, goal: Configurations; joints without limits are not wrapped.
+        lower, upper: Joint limits; infinite if there are none.
         free: Checks straight motions, at `RESOLUTION` or finer.
-        config: Which planner, and how much it may check.
+        config: The planner and its maximum number of checks.
         seed: Same seed, same path.
 
     Returns:
-        Corner states, start and goal included, or None.
+        Corner states, including start and goal, or None.
     """
     if not (free(start, start) and free(goal, goal)):
         return None
@@ -87,40 +86,36 @@ def plan_motion(
     return path if all(free(a, b) for a, b in pairwise(path)) else None
 
 
-def plan_with_room(
+def plan_with_clearance(
     start: Float[np.ndarray, " n"],
     goal: Float[np.ndarray, " n"],
     lower: Float[np.ndarray, " n"],
     upper: Float[np.ndarray, " n"],
-    checker: CheckerWithRoom,
+    checker: MotionCheckerFactory,
     *,
     config: PlannerConfig,
     seed: int,
 ) -> Float[np.ndarray, "k n"] | None:
-    """Find a path that keeps `ROOM`, or else one that is free, see `plan_motion`.
-
-    Args:
-        checker: Gives the checks.
-    """
-    for room in (ROOM, 0.0):
-        free = checker(room=room)
+    """Find a path with `PREFERRED_CLEARANCE`, or else one that is free, see `plan_motion`."""
+    for clearance in (PREFERRED_CLEARANCE, 0.0):
+        free = checker(extra_clearance=clearance)
         path = plan_motion(start, goal, lower, upper, free, config=config, seed=seed)
         if path is not None:
             return path
     return None
 
 
-class _Effort:
-    """Ends a search after so many checks; a count, since a clock would let the load decide."""
+class _Budget:
+    """Ends a search after a number of checks; a time limit would make results irreproducible."""
 
-    IDLE = 10
-    """A search ends after so many times more turns as well, for a turn may check nothing [-]."""
+    TURNS_PER_CHECK = 10
+    """A search also ends after this many turns per check, since a turn may check nothing [-]."""
 
-    def __init__(self, most: int) -> None:
-        self.checks, self.turns = most, self.IDLE * most
+    def __init__(self, checks: int) -> None:
+        self.checks, self.turns = checks, self.TURNS_PER_CHECK * checks
 
     def spent(self) -> bool:
-        """Whether it ends; OMPL asks once a turn."""
+        """Count one turn of OMPL, and check whether the search ends."""
         self.turns -= 1
         return min(self.checks, self.turns) < 0
 
@@ -139,8 +134,8 @@ def _ompl(
     from ompl import util as ou
 
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
-    ou.RNG.setSeed(seed + 1)  # OMPL takes 0 for "from the clock"
-    n, effort = len(start), _Effort(config.checks)
+    ou.RNG.setSeed(seed + 1)  # OMPL seeds from the clock if the seed is 0
+    n, budget = len(start), _Budget(config.checks)
     space = ob.RealVectorStateSpace(n)
     bounds = ob.RealVectorBounds(n)
     for k in range(n):
@@ -153,10 +148,10 @@ def _ompl(
         return np.array([state[k] for k in range(n)])  # type: ignore[index]
 
     class Edges(ob.MotionValidator):  # type: ignore[misc]
-        """Checks the states of a whole edge in one call of the kernel."""
+        """Checks all states of an edge in one call of the kernel."""
 
         def checkMotion(self, a: object, b: object, *_: object) -> bool:
-            effort.checks -= 1
+            budget.checks -= 1
             return free(read(a), read(b))
 
     def valid(state: object) -> bool:
@@ -173,13 +168,13 @@ def _ompl(
         for k in range(n):
             state[k] = float(q[k])
     setup.setStartAndGoalStates(ends[0], ends[1])
-    planner = config.planner or USUAL
+    planner = config.planner or DEFAULT_PLANNER
     setup.setPlanner(getattr(og, planner)(info))
-    solved = setup.solve(ob.PlannerTerminationCondition(lambda: effort.spent()))
+    solved = setup.solve(ob.PlannerTerminationCondition(lambda: budget.spent()))
     if not solved or "Approximate" in solved.asString():
         return None
     if planner == "RRTConnect":
-        effort = _Effort(config.checks)
-        setup.simplifySolution(ob.PlannerTerminationCondition(lambda: effort.spent()))
+        budget = _Budget(config.checks)
+        setup.simplifySolution(ob.PlannerTerminationCondition(lambda: budget.spent()))
     path = setup.getSolutionPath()
     return np.array([[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())])

@@ -1,4 +1,4 @@
-"""How the arm gets from home to the first waypoint; nothing heavy is imported."""
+"""Configure the planner of free arm motions. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """How the arm gets from home to the first waypoint."""
+    """How the arm moves from home to the first waypoint."""
 
     planner: Optional[Planner] = None  # noqa: UP045 (see cli.options)
-    """OMPL's planner; RRTstar and BITstar check as many motions as they may. None: RRTstar for the
-    paper's method of placement, else RRTConnect."""
+    """OMPL planner. RRTstar and BITstar use all checks. None: RRTstar for the placement method of
+    the paper, else RRTConnect."""
     checks: int = 7000
-    """Motions of the arm checked for one way at most, some 35 microseconds each [-]."""
+    """Maximum number of motions checked per path, about 35 microseconds each [-]."""
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "checks")

@@ -1,4 +1,4 @@
-"""Is a base pose feasible? Path over the waypoints, approach from home, exact check."""
+"""Check base poses: path over the waypoints, approach from home, exact check."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from momapos.model.collision import (
 from momapos.model.kinematics import chain_arrays
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.model.robots import Robot
-from momapos.planning.grasps import FULL, TaskMotion
+from momapos.planning.grasps import FULL_DOF, TaskMotion
 
 from .arm_path import FOUND, HIT, UNREACHABLE, ArmPath, HandCodes, find_paths
-from .arm_planner import RESOLUTION, brief, interpolate, plan_with_room
+from .arm_planner import RESOLUTION, brief_config, interpolate, plan_with_clearance
 from .config import PlannerConfig
 from .free_turn import find_short_paths
-from .hand_clearance import hits_on_the_way
+from .hand_clearance import hand_hits_along
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
-"""The exact check: None where a motion holds, else what is wrong with it."""
+"""The exact check: return None if a motion is valid, else the reason why not."""
 _BATCH = 256
-"""Pairs of base pose and grasp that a thread looks at together [-]."""
+"""Pairs of base pose and grasp mode that a thread processes together [-]."""
 _WIDER = 4
-"""How many times more grasps are tried in each round than in the one before [-]."""
+"""Factor by which the number of grasp modes grows from round to round [-]."""
 _THREADS = 2
 
 
 @dataclass(frozen=True)
 class Feasibility:
-    """Checks base poses for one robot, room and task."""
+    """Checks base poses for one robot, scene and task."""
 
     robot: Robot
     world: CollisionWorld
@@ -56,19 +56,19 @@ class Feasibility:
     refuse: Refusal
     seed: int
     out_of_time: Callable[[], bool]
-    """Asked between steps of the work."""
+    """Called between batches."""
     home_again: bool = False
-    """Whether the arm comes home at the end."""
+    """Whether the arm returns home at the end."""
 
     def __call__(
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
     ) -> Attempt:
-        """Complete a motion at a base pose: the way from home, then the exact check.
+        """Complete a motion at a base pose: approach from home, then exact check.
 
         Args:
             base: Base pose x [m], y [m], yaw [rad].
             screened: An arm path there.
-            grasps: Ways of holding to be tried, best first, when that one cannot be completed.
+            grasps: Grasp modes to try, best first, if that path cannot be completed.
         """
         assert screened.q is not None
         motion, outcome = self._complete(base, screened.q, screened.grasp)
@@ -87,15 +87,15 @@ class Feasibility:
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
     ) -> list[ArmPathResult] | None:
-        """Look for an arm path at each of many base poses, the best reached grasps first.
+        """Search an arm path at each of many base poses, the best reached grasp modes first.
 
         Args:
             bases: Base poses that stand clear.
-            scores: Reachability of each way of holding from each; only those above 0 are tried.
-            most: How many ways are tried at one pose; None for all.
+            scores: Reachability of each grasp mode from each pose; only those above 0 are tried.
+            most: Maximum number of grasp modes tried at one pose; None for all.
 
         Returns:
-            What came of each, or None when the time was up before all had been tried.
+            The result at each pose, or None if out of time.
         """
         order = np.argsort(-scores, axis=1, kind="stable")[:, :most]
         reached = np.minimum((scores > 0).sum(1), order.shape[1])
@@ -111,8 +111,8 @@ class Feasibility:
             if paths is None:
                 return None
             for i, grasp, path in zip(base.tolist(), grasps.tolist(), paths, strict=True):
-                held = best[i][1]
-                if held is None or (held.status != FOUND and _farther(path, held)):
+                before = best[i][1]
+                if before is None or (before.status != FOUND and _farther(path, before)):
                     best[i] = (grasp, path)
                 undecided[i] &= path.status != FOUND
             first, width = first + width, _WIDER * width
@@ -124,16 +124,16 @@ class Feasibility:
     def _paths(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
     ) -> list[ArmPath] | None:
-        """Arm paths of pairs of base pose and way of holding; None when out of time."""
+        """Search arm paths of pairs of base pose and grasp mode; return None if out of time."""
         pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
 
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             if self.out_of_time():
                 return None
-            asked = self.robot, self.world, self.motion, bases[part], grasps[part]
-            if self.robot.chain.size < FULL:
-                return find_short_paths(*asked)
-            return find_paths(*asked, self._hand)
+            given = self.robot, self.world, self.motion, bases[part], grasps[part]
+            if self.robot.chain.size < FULL_DOF:
+                return find_short_paths(*given)
+            return find_paths(*given, self._hand)
 
         found = list(_threads().map(work, pieces))
         done = [paths for paths in found if paths is not None]
@@ -141,13 +141,13 @@ class Feasibility:
 
     @cached_property
     def _hand(self) -> HandCodes:
-        """What is known of the hand so far; two threads that find out the same do no harm."""
+        """Cache of the hand's collision codes; threads may write the same entry twice."""
         return {}
 
     def _check(
         self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"], spheres: Spheres
     ) -> Int[np.ndarray, " m"]:
-        """What states on the way from home hit; a carried object is already in the hand.
+        """Check states of the approach; an object to be placed is already in the hand.
 
         The base pose is one for all states, or one for each.
         """
@@ -160,13 +160,13 @@ class Feasibility:
 
     @property
     def _carrying(self) -> bool:
-        """Whether the object is in the hand from the beginning."""
+        """Whether the object is in the hand from the start."""
         return self.motion.task.verb == "place"
 
     def _complete(
         self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
     ) -> tuple[Motion | None, PoseOutcome]:
-        """Add the approach from home, and let the exact check decide."""
+        """Add the approach from home and run the exact check."""
         chain, hold = self.robot.chain, self.motion.grasp_step
         spheres = self.robot.spheres
         if self._carrying:
@@ -176,22 +176,22 @@ class Feasibility:
             motion_checker, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        way = plan_with_room(
+        path = plan_with_clearance(
             self.robot.home, q[0], chain.lower, chain.upper, checker,
             config=self.planner, seed=self.seed + grasp,
         )  # fmt: skip
-        if way is None:
+        if path is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
-        approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
+        approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
         Ts_world_tool = self._tools(q, base)
-        steps, holds = self.motion.carried_out(grasp, Ts_world_tool)
+        steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
         steps = steps[hold:]
         motion = Motion(
             chain.joint_values(approach), chain.joint_values(q[steps]),
             self.motion.object_q[steps], Ts_world_tool[steps], holds=holds,
         )  # fmt: skip
         if self.home_again:
-            home = self.way_home(base, q[-1], grasp)
+            home = self.path_home(base, q[-1], grasp)
             if home is None:
                 return None, PoseOutcome(PoseStatus.NO_WAY_HOME)
             motion = replace(motion, home=home)
@@ -200,39 +200,38 @@ class Feasibility:
             return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)
         return motion, PoseOutcome(PoseStatus.FEASIBLE)
 
-    def way_home(
+    def path_home(
         self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], grasp: int
     ) -> Float[np.ndarray, "h m"] | None:
-        """States of all joints from the end of the motion home, the end left out, or None.
+        """Plan all joints' states from the end of the motion (excluded) home; None if impossible.
 
-        What was picked comes along; a part stays where it was moved to.
+        The hand carries a picked object; a moved part stays.
 
         Args:
             base: Base pose x [m], y [m], yaw [rad].
-            q: Degrees of freedom at the end.
-            grasp: How it was held; for rigid objects.
+            q: Arm state at the end.
+            grasp: Index of the grasp, for rigid objects.
         """
         motion, chain, spheres, last = self.motion, self.robot.chain, self.robot.spheres, -1
         if motion.task.verb == "pick":
             T = motion.Ts_world_tool[grasp, last]
             spheres = with_payload(self.robot, motion, T, last)
-        # A hand that pushed has not drawn back from what it pushed.
+        # A hand that pushed has not retracted from the part.
         pushes = motion.task.joint is not None and motion.release_step is None
         checker = partial(
             motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
             holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
         )  # fmt: skip
-        way = plan_with_room(
-            q, self.robot.home, chain.lower, chain.upper, lambda room: checker(room=room),
-            config=brief(self.planner), seed=self.seed + grasp,
+        path = plan_with_clearance(
+            q, self.robot.home, chain.lower, chain.upper, checker,
+            config=brief_config(self.planner), seed=self.seed + grasp,
         )  # fmt: skip
-        return None if way is None else chain.joint_values(interpolate(way)[1:])
+        return None if path is None else chain.joint_values(interpolate(path)[1:])
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
 
     def _outcome(self, path: ArmPath | None, at_home: int) -> PoseOutcome:
-        """What became of a base pose whose best path is given."""
         if at_home != FREE:
             return PoseOutcome(PoseStatus.HOME_COLLISION, self.world.reason(at_home))
         if path is None:
@@ -250,20 +249,20 @@ class Feasibility:
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    """Threads for arm paths: to start one takes as long as some paths."""
+    """Return a shared thread pool: starting a thread takes as long as several paths."""
     return ThreadPoolExecutor(_THREADS, "arm paths")
 
 
 def with_payload(
     robot: Robot, motion: TaskMotion, T_world_tool: Float[np.ndarray, "4 4"], step: int
 ) -> Spheres:
-    """The robot's spheres, with the object in its hand.
+    """Return the robot's spheres with the object in its hand.
 
     Args:
         robot: The robot.
-        motion: The task.
-        T_world_tool: Where the tool is when it holds the object.
-        step: The step of the motion at which that is so.
+        motion: The task motion.
+        T_world_tool: Tool pose at a step at which the hand holds the object.
+        step: That step of the motion.
     """
     chain = robot.chain
     center, radius = _object_spheres(motion, step)
@@ -276,36 +275,35 @@ def with_payload(
 def _object_spheres(
     motion: TaskMotion, step: int
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
-    """Spheres of what is moved, in the world at a step of the motion [m]."""
+    """Return the moved object's spheres in the world at a step of the motion [m]."""
     return box_spheres(motion.moving.at(int(motion.value[step])))
 
 
 def _farther(path: ArmPath, other: ArmPath) -> bool:
-    """Whether a path came farther than another."""
     return path.status == FOUND or path.passed > other.passed
 
 
 def collision_free_grasps(
     robot: Robot, world: CollisionWorld, motion: TaskMotion
 ) -> tuple[Bool[np.ndarray, " g"], str]:
-    """Which grasps the hand itself has room for at every waypoint, wherever the base stands.
+    """Find the grasps whose hand is free at every waypoint, for any base pose.
 
     Returns:
-        A mask over the grasps, and what stops most of the others.
+        A mask over the grasps, and the name of the most frequent obstacle of the others.
     """
     alive, hits = np.arange(len(motion.Ts_world_tool)), []
-    # Most that fail do so at the grasp itself; only the others are looked at farther on.
+    # Most failures occur at the grasp itself: check it first.
     for steps in (motion.waypoint_steps[1:2], np.delete(motion.waypoint_steps, 1)):
         Ts = motion.Ts_world_tool[alive[:, None], steps].reshape(-1, 4, 4)
         width = np.repeat(motion.grasps.width[alive], len(steps))
-        codes = hits_on_the_way(robot, world, motion, Ts, np.tile(steps, len(alive)), width)
+        codes = hand_hits_along(robot, world, motion, Ts, np.tile(steps, len(alive)), width)
         hits.append(codes[codes != FREE])
         alive = alive[(codes.reshape(len(alive), len(steps)) == FREE).all(1)]
     free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
     counts = np.bincount(np.concatenate(hits) - FLOOR)
     obstacle = world.reason(int(counts.argmax()) + FLOOR) if len(counts) else ""
     if motion.task.verb == "place" and free.any():
-        touched = touched_at_home(robot, motion)
+        touched = payload_hits_at_home(robot, motion)
         free &= touched < 0
         if not free.any():
             names = (*robot.spheres.links, robot.base_link)
@@ -314,13 +312,13 @@ def collision_free_grasps(
     return free, obstacle
 
 
-def touched_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
-    """What an object in the hand touches of its robot with the arm at home, for every grasp.
+def payload_hits_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
+    """Find what an object in the hand touches on the robot with its arm at home, for each grasp.
 
-    The way of a placed object begins there, so such a grasp helps at no base pose.
+    A placed object starts there, so such a grasp works at no base pose.
 
     Returns:
-        An index into the groups of the robot's spheres, their number for the base, -1 for nothing.
+        An index of a group of the robot's spheres, the number of groups for the base, or -1.
     """
     chain, spheres = robot.chain, robot.spheres
     center, radius = _object_spheres(motion, 0)
@@ -347,7 +345,7 @@ def touched_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
 def near_home(
     q: Float[np.ndarray, "d n"], home: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> Float[np.ndarray, "d n"]:
-    """Shift joints that turn fully by whole turns, so that a path starts as near home as it can."""
+    """Shift joints that turn fully by whole turns so that a path starts nearest to home."""
     out = q.copy()
     turn = 2 * np.pi
     for k in np.flatnonzero(upper - lower > turn + 0.1):

@@ -1,9 +1,8 @@
-"""Where the hand alone has room, whatever arm and base are behind it.
+"""Check the hand alone for collision, independent of arm and base.
 
-The tool's poses are those of the task, so what the hand meets on its way depends on the grasp and
-not on where the base stands. Spheres find what is near; where a sphere of the gripper touches, its
-boxes decide, so that fingers fit behind a bar beside a carcass. The kernels of the arm need not
-look at the hand again.
+The task fixes the tool poses, so the hand's collisions depend on the grasp and not on the base
+pose. Spheres find what is near; if a sphere of the gripper touches, its boxes decide, so that
+fingers fit between a bar and a carcass. The arm's kernels then skip the hand.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from momapos.core.compiled import B1, F1, F2, F3, I1, entry, kernel
-from momapos.core.geometry import apply, invert
+from momapos.core.geometry import invert
 from momapos.model.collision import (
     CELL,
     FINGER,
@@ -43,36 +42,36 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _PALM, _SIDES = 0, (1, 2)
-"""What moves as one: the palm, and the fingers on each side of the closing axis."""
-SLIGHT = 5e-4
-"""Fingers that close by less are where they are at rest [m]."""
+"""Rigid groups: the palm, and the fingers on each side of the closing axis."""
+MIN_TRAVEL = 5e-4
+"""Fingers that close by less count as at rest [m]."""
 GAP = 1e-3
-"""Distance that the gripper's boxes keep [m]; less than what its spheres keep, which are no shape
-of it: handles of 1 cm leave a finger 2 mm before the carcass behind them."""
+"""Clearance of the gripper's boxes [m]; smaller than that of its spheres, since 1 cm handles leave
+a finger 2 mm to the carcass behind them."""
 
 
 class HandArrays(NamedTuple):
-    """A hand at rest in the frame of its tool, as the kernel takes it."""
+    """A hand at rest in its tool frame, for the kernel."""
 
     spheres: SphereArrays
     boxes: BoxArrays
     start: I1
-    """Boxes of group g are start[g]:start[g + 1]; of a group without any its spheres decide."""
+    """Boxes of group g are start[g]:start[g + 1]; for a group without boxes, its spheres decide."""
     closing: F1
 
 
 class _Query(NamedTuple):
-    """What a hand at one pose is checked against."""
+    """Obstacles for a hand at one pose."""
 
     boxes: BoxArrays
     cleared: I1
-    """Of each box, the last query of a group that found it clear."""
+    """For each box, the last query of a group that found it clear."""
     margin: float
     exact: bool
 
 
 class _Placed(NamedTuple):
-    """Where the parts of a hand are."""
+    """Poses of the parts of a hand."""
 
     R: F3
     p: F2
@@ -81,7 +80,7 @@ class _Placed(NamedTuple):
 
 @kernel
 def _place_hand(T, travel, closing, R, p):
-    """Poses of palm and fingers, which have closed by a travel each."""
+    """Fill in the poses of palm and fingers, each finger closed by a travel."""
     for k in range(3):
         along = T[k, 0] * closing[0] + T[k, 1] * closing[1] + T[k, 2] * closing[2]
         for s in range(3):
@@ -93,7 +92,7 @@ def _place_hand(T, travel, closing, R, p):
 
 @kernel
 def _box_of(k, segment, hand, placed, margin, out):
-    """Put box k of the hand, with a margin, where its segment is."""
+    """Fill in box k of the hand at the pose of its segment, grown by a margin."""
     R, p = placed.R[segment], placed.p[segment]
     center, rotation, half = hand.boxes
     for i in range(3):
@@ -110,7 +109,7 @@ def _box_of(k, segment, hand, placed, margin, out):
 
 @kernel
 def _touches(g, b, hand, placed, query, memory):
-    """Whether a group whose sphere touches box b really does."""
+    """Check by its boxes whether a group, one of whose spheres touches box b, touches it."""
     part, between = memory
     if not query.exact or hand.start[g] == hand.start[g + 1]:
         return True
@@ -123,7 +122,7 @@ def _touches(g, b, hand, placed, query, memory):
 
 @kernel
 def _hits_moving(hand, placed, query, memory, grasped, holding):
-    """First moving box that the hand hits, or FREE; while it holds it may touch some."""
+    """Return the first moving box that the hand hits, or FREE; a holding hand may touch some."""
     spheres = hand.spheres
     center, rotation, half = query.boxes
     for g in range(len(spheres.segment)):
@@ -147,7 +146,7 @@ def _hits_moving(hand, placed, query, memory, grasped, holding):
 
 @kernel
 def _hits_static(hand, placed, query, memory, world, stamp):
-    """First standing box that the hand hits, or FREE."""
+    """Return the first static box that the hand hits, or FREE."""
     spheres = hand.spheres
     center, rotation, half = query.boxes
     low, shape = world.grid_origin, world.grid_shape
@@ -211,10 +210,7 @@ def _hand_hits(
 
 @lru_cache(maxsize=64)
 def arm_spheres(robot: Robot) -> Spheres:
-    """The robot's spheres for arms whose hand is known to have room: it is not looked at again.
-
-    Whether hand and arm touch each other is.
-    """
+    """Return the robot's spheres for checks that skip the hand, except against the robot itself."""
     spheres = robot.spheres
     known = (spheres.segment == _last_segment(robot)) & (spheres.gripper != OTHER)
     return replace(spheres, gripper=np.where(known, KNOWN, spheres.gripper))
@@ -222,7 +218,7 @@ def arm_spheres(robot: Robot) -> Spheres:
 
 @lru_cache(maxsize=64)
 def _hand_arrays(robot: Robot) -> HandArrays:
-    """The gripper, and what else the arm's last joint moves."""
+    """Return the gripper and all other links that the arm's last joint moves."""
     spheres = robot.spheres
     groups = np.flatnonzero(spheres.segment == _last_segment(robot))
     boxes = [_boxes_of(robot, int(g)) for g in groups]
@@ -240,39 +236,31 @@ def _hand_arrays(robot: Robot) -> HandArrays:
         bound_radius=spheres.bound_radius[groups],
         gripper=spheres.gripper[groups],
     )
-    none = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    together = (
-        np.concatenate([getattr(b, name) for b in (none, *boxes)]) for name in BoxArrays._fields
-    )
+    every = Boxes.join(boxes)
     return HandArrays(
         arrays,
-        BoxArrays(*together),
+        BoxArrays(every.center, every.rotation, every.half),
         np.cumsum([0, *map(len, boxes)]),
         np.ascontiguousarray(robot.closing_axis, float),
     )
 
 
 def _last_segment(robot: Robot) -> int:
-    """The segment that the tool belongs to."""
     return robot.segments.of_link[robot.tool_link]
 
 
 def _in_tool(robot: Robot, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Points of the last segment in the frame of the tool."""
+    """Transform points of the last segment to the tool frame."""
     return np.ascontiguousarray((points - robot.chain.tool_offset) @ robot.chain.tool_rotation)
 
 
 def _boxes_of(robot: Robot, group: int) -> Boxes:
-    """Boxes of a link in the frame of the tool; none of a link that is no gripper."""
-    center, rotation, half = [np.zeros((0, 3))], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
-    if robot.spheres.gripper[group] != OTHER:
-        link, poses = robot.spheres.links[group], robot.model.rest_poses
-        T = invert(poses[robot.tool_link]) @ poses[link]
-        for boxes in robot.model.boxes[link]:
-            center.append(apply(T, boxes.center))
-            rotation.append(T[:3, :3] @ boxes.rotation)
-            half.append(boxes.half)
-    return Boxes(np.concatenate(center), np.concatenate(rotation), np.concatenate(half))
+    """Return the boxes of a gripper's link in the tool frame; none for other links."""
+    if robot.spheres.gripper[group] == OTHER:
+        return Boxes.join([])
+    link, poses = robot.spheres.links[group], robot.model.rest_poses
+    T = invert(poses[robot.tool_link]) @ poses[link]
+    return Boxes.join(boxes.moved(T) for boxes in robot.model.boxes[link])
 
 
 def hand_hits(
@@ -284,16 +272,16 @@ def hand_hits(
     exact: Bool[np.ndarray, " m"],
     travel: Float[np.ndarray, " m"] | None = None,
 ) -> Int[np.ndarray, " m"]:
-    """What the hand alone hits at tool poses, whatever arm and base are behind it.
+    """Check the hand alone for collision at tool poses.
 
     Args:
-        robot: Whose hand.
-        world: The room, and what moves.
-        Ts_world_tool: Where the tool is.
+        robot: The robot.
+        world: Static and moving obstacles.
+        Ts_world_tool: Tool poses.
         value: Index of the object's joint value at each.
-        holding: Whether the gripper may touch what is grasped.
-        exact: Whether the gripper's boxes decide where a sphere touches; else the spheres do.
-        travel: How far each finger has closed from where it is at rest [m]; not at all by default.
+        holding: Whether the gripper may touch the grasped part.
+        exact: Whether the gripper's boxes decide if a sphere touches; otherwise the spheres do.
+        travel: Distance by which each finger has closed from rest [m]; 0 by default.
 
     Returns:
         FREE, FLOOR or an index into the labels.
@@ -320,9 +308,9 @@ def hand_hits(
 def _lowest(
     hand: HandArrays, Ts_world_tool: Float[np.ndarray, "m 4 4"], travel: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """How high the lowest points of the gripper's boxes and of its spheres are over the floor [m].
+    """Return the heights of the lowest points of the gripper's boxes and spheres [m].
 
-    What is no gripper belongs to the arm, for which the arm's kernels ask.
+    The arm's kernels check all other links.
     """
     down, height = Ts_world_tool[:, 2, :3], Ts_world_tool[:, 2, 3, None]
     inward = (travel * (down @ hand.closing))[:, None] * np.array([0.0, -1.0, 1.0])
@@ -347,12 +335,12 @@ def hits_while_closing(
     exact: Bool[np.ndarray, " m"],
     travel: Float[np.ndarray, " m"],
 ) -> Int[np.ndarray, " m"]:
-    """What fingers hit between open and closed; arguments are those of `hand_hits`.
+    """Check fingers between open and closed; arguments are those of `hand_hits`.
 
-    Open fingers may stand astride what closed ones are beside: the edge of a carcass, a neighbor's
+    Open fingers may span an obstacle that closed ones pass: the edge of a carcass, a neighboring
     handle.
     """
-    # Steps of a finger's thickness leave nothing out.
+    # Steps of a finger's thickness miss nothing.
     count = max(2, int(np.ceil(travel.max(initial=0.0) / hand_of(robot).thickness)))
     between = np.arange(1, count) / count
     rows = np.repeat(np.arange(len(travel)), len(between))
@@ -363,7 +351,7 @@ def hits_while_closing(
     return codes[np.arange(len(travel)), np.argmax(codes != FREE, axis=1)]
 
 
-def hits_on_the_way(
+def hand_hits_along(
     robot: Robot,
     world: CollisionWorld,
     motion: TaskMotion,
@@ -371,16 +359,15 @@ def hits_on_the_way(
     steps: Int[np.ndarray, " m"],
     width: Float[np.ndarray, " m"],
 ) -> Int[np.ndarray, " m"]:
-    """What the hand hits at steps of a motion, its fingers open, and closed while they hold.
+    """Check the hand at steps of a motion: with open fingers, closed ones, and while they close.
 
-    Where they close and where they let go they are looked at on their way as well. Where the arm's
-    free motion begins or ends the spheres decide, as they do on that motion.
+    At the ends of the arm's free motion the spheres decide, as they do during that motion.
 
     Args:
-        robot, world, motion: Whose hand, in which room, for what.
-        Ts_world_tool: Where the tool is.
+        robot, world, motion: Robot, obstacles and task motion.
+        Ts_world_tool: Tool poses.
         steps: The step of the motion at each.
-        width: Between the fingers where they hold, at each [m].
+        width: Distance between the fingers when they hold, at each [m].
 
     Returns:
         FREE, FLOOR or an index into the labels.
@@ -389,12 +376,12 @@ def hits_on_the_way(
     exact = ~np.isin(steps, motion.free_ends)
     codes = hand_hits(robot, world, Ts_world_tool, value, holding, exact)
     travel = hand_of(robot).closed_to(width)
-    # A grasp of unknown width is one that holds nothing.
-    rows = np.flatnonzero((codes == FREE) & motion.closed[steps] & (np.abs(travel) > SLIGHT))
+    # A grasp of unknown width (NaN) holds nothing.
+    rows = np.flatnonzero((codes == FREE) & motion.closed[steps] & (np.abs(travel) > MIN_TRAVEL))
     codes[rows] = hand_hits(
         robot, world, Ts_world_tool[rows], value[rows], holding[rows], exact[rows], travel[rows]
     )
-    rows = rows[(codes[rows] == FREE) & motion.closes[steps[rows]] & (travel[rows] > SLIGHT)]
+    rows = rows[(codes[rows] == FREE) & motion.closes[steps[rows]] & (travel[rows] > MIN_TRAVEL)]
     codes[rows] = hits_while_closing(
         robot, world, Ts_world_tool[rows], value[rows], holding[rows], exact[rows], travel[rows]
     )

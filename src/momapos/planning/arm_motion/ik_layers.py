@@ -1,4 +1,4 @@
-"""Arm configurations at the waypoints, for many pairs of base pose and grasp at a time."""
+"""Solve for arm configurations at the waypoints, for many pairs of base pose and grasp mode."""
 
 from __future__ import annotations
 
@@ -26,69 +26,69 @@ from momapos.model.kinematics import (
 from momapos.planning.grasps import TaskMotion
 
 from .hand_clearance import arm_spheres
-from .turning_arm import Arm, robot_of
+from .turning_arm import ArmModel, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 MAX_STEP = 0.8
 """Largest joint step between waypoints [rad]."""
-SLIDE = 4.0
-"""Radians that a meter of a sliding joint counts as [rad/m]."""
+PRISMATIC_SCALE = 4.0
+"""Weight of a prismatic joint's travel in joint steps [rad/m]."""
 NOWHERE, CUT_OFF = FREE, FREE - 10
-"""Why there is none where nothing is hit: out of reach, or too far from its neighbors."""
+"""Failures without a collision: out of reach, or too far from the neighboring waypoints."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Layers:
-    """Configurations of jobs at the waypoints, those of each one after the other."""
+    """Configurations of all jobs at the waypoints, concatenated."""
 
     q: Float[np.ndarray, "m n"]
     grasps: Int[np.ndarray, " m"]
     """The grasp of each configuration."""
     checked: Bool[np.ndarray, " m"]
-    """Whether it is known to be free; at every waypoint with configurations one is."""
+    """Whether it is known to be free; at each waypoint with configurations, one is."""
     first: Int[np.ndarray, "j l"]
-    """Where the configurations of each job at each waypoint begin."""
+    """Index of the first configuration of each job at each waypoint."""
     counts: Int[np.ndarray, "j l"]
-    """How many there are; 0 as well where none was looked for."""
+    """Number of configurations; also 0 where none was searched."""
     passed: Int[np.ndarray, " j"]
-    """How many waypoints had some, in the order in which they were looked at."""
+    """Number of waypoints with configurations before the first failure."""
     codes: Int[np.ndarray, " j"]
-    """What the first configuration hit where there was none, else NOWHERE or CUT_OFF."""
+    """Cause of the failure: the obstacle that was hit, NOWHERE or CUT_OFF."""
 
 
 class JointSteps(NamedTuple):
-    """How steps of n joints are measured."""
+    """How to measure steps of n joints."""
 
     full_turn: B1
-    """Which joints turn fully, so that a step is taken the short way round."""
+    """Which joints turn fully, so that a step takes the shorter direction."""
     scale: F1
-    """What a step of each counts as [rad/rad] or [rad/m]."""
+    """Weight of each joint [rad/rad] or [rad/m]."""
     locked: F1
-    """The same of the joints that inverse kinematics does not solve for, 0 of the others."""
+    """Weight of each joint that inverse kinematics does not solve for, 0 for the others."""
 
 
 class Jobs(NamedTuple):
-    """Pairs of base pose and way of holding."""
+    """Pairs of base pose and grasp mode."""
 
     bases: F2
     """Base pose of each: x [m], y [m], yaw [rad]."""
     grasps: I2
-    """Grasps that each may have at a waypoint, -1 where it has fewer."""
+    """Grasps of each mode, padded with -1."""
 
 
 class Waypoints(NamedTuple):
     """The waypoints of a motion."""
 
     order: I1
-    """The order in which they are looked at."""
+    """The order in which they are solved."""
     place: I1
-    """How far each is along the motion, counted in waypoints."""
+    """Index of each along the motion."""
     step: I1
     """The step of the motion at each."""
     value: I1
-    """The same for the configuration of the moved part."""
+    """Index of the moved part's configuration at each."""
     holding: B1
     """Whether the hand holds the part there."""
     Ts_world_tool: F4
@@ -96,7 +96,7 @@ class Waypoints(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Configurations as the kernel fills them in, see `Layers`."""
+    """Output arrays of the kernel, see `Layers`."""
 
     q: F2
     grasps: I1
@@ -106,17 +106,17 @@ class Found(NamedTuple):
 
 
 def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
-    """What a step of each joint counts as [rad/rad] or [rad/m]."""
-    return np.where(chain.prismatic, SLIDE, 1.0)
+    """Return the weight of each joint in a joint step [rad/rad] or [rad/m]."""
+    return np.where(chain.prismatic, PRISMATIC_SCALE, 1.0)
 
 
 def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
-    """Which joints turn fully, so that a step is taken the short way round."""
+    """Find the joints that turn fully, so that a step takes the shorter direction."""
     return ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
 
 
 def solve_layers(
-    robot: Arm,
+    robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
@@ -124,19 +124,18 @@ def solve_layers(
     waypoints: Int[np.ndarray, " l"],
     order: Int[np.ndarray, " o"],
 ) -> Layers:
-    """Find configurations of each job at some waypoints, until none is free at one.
+    """Find configurations of each job at some waypoints, until a waypoint has none that is free.
 
-    Most are on no path in the end, so that no more are checked at a waypoint than it takes to find
-    one that is free; those that are found to hit something are left out.
-    A configuration that is farther from all those of the nearest waypoint on either side that has
-    been looked at than `MAX_STEP` a waypoint is on no path, and is dropped before it is checked.
+    Collision checks at a waypoint stop at the first free configuration, since most end up on no
+    path. A configuration farther than `MAX_STEP` per waypoint from all configurations of the
+    nearest solved waypoint on either side is on no path; it is dropped without a check.
 
     Args:
-        robot, world, motion: Whose arm, in which room, for what.
+        robot, world, motion: Arm, obstacles and task motion.
         bases: Base pose of each job.
-        grasps: Grasps that each job may have at a waypoint, -1 where it has fewer.
+        grasps: Grasps of each job's mode, padded with -1.
         waypoints: Indices into the coarse waypoints, ascending.
-        order: Indices into these: which are looked at, one after the other.
+        order: Indices into these, in the order in which they are solved.
     """
     step, chain, ik = motion.waypoint_steps[waypoints], robot.chain, robot.ik
     scale = joint_scale(chain)
@@ -156,7 +155,7 @@ def solve_layers(
 
 @kernel
 def joint_step(a, b, full_turn, scale, limit):
-    """Largest joint difference, the short way round; it stops at the first beyond the limit."""
+    """Return the largest joint difference, in the shorter direction; stop beyond the limit."""
     worst = 0.0
     for k in range(len(a)):
         d = b[k] - a[k]
@@ -170,7 +169,7 @@ def joint_step(a, b, full_turn, scale, limit):
 
 @kernel
 def _near(q, limit, states, full_turn, scale):
-    """Whether some of the states at another waypoint is near enough."""
+    """Check that a state at another waypoint is near enough."""
     for i in range(len(states)):
         if joint_step(q, states[i], full_turn, scale, limit) <= limit:
             return True
@@ -179,7 +178,7 @@ def _near(q, limit, states, full_turn, scale):
 
 @kernel
 def _joined(q, limits, before, after, full_turn, scale):
-    """Whether some state of the waypoint looked at on either side is near enough."""
+    """Check that a state of the solved waypoint on either side is near enough."""
     return (limits[0] == np.inf or _near(q, limits[0], before, full_turn, scale)) and (
         limits[1] == np.inf or _near(q, limits[1], after, full_turn, scale)
     )
@@ -187,7 +186,7 @@ def _joined(q, limits, before, after, full_turn, scale):
 
 @kernel
 def _around(at, order, looked, place):
-    """The waypoints next to one, on either side, of those looked at; -1 where there is none."""
+    """Return the nearest solved waypoints before and after one; -1 if there is none."""
     before, after = -1, -1
     for i in range(looked):
         other = order[i]
@@ -200,7 +199,7 @@ def _around(at, order, looked, place):
 
 @kernel
 def _tool_in_base(T, base, R, p):
-    """A tool pose relative to a base pose: rotation and position, filled in."""
+    """Fill in rotation and position of a tool pose in the base frame."""
     c, s = np.cos(base[2]), np.sin(base[2])
     for k in range(3):
         R[0, k] = c * T[0, k] + s * T[1, k]
@@ -213,7 +212,7 @@ def _tool_in_base(T, base, R, p):
 
 @kernel
 def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, placed, memory):
-    """Fill in the configurations of a job at one waypoint; returns how many, and a code."""
+    """Fill in the configurations of a job at one waypoint; return their number and a code."""
     R, p, solutions, limits = memory
     base, w = jobs.bases[j], path.order[looked]
     full_turn, n, samples = steps.full_turn, len(steps.full_turn), arm.ik.samples
@@ -235,7 +234,7 @@ def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, 
         _tool_in_base(path.Ts_world_tool[grasp, path.step[w]], base, R, p)
         begin_pose(scratch)
         for s in range(sample_count(arm.ik)):
-            # Locked joints are known beforehand, so most samples need no inverse kinematics.
+            # Locked joints are known, so most samples need no inverse kinematics.
             if s < len(samples) and not _joined(
                 samples[s], limits, before, after, full_turn, steps.locked
             ):
@@ -276,7 +275,7 @@ def _solve_layers(
     )
     scratch, placed = ik_scratch(arm), scratch_of(len(arm.chain.slides), room.spheres)
     memory = np.empty((3, 3)), np.empty(3), np.empty((MAX_BRANCHES, n)), np.empty(2)
-    # Those of one job at one waypoint always find room.
+    # The arrays always have space for one job at one waypoint.
     most, used = jobs.grasps.shape[1] * max_solutions(arm.ik), 0
     q, grasps = np.empty((4 * most, n)), np.empty(4 * most, np.int64)
     checked = np.empty(4 * most, np.bool_)

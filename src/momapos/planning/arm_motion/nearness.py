@@ -1,4 +1,4 @@
-"""Which boxes a motion comes near: base, arm with what it carries, and the moving part."""
+"""Find the boxes near a motion: near the base, the arm with its payload, and the moving part."""
 
 from __future__ import annotations
 
@@ -24,13 +24,7 @@ _ORIGIN = np.zeros((1, 3))
 def boxes_near_swept_volume(
     motion: TaskMotion, boxes: Boxes, *, margin: float
 ) -> Bool[np.ndarray, " b"]:
-    """Which boxes the moving part comes near, whoever moves it.
-
-    Args:
-        motion: What moves.
-        boxes: In the world frame.
-        margin: What counts as near [m].
-    """
+    """Find the boxes (world frame) within a margin [m] of the moving part, for any robot."""
     sweep = motion.sweep()
     return _every(boxes, lambda left: base_hits(_ORIGIN, sweep, left, clearance=margin))
 
@@ -38,7 +32,7 @@ def boxes_near_swept_volume(
 def boxes_near_base(
     robot: Robot, base: Float[np.ndarray, "3"], boxes: Boxes, *, margin: float
 ) -> Bool[np.ndarray, " b"]:
-    """Which boxes the base comes near where it stands (x, y [m], yaw [rad])."""
+    """Find the boxes within a margin [m] of the base at x [m], y [m], yaw [rad]."""
     return _every(boxes, lambda left: base_hits(base[None], robot.base, left, clearance=margin))
 
 
@@ -51,17 +45,15 @@ def near_boxes(
     *,
     margin: float,
 ) -> Bool[np.ndarray, " b"]:
-    """Which boxes a motion that was found comes near.
-
-    The arm is told at every state by its collision spheres, which lie outside its shape.
+    """Find the boxes near a planned motion; collision spheres stand for the arm.
 
     Args:
         robot: The robot.
-        motion: The task.
+        motion: The task motion.
         base: Base pose x [m], y [m], yaw [rad].
-        found: What the arm does there.
+        found: The planned motion.
         boxes: In the world frame.
-        margin: What counts as near [m].
+        margin: Distance up to which a box is near [m].
     """
     home = found.q[:0] if found.home is None else found.home
     q = np.concatenate([found.approach, found.q, home])
@@ -86,10 +78,10 @@ def near_boxes(
 def _every(
     boxes: Boxes, first_hits: Callable[[Boxes], Int[np.ndarray, " m"]]
 ) -> Bool[np.ndarray, " b"]:
-    """All boxes that are hit, from checks that stop at the first."""
+    """Find all boxes that are hit, using a check that reports only the first hit."""
     left = np.arange(len(boxes))
     while len(left):
-        codes = first_hits(Boxes(boxes.center[left], boxes.rotation[left], boxes.half[left]))
+        codes = first_hits(boxes.take(left))
         hit = np.unique(codes[codes >= 0])
         if not len(hit):
             break

@@ -1,4 +1,4 @@
-"""An arm whose hand turns about what it holds, as one more degree of freedom."""
+"""Model the turn of the hand about its grasp as an additional degree of freedom of the arm."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TurningArm:
-    """A robot's arm, the last degree of freedom of which is the turn of its hand."""
+    """A robot's arm whose last degree of freedom is the turn of its hand about the grasp."""
 
     robot: Robot
     chain: Chain
-    """With the turn."""
+    """Kinematic chain, including the turn."""
     ik: IkModel
 
 
-Arm: TypeAlias = Robot | TurningArm
+ArmModel: TypeAlias = Robot | TurningArm
 
 
-def robot_of(arm: Arm) -> Robot:
-    """The robot that an arm belongs to."""
+def robot_of(arm: ArmModel) -> Robot:
+    """Return the robot of an arm."""
     return arm.robot if isinstance(arm, TurningArm) else arm
 
 
 def hand_poses(
-    arm: Arm,
+    arm: ArmModel,
     base: Float[np.ndarray, "3"],
     states: Float[np.ndarray, "d n"],
-    asked: Float[np.ndarray, "d 4 4"],
+    Ts_world_tool: Float[np.ndarray, "d 4 4"],
 ) -> Float[np.ndarray, "d 4 4"]:
-    """Tool poses in the world: those asked for, or where the hand has turned to."""
+    """Return the tool poses in the world: the given ones, or those of the turned hand."""
     if not isinstance(arm, TurningArm):
-        return asked
+        return Ts_world_tool
     return pose_planar(base) @ arm.robot.chain.tool_poses(states[:, :-1])

@@ -1,4 +1,4 @@
-"""Other ways to choose base poses, judged by the same checks as ours."""
+"""Other methods of choosing base poses, judged by the same checks as ours."""
 
 import lazy_loader
 

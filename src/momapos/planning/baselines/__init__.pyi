@@ -1,1 +1,1 @@
-from .by_method import plan_by_method as plan_by_method
+from .by_method import plan_with_method as plan_with_method

@@ -1,4 +1,4 @@
-"""M3: cells of a navigable map in a region, drawn at random, with the noise of its skills' starts.
+"""M3: draw navigable cells of a region at random, with the noise of its skills' start poses.
 
 Source: Gu et al., Multi-skill Mobile Manipulation for Object Rearrangement (ICLR 2023), and its
 public code: regions of the navigation skill, `SetArticulatedObjectTask`, `RearrangePickTask`.
@@ -13,30 +13,30 @@ import numpy as np
 
 from momapos.core.geometry import local_points
 
-from .placer_room import Room
+from .placer_room import PlacerRoom
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-CELL, AROUND = 0.05, 2.5
-"""Cell of the navigable map, and how far around the target it is looked at [m]."""
+CELL, MAX_DISTANCE = 0.05, 2.5
+"""Cell size of the navigable map and its half size around the target [m]."""
 HINGED = (np.array([[0.9, -0.5], [1.8, 0.5]]), np.array([[0.8, -1.0], [2.0, 1.0]]))
-"""Region in the frame of a fridge, and the one taken where that is too crowded [m]."""
+"""Region for a fridge and its wider alternative, corners in the object frame [m]."""
 OPEN_DRAWER = (np.array([[0.8, -0.35], [0.95, 0.35]]), np.array([[0.8, -0.6], [1.5, 0.6]]))
-"""The same for a drawer that is shut, in the frame of its handle [m]."""
+"""Regions to open a drawer, corners in the handle frame [m]."""
 CLOSE_DRAWER = (np.array([[0.3, -0.35], [0.45, 0.35]]), np.array([[0.3, -0.6], [1.0, 0.6]]))
-"""The same for a drawer that is open [m]."""
+"""Regions to close a drawer, corners in the handle frame [m]."""
 RADII = np.arange(0.8, 2.0 + 1e-9, 0.1)
-"""Distances from a rigid target, the first that has a navigable cell [m]."""
+"""Radii around a rigid target; the first that has a navigable cell counts [m]."""
 NOISE = np.array([0.05, 0.05, 0.15])
-"""Standard deviation of x, y [m] and yaw [rad], cut at twice that."""
-TRIES, AGAIN = 20, 10
-"""Draws of a cell, and of the noise until the place is navigable [-]."""
+"""Standard deviation of x, y [m] and yaw [rad], truncated at two sigma."""
+DRAWS, NOISE_DRAWS = 20, 10
+"""Number of draws of a cell, and of the noise until the position is navigable [-]."""
 
 
-def m3(room: Room, rng: np.random.Generator) -> Iterator[Float[np.ndarray, "n 3"]]:
-    """Draws from the region; where none stands clear, from the wider one."""
-    cells = room.cells(room.target[:2], AROUND, CELL)
+def m3(room: PlacerRoom, rng: np.random.Generator) -> Iterator[Float[np.ndarray, "n 3"]]:
+    """Propose draws from the region; if none stands clear, from the wider one."""
+    cells = room.cells(room.target[:2], MAX_DISTANCE, CELL)
     cells = cells[room.navigable(cells)]
     look = room.target[:2]
     regions: list[Float[np.ndarray, "k 2"]] = []
@@ -61,19 +61,19 @@ def m3(room: Room, rng: np.random.Generator) -> Iterator[Float[np.ndarray, "n 3"
 
 
 def _draws(
-    room: Room,
+    room: PlacerRoom,
     region: Float[np.ndarray, "k 2"],
     look: Float[np.ndarray, "2"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 3"]:
-    """Noisy poses at cells drawn from a region, looking at a point."""
+    """Draw noisy poses at cells of a region, facing a point."""
     if not len(region):
         return np.zeros((0, 3))
-    chosen = region[rng.integers(len(region), size=TRIES)]
-    noise = np.clip(rng.normal(0.0, NOISE, (TRIES, AGAIN, 3)), -2 * NOISE, 2 * NOISE)
-    there = chosen[:, None] + noise[..., :2]
-    good = room.navigable(there.reshape(-1, 2)).reshape(TRIES, AGAIN)
+    chosen = region[rng.integers(len(region), size=DRAWS)]
+    noise = np.clip(rng.normal(0.0, NOISE, (DRAWS, NOISE_DRAWS, 3)), -2 * NOISE, 2 * NOISE)
+    xy = chosen[:, None] + noise[..., :2]
+    good = room.navigable(xy.reshape(-1, 2)).reshape(DRAWS, NOISE_DRAWS)
     first, row = good.argmax(1), np.flatnonzero(good.any(1))
-    poses = room.facing(there[row, first[row]], look)
+    poses = room.facing(xy[row, first[row]], look)
     poses[:, 2] += noise[row, first[row], 2]
     return poses

@@ -1,4 +1,4 @@
-"""Open tours over candidates, as MoMa-Pos orders them."""
+"""Order candidates by open tours, as MoMa-Pos does."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-EXACT_UP_TO = 10
-"""Largest group for which the open tour is solved exactly [-]."""
+MAX_EXACT = 10
+"""Largest group whose open tour is solved exactly [-]."""
 
 
 def open_tour(
@@ -22,18 +22,18 @@ def open_tour(
     k_distance: float,
     k_potential: float,
 ) -> Int[np.ndarray, " n"]:
-    """The order of one group of candidates: an open tour from the start.
+    """Order one group of candidates by an open tour from the start.
 
     The edge weight is `k1 dist(i, j) + k1' (F(j) - F(i))` as printed. The second term
-    telescopes: along a tour it adds up to `k1' (F_last - F_first)`, so it only decides which
-    candidate comes last, and as printed the worst does.
+    telescopes to `k1' (F_last - F_first)` along a tour. So it only decides which candidate comes
+    last, and as printed this is the worst one.
 
     Source: MoMa-Pos, section III-D.
 
     Args:
-        start: Where the robot is [m].
-        positions: Candidates [m]; exact up to `EXACT_UP_TO` of them, local search above.
-        potential: Their potential.
+        start: Position of the robot [m].
+        positions: Candidates [m]; more than `MAX_EXACT` are ordered by local search.
+        potential: Potential of each.
         k_distance, k_potential: k1 and k1'.
     """
     if len(positions) <= 1:
@@ -42,21 +42,21 @@ def open_tour(
     field = np.concatenate([[0.0], potential])
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
     weight = k_distance * distance + k_potential * (field[None] - field[:, None])
-    if len(positions) <= EXACT_UP_TO:
+    if len(positions) <= MAX_EXACT:
         return _exact(weight[0, 1:], weight[1:, 1:])
-    weight[:, 0] = 0.0  # nobody drives back: the tour is open
+    weight[:, 0] = 0.0  # no cost to return: the tour is open
     np.fill_diagonal(weight, 0.0)
     return _local_search(weight)
 
 
 def _exact(first: Float[np.ndarray, " n"], weight: Float[np.ndarray, "n n"]) -> np.ndarray:
-    """The cheapest order (Held and Karp 1962), over the sets of what has been visited by size.
+    """Solve for the cheapest order by dynamic programming over visited sets (Held and Karp 1962).
 
-    The library's takes tens of milliseconds for ten candidates, this one two.
+    Takes 2 ms for ten candidates; the library function takes tens of milliseconds.
 
     Args:
-        first: Weight from the start to each.
-        weight: Weight from each to each.
+        first: Weight from the start to each candidate.
+        weight: Weight between candidates.
     """
     count = len(first)
     sets = np.arange(2**count)
@@ -68,9 +68,9 @@ def _exact(first: Float[np.ndarray, " n"], weight: Float[np.ndarray, "n n"]) -> 
         of_size = sets[sizes == size]
         for last in range(count):
             visited = of_size[of_size >> last & 1 == 1]
-            ways = cost[visited ^ (1 << last)] + weight[:, last]
-            before[visited, last] = ways.argmin(1)
-            cost[visited, last] = ways.min(1)
+            costs = cost[visited ^ (1 << last)] + weight[:, last]
+            before[visited, last] = costs.argmin(1)
+            cost[visited, last] = costs.min(1)
     visited, last = 2**count - 1, int(cost[-1].argmin())
     tour = []
     for _ in range(count):
@@ -80,10 +80,9 @@ def _exact(first: Float[np.ndarray, " n"], weight: Float[np.ndarray, "n n"]) -> 
 
 
 def _local_search(weight: Float[np.ndarray, "m m"]) -> np.ndarray:
-    """A short tour from the first point."""
     from python_tsp.heuristics import solve_tsp_local_search
 
-    # The library draws from the global generator: lend it a seeded one, and put it back.
+    # The library draws from the global generator: seed it and restore its state.
     state = random.getstate()
     random.seed(len(weight))
     try:

@@ -1,4 +1,4 @@
-"""What a base placer is told of a room and a task, and what it may ask before it commits."""
+"""Provide base placers with a scene, a robot, a task and the checks they may make."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from momapos.planning.task_setup import PreparedTask
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-GRASP = 1
-"""The waypoint at which the hand has hold of the thing; the one before is the pre-grasp."""
-_STEEP = 0.1
-"""A hand whose approach has less than this share along the floor comes from above [-]."""
+GRASP_WAYPOINT = 1
+"""Index of the waypoint at which the hand grasps; the one before is the pre-grasp."""
+_MIN_HORIZONTAL = 0.1
+"""A hand whose approach direction has a smaller horizontal part comes from above [-]."""
 _BLOCK = 1024
 """Base poses whose reachability is looked up together [-]."""
 
 
 class BasePlacer(Protocol):
-    """Chooses base poses (x [m], y [m], yaw [rad]) in the order in which it would try them."""
+    """Yields base poses (x [m], y [m], yaw [rad]) in the order in which it would try them."""
 
     def __call__(
-        self, room: Room, rng: np.random.Generator
+        self, room: PlacerRoom, rng: np.random.Generator
     ) -> Iterator[Float[np.ndarray, "n 3"]]: ...
 
 
-@dataclass(frozen=True)
-class Room:
-    """A room, a robot and a task, as a base placer sees them."""
+@dataclass(frozen=True, eq=False)
+class PlacerRoom:
+    """A scene, a robot and a task, as a base placer sees them."""
 
     prepared: PreparedTask
     reach: ReachScorer
     """The robot's reachability map."""
     travel_cost: TravelCost
     start: Float[np.ndarray, "3"]
-    """Where the robot is: x [m], y [m], yaw [rad]."""
+    """Start pose of the base: x [m], y [m], yaw [rad]."""
     grasps: int
-    """Grasps that are looked at from one base pose, the best reached first [-]."""
+    """Maximum number of grasps checked at one base pose, the best reached first [-]."""
 
     @property
     def robot(self) -> Robot:
@@ -73,31 +73,31 @@ class Room:
 
     @cached_property
     def target(self) -> Float[np.ndarray, "3"]:
-        """Where the plainest grasp has hold of the thing as it stands [m]."""
-        return self.Ts_world_tool[0, GRASP, :3, 3].copy()
+        """Position of the first grasp [m]."""
+        return self.Ts_world_tool[0, GRASP_WAYPOINT, :3, 3].copy()
 
     @cached_property
     def handle_frame(self) -> Float[np.ndarray, "3"]:
-        """At the handle, x out of the furniture: x [m], y [m], yaw [rad]."""
+        """Frame at the handle, x out of the furniture: x [m], y [m], yaw [rad]."""
         return np.append(self.target[:2], self._outward)
 
     @cached_property
     def object_frame(self) -> Float[np.ndarray, "3"]:
-        """In the middle of the object's depth and of the part's width, x out of the front."""
+        """Frame at the middle of the object's depth and the part's width, x out of the front."""
         box = upright_boxes([self.prepared.scene.object(self.prepared.task.object)])
         out = np.array([np.cos(self._outward), np.sin(self._outward)])
         side, middle = np.array([-out[1], out[0]]), box.center[0, :2]
         motion, closing = self.prepared.motion, self.prepared.task.verb == "close"
-        shut = motion.moving.at(int(motion.value[-1 if closing else 0])).center[:, :2]
-        part = (shut.min(0) + shut.max(0)) / 2
+        closed = motion.moving.at(int(motion.value[-1 if closing else 0])).center[:, :2]
+        part = (closed.min(0) + closed.max(0)) / 2
         return np.append(middle + side * ((part - middle) @ side), self._outward)
 
     @cached_property
     def _outward(self) -> float:
-        """Which way the front looks: the side of the object's box that the hand comes from."""
+        """Yaw of the front: the side of the object's box from which the hand approaches."""
         box = upright_boxes([self.prepared.scene.object(self.prepared.task.object)])
-        back = -self.Ts_world_tool[0, GRASP, :2, :3] @ self.robot.approach_axis
-        if np.hypot(*back) < _STEEP:
+        back = -self.Ts_world_tool[0, GRASP_WAYPOINT, :2, :3] @ self.robot.approach_axis
+        if np.hypot(*back) < _MIN_HORIZONTAL:
             back = self.target[:2] - box.center[0, :2]
         sides = np.concatenate([box.rotation[0, :2, :2].T, -box.rotation[0, :2, :2].T])
         side = sides[int(np.argmax(sides @ back))]
@@ -106,24 +106,24 @@ class Room:
     def facing(
         self, xy: Float[np.ndarray, "n 2"], toward: Float[np.ndarray, "2"]
     ) -> Float[np.ndarray, "n 3"]:
-        """Base poses at some positions that look at a point."""
+        """Return base poses at positions, facing a point."""
         away = toward - xy
         return np.column_stack([xy, np.arctan2(away[:, 1], away[:, 0])])
 
     def cells(
         self, middle: Float[np.ndarray, "2"], radius: float, size: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Centers of the square cells around a point [m]."""
+        """Return the centers of square cells around a point [m]."""
         steps = (np.arange(2 * int(np.ceil(radius / size))) + 0.5) * size
         x, y = np.meshgrid(steps - steps.mean(), steps - steps.mean(), indexing="ij")
         return np.stack([x, y], -1).reshape(-1, 2) + middle
 
     def navigable(self, xy: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Where a disc in the base can drive to from the start."""
+        """Check that a disc inside the base can drive to each position from the start."""
         return np.isfinite(self.travel_cost(xy))
 
     def stands_clear(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Where the robot, with its arm at home, touches nothing that stands now."""
+        """Check that the robot, with its arm at home, touches nothing before the task."""
         prepared = self.prepared
         motion, geometry = prepared.motion, prepared.geometry
         clear = self.inside(poses)
@@ -143,34 +143,34 @@ class Room:
         return clear
 
     def inside(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Where the whole base is in the room; everywhere where it has no known end."""
+        """Check that the whole base is on the floor; True if the floor is unbounded."""
         polygon = self.prepared.geometry.floor_polygon
         if polygon is None:
             return np.ones(len(poses), bool)
         return all_inside(polygon, place_points(poses, self.robot.footprint))
 
     def on_floor(self, xy: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Which positions are in the room; all where it has no known end."""
+        """Check that positions are on the floor; True if the floor is unbounded."""
         polygon = self.prepared.geometry.floor_polygon
         return np.ones(len(xy), bool) if polygon is None else contains(polygon, xy)
 
     @cached_property
     def eye_height(self) -> float:
-        """Height of a robot's head: the top of its body [m]."""
+        """Height of the robot's head: the top of its body [m]."""
         base = self.robot.base
         top = base.center[:, 2] + (np.abs(base.rotation[:, 2]) * base.half).sum(1)
         return float(max(top.max(), self.prepared.geometry.shoulder[2]))
 
     def within_arm(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """From where the target is no farther than the arm is long."""
+        """Check that the target is within the arm's length."""
         axis = place_points(poses, self.prepared.geometry.shoulder[None, :2])[:, 0]
         away = np.linalg.norm(axis - self.target[:2], axis=1)
-        return away <= arm_radius(self.prepared.geometry)[GRASP]
+        return away <= arm_radius(self.prepared.geometry)[GRASP_WAYPOINT]
 
     def scores(
         self, poses: Float[np.ndarray, "n 3"], waypoints: Sequence[int]
     ) -> Float[np.ndarray, "n g w"]:
-        """Reachability of every grasp at some waypoints, each by itself, in [0, 1]."""
+        """Return the reachability of every grasp at each of some waypoints, in [0, 1]."""
         grasps = len(self.Ts_world_tool)
         each = np.ascontiguousarray(self.Ts_world_tool[:, list(waypoints)].reshape(-1, 1, 4, 4))
         out = np.empty((len(poses), grasps, len(waypoints)), np.float32)
@@ -182,7 +182,7 @@ class Room:
     def holds_at(
         self, poses: Float[np.ndarray, "n 3"], waypoints: Sequence[int]
     ) -> Bool[np.ndarray, " n"]:
-        """From where one grasp can be had, free of collision, at some waypoints, each by itself."""
+        """Check that one grasp has a collision-free arm state at each of some waypoints."""
         scores = self.scores(poses, waypoints).min(2)
         order = np.argsort(-scores, axis=1, kind="stable")[:, : self.grasps]
         base, rank = np.nonzero(np.take_along_axis(scores, order, 1) > 0)
@@ -200,7 +200,7 @@ class Room:
         jobs: Int[np.ndarray, " a"],
         waypoint: int,
     ) -> Int[np.ndarray, " b"]:
-        """Those pairs of base pose and grasp that have a free configuration at a waypoint."""
+        """Return the pairs of base pose and grasp with a free arm state at a waypoint."""
         if not len(jobs):
             return jobs
         prepared = self.prepared

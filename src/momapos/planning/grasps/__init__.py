@@ -1,4 +1,4 @@
-"""From a task to grasps, and from a grasp to tool poses over the motion: waypoints."""
+"""Turn a task into grasps, and each grasp into tool poses along the motion."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""How a task becomes a motion; nothing heavy is imported, so that commands can show it at once."""
+"""Configure grasps and task motions. Imports nothing heavy: the command line shows it as help."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ GraspFamily = Literal["pinch", "hook", "push", "suction"]
 
 @dataclass(frozen=True)
 class ResistanceConfig:
-    """What doors and drawers weigh and how they resist, where no file says; see docs/execution.md.
+    """Assumed mass and resistance of doors and drawers without such data; see docs/execution.md.
 
-    The grasps must transmit it. The physics has values of its own.
+    Grasps must transmit these. The simulation has its own values.
     """
 
     density: float = 300.0
-    """Of moving parts with what is in them, over the volume of their hulls [kg/m^3]."""
+    """Density of moving parts with contents, over the volume of their hulls [kg/m^3]."""
     least_mass: float = 0.5
-    """A part weighs at least this [kg]."""
+    """Minimum mass of a part [kg]."""
     most_mass: float = 25.0
-    """A part weighs at most this [kg]."""
+    """Maximum mass of a part [kg]."""
     hinge_friction: float = 0.4
     """Dry friction of hinges [Nm]."""
     slide_friction: float = 4.0
     """Dry friction of slides [N]."""
     seal_force: float = 30.0
-    """Pull at the handle that frees a door with a seal [N]."""
+    """Pull at the handle that opens a door with a seal [N]."""
     latch_force: float = 6.0
-    """Pull at the handle that frees any other door or drawer [N]."""
+    """Pull at the handle that opens any other door or drawer [N]."""
     sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
     """Words in the category or name of objects whose doors have a seal."""
 
 
 @dataclass(frozen=True)
 class GraspConfig:
-    """Which ways of holding a thing are tried, and when one holds."""
+    """Which grasps are tried, and what they must transmit."""
 
     families: tuple[GraspFamily, ...] = ("pinch", "hook", "push", "suction")
-    """Families of grasps that are tried; without push no door is opened in two holds."""
+    """Grasp families to try; without push, no door is opened with a regrasp."""
     turning: bool = True
-    """Whether hands turn about bars."""
+    """Whether the hand may turn about bars."""
     sliding: bool = True
-    """Whether hooks slide along what they hold, from where the part rests on its way."""
+    """Whether hooks may slide along the handle while the part rests."""
     turns: tuple[float, ...] = (0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0, 90.0, -90.0)
     """Turns about the handle's long axis [deg]."""
     tilts: tuple[float, ...] = (0.0, 25.0, -25.0)
@@ -52,23 +52,22 @@ class GraspConfig:
     points: tuple[float, ...] = (0.0, 0.6, -0.6)
     """Points along the handle, as shares of its half length [-]."""
     standoffs: tuple[float, ...] = (0.0, 0.5, 1.0)
-    """How far the hand stays before the deepest place it can reach, as shares of the way from
-    there to where only its fingertips hold [-]."""
+    """Grasp depths, from the deepest reachable one (0) to that of the fingertips alone (1) [-]."""
     rolls: int = 8
-    """Rolls about the approach for knobs and rigid objects [-]."""
+    """Number of rolls about the approach direction, for knobs and rigid objects [-]."""
     pregrasp: float = 0.08
     """Length of the straight approach [m]."""
     hand_clearance: float = 0.004
-    """Distance that the open hand keeps from what it does not hold [m]."""
+    """Clearance of the open hand to everything that it does not hold [m]."""
     friction: float = 0.6
-    """Between pads and handles [-]."""
+    """Friction coefficient between pads and handles [-]."""
     pad_contact: float = 0.35
-    """Each pad touches what it holds over this area at least [cm^2]."""
+    """Minimum contact area of each pad [cm^2]."""
     grasp_margin: float = 1.3
-    """A grasp transmits this many times what the part needs [-]."""
+    """Minimum ratio of the force that a grasp transmits to the force that the part needs [-]."""
     swing: float = 0.2
-    """What a hand lifts or carries is so much heavier by its acceleration, as a share of its
-    weight [-]."""
+    """Additional load of a lifted or carried object by acceleration, as a share of its weight
+    [-]."""
     resistance: ResistanceConfig = field(default_factory=ResistanceConfig)
 
     def __post_init__(self) -> None:
@@ -82,19 +81,19 @@ class GraspConfig:
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How finely a motion is cut."""
+    """The resolution of a task motion."""
 
     waypoint_angle: float = 7.5
-    """Turn of a hinge between waypoints [deg]."""
+    """Rotation of a hinge between waypoints [deg]."""
     waypoint_slide: float = 0.05
-    """Slide between waypoints [m]."""
+    """Travel of a slide between waypoints [m]."""
     waypoints: Optional[int] = None  # noqa: UP045 (see cli.options)
-    """Number of waypoints, whatever the motion [-]; None to follow the two above."""
+    """Number of waypoints; None to derive it from the two above [-]."""
     substeps: int = 4
-    """States between waypoints, all of which are checked [-]."""
+    """Number of steps per waypoint; all are checked [-]."""
     home_again: bool = False
-    """Whether the hand lets go at the end, and the arm comes home with what it picked, as before
-    another task."""
+    """Whether the hand releases the part at the end and the arm returns home, with a picked object,
+    as before another task."""
     grasps: GraspConfig = field(default_factory=GraspConfig)
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Families of grasps: never one hand-picked pose."""
+"""Select and order the grasps of a part, in families instead of one hand-picked pose."""
 
 from __future__ import annotations
 
@@ -14,47 +14,55 @@ from momapos.model.urdf import Articulated
 from .config import GraspConfig
 from .hand_boxes import empty_handed
 from .handles import Handle, handles_in_turn, lever_arms
-from .part_grasps import FAMILIES, Family, PartGrasps, grasps_of, lines_onto, poses_of, push_grasps
+from .part_grasps import (
+    FAMILIES,
+    Family,
+    PartGrasps,
+    approach_lines,
+    grasps_of,
+    poses_of,
+    push_grasps,
+)
 from .push_grasps import push_from_behind
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-_LINES = 1_000_000
-"""Apart from each other by more than the lines onto one handle [-]."""
-_ENOUGH = 2.5
-"""Grasps that transmit more times what is needed are as good as each other [-]."""
+_LINE_STRIDE = 1_000_000
+"""Offset between the line numbers of two handles; exceeds the number of lines of one [-]."""
+_MAX_RATIO = 2.5
+"""Ratio of transmitted to needed force above which grasps count as equally firm [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grasps:
-    """What is known of each grasp of a task, beside where the tool is."""
+    """The grasps of a task, without their tool poses."""
 
     code: Int[np.ndarray, " g"]
     """Index into `FAMILIES`."""
     width: Float[np.ndarray, " g"]
-    """Between the pads when they have closed [m]."""
+    """Distance between the closed pads [m]."""
     capacity: Float[np.ndarray, " g"]
     """Pull that the grasp transmits along the motion [N]."""
     need: Float[np.ndarray, " g"]
-    """Pull there that the part needs [N]."""
+    """Pull that the part needs there [N]."""
     handles: tuple[Handle, ...]
-    """What is held; empty for rigid objects."""
+    """The grasped handles; empty for rigid objects."""
     handle: Int[np.ndarray, " g"]
     """Index into `handles`."""
     line: Int[np.ndarray, " g"]
-    """Grasps with the same number differ by their depth alone, the deepest first."""
+    """Number of the approach line; grasps of one line differ only in depth, deepest first."""
 
     def __len__(self) -> int:
         return len(self.code)
 
     @property
     def family(self) -> tuple[Family, ...]:
-        """How each grasp holds."""
+        """Family of each grasp."""
         return tuple(FAMILIES[code] for code in self.code)
 
     def deepest(self, rows: Bool[np.ndarray, " g"]) -> Bool[np.ndarray, " g"]:
-        """Of some grasps, those that no other holds deeper from the same side."""
+        """Select, among some grasps, the deepest one of each approach line."""
         chosen = np.flatnonzero(rows)
         _, first = np.unique(self.line[chosen], return_index=True)
         kept = np.zeros(len(self), bool)
@@ -62,7 +70,7 @@ class Grasps:
         return kept
 
     def describe(self, grasp: int, *, turns: bool = False) -> str:
-        """What a grasp holds and how, in words, and whether the hand turns about it."""
+        """Describe a grasp in words for the plan."""
         family, width = FAMILIES[self.code[grasp]], 100 * self.width[grasp]
         what = f"{self.handles[self.handle[grasp]]}" if self.handles else "the object"
         if family is Family.PUSH:
@@ -72,26 +80,26 @@ class Grasps:
         return f"{words}, about which the hand turns" if turns else words
 
     def take(self, rows: Int[np.ndarray, " k"] | Bool[np.ndarray, " g"]) -> Grasps:
-        """Some of the grasps."""
+        """Return a subset of the grasps."""
         return Grasps(
             self.code[rows], self.width[rows], self.capacity[rows], self.need[rows],
             self.handles, self.handle[rows], self.line[rows],
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """The grasps of a part that hold, the best first."""
+@dataclass(frozen=True, eq=False)
+class GraspSelection:
+    """The selected grasps of a part, the best first."""
 
     Ts_part_tool: Float[np.ndarray, "g 4 4"]
     grasps: Grasps
     reason: str
-    """Why none of them holds; "" where they do."""
-    passed_over: str
-    """Why a better handle is not held; "" where there is none."""
+    """Why none of them holds; "" if they do."""
+    better_handle_reason: str
+    """Why a better handle is not used; "" if there is none."""
 
 
-def holding_grasps(
+def select_part_grasps(
     robot: Robot,
     model: Articulated,
     joint: str,
@@ -100,27 +108,27 @@ def holding_grasps(
     *,
     closes: bool,
     config: GraspConfig,
-    passed: Collection[Handle] = (),
-) -> Chosen:
-    """The grasps of the first handle of a part by which the robot can move it.
+    excluded: Collection[Handle] = (),
+) -> GraspSelection:
+    """Select the grasps of the part's first handle by which the robot can move it.
 
     Args:
-        robot: Whose hand.
+        robot: The robot.
         model, joint: The part.
-        sign: Direction of the joint in which it opens (+1 or -1).
-        torque: What the joint resists with [Nm] or [N].
-        closes: Whether the part is to be shut: then its front may be pushed as well.
-        config: What is tried.
-        passed: Handles that are passed over, of which there are more.
+        sign: Opening direction of the joint (+1 or -1).
+        torque: Resistance of the joint [Nm] or [N].
+        closes: Whether the task closes the part, so that its front may also be pushed.
+        config: The grasps to try.
+        excluded: Handles to skip; not all of the part's.
 
     Returns:
-        Where none holds, those that the best handle would have, and why they do not.
+        The grasps; if none holds, approaches to the best handle, and the reason.
     """
     found: list[tuple[Handle, PartGrasps]] = []
     handles: list[Handle] = []
     reasons: list[str] = []
     for handle in handles_in_turn(model, joint, sign):
-        if handle in passed:
+        if handle in excluded:
             continue
         handles.append(handle)
         grasps = grasps_of(robot, model, joint, sign, handle, config)
@@ -135,14 +143,14 @@ def holding_grasps(
         found.append(pushed)
     if found:
         return _ordered(model, joint, found, torque, "", reasons[0] if reasons else "")
-    lines = lines_onto(robot, handles[0], config)
+    lines = approach_lines(robot, handles[0], config)
     none = np.full(len(lines.R), np.nan)
     bare = PartGrasps(
         poses_of(lines.R, lines.target), np.zeros(len(none), np.int64), none,
-        np.zeros(len(none)), lines.target, lines.plainness,
+        np.zeros(len(none)), lines.target, lines.complexity,
         np.arange(len(none)), "",
     )  # fmt: skip
-    # A part without any handle has edges alone, and the first says as much as the second.
+    # A part without handles has only edges, whose reasons are alike.
     named = [r for r, h in zip(reasons, handles, strict=True) if not h.edge] or reasons[:1]
     plain = handles[0].edge or empty_handed(robot)
     edges = "" if plain else ", and no hand gets around its free edge"
@@ -158,7 +166,7 @@ def _strong(
     handle: Handle,
     config: GraspConfig,
 ) -> tuple[PartGrasps, str]:
-    """Those grasps that transmit what a part needs, and why there is none."""
+    """Return the grasps that transmit the needed force, and the reason if there are none."""
     if not len(grasps.code):
         return grasps, grasps.reason
     grasps = grasps.only(np.isin(grasps.code, [FAMILIES.index(Family(f)) for f in config.families]))
@@ -181,51 +189,51 @@ def _ordered(
     found: list[tuple[Handle, PartGrasps]],
     torque: float,
     reason: str,
-    passed_over: str,
-) -> Chosen:
-    """All grasps of some handles, the firmest first, and of those the plainest."""
+    better_handle_reason: str,
+) -> GraspSelection:
+    """Order the grasps of some handles, see `firmest_first`."""
     parts = [grasps for _, grasps in found]
     point = np.concatenate([g.point for g in parts])
     need = torque / np.maximum(lever_arms(model, joint, point), 1e-3)
     capacity = np.concatenate([g.capacity for g in parts])
     handle = np.repeat(np.arange(len(parts)), [len(g.code) for g in parts])
-    plain = np.concatenate([g.plainness for g in parts])
-    order = firmest_first(capacity, need, plain, handle)
+    complexity = np.concatenate([g.complexity for g in parts])
+    order = firmest_first(capacity, need, complexity, handle)
     grasps = Grasps(
         np.concatenate([g.code for g in parts]), np.concatenate([g.width for g in parts]),
         capacity, need, tuple(h for h, _ in found), handle,
-        np.concatenate([_LINES * k + g.line for k, g in enumerate(parts)]),
+        np.concatenate([_LINE_STRIDE * k + g.line for k, g in enumerate(parts)]),
     )  # fmt: skip
     Ts = np.concatenate([g.Ts_part_tool for g in parts])
-    return Chosen(Ts[order], grasps.take(order), reason, passed_over)
+    return GraspSelection(Ts[order], grasps.take(order), reason, better_handle_reason)
 
 
 def firmest_first(
     capacity: Float[np.ndarray, " g"],
     need: Float[np.ndarray, " g"],
-    plainness: Float[np.ndarray, " g"],
+    complexity: Float[np.ndarray, " g"],
     handle: Int[np.ndarray, " g"],
 ) -> Int[np.ndarray, " g"]:
-    """The order in which grasps are tried: by handle, then the firmest, of those the plainest."""
-    firm = np.minimum(capacity / np.maximum(need, 1e-9), _ENOUGH)
-    return np.lexsort((plainness, -np.floor(2 * firm), handle))
+    """Return the order of grasps: by handle, then the firmest, then the simplest."""
+    firm = np.minimum(capacity / np.maximum(need, 1e-9), _MAX_RATIO)
+    return np.lexsort((complexity, -np.floor(2 * firm), handle))
 
 
-def inside_grasps(
+def select_inner_pushes(
     robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
-) -> Chosen | None:
-    """Ways to push a part that is ajar farther open, the plainest first; None where there is none.
+) -> GraspSelection | None:
+    """Select pushes that open a part that is ajar, the simplest first; None if there are none.
 
-    The arm pushes: what it transmits has no bound of its own.
+    The arm pushes, so the transmitted force is unbounded.
     """
     found = push_from_behind(robot, model, joint, sign, config)
     if found is None:
         return None
-    back, Ts, plain = found
-    count, order = len(Ts), np.argsort(plain, kind="stable")
+    back, Ts, complexity = found
+    count, order = len(Ts), np.argsort(complexity, kind="stable")
     code = np.full(count, FAMILIES.index(Family.PUSH))
     wide, firm = np.full(count, robot.opening), np.full(count, np.inf)
     grasps = Grasps(
         code, wide, firm, np.zeros(count), (back,), np.zeros(count, np.int64), np.arange(count)
     )
-    return Chosen(Ts[order], grasps, "", "")
+    return GraspSelection(Ts[order], grasps, "", "")

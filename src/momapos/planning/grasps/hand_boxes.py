@@ -1,4 +1,4 @@
-"""The gripper as boxes: a palm, and two jaws that close along one axis."""
+"""Model a gripper as boxes: a palm and two jaws that close along one axis."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import apply, invert
+from momapos.core.geometry import invert
 from momapos.model.robots import Grip, Robot, facing_pose, finger_links, squared, tips_of
 from momapos.model.urdf import Boxes
 
@@ -18,38 +18,38 @@ if TYPE_CHECKING:
 
 PAD_DEPTH = 0.03
 """Boxes of a finger that reach this close to its tip are its pad [m]."""
-INSIDE = 1e-3
-"""What stands farther in than the pads by less is level with them [m]."""
-FLAT = 0.98
-"""A pad's inner face is perpendicular to the closing axis up to this cosine [-]."""
+LEVEL_TOLERANCE = 1e-3
+"""Boxes that protrude inwards beyond the pads by less count as level with them [m]."""
+MIN_FLAT_COSINE = 0.98
+"""Minimum cosine between the normal of a pad's inner face and the closing axis [-]."""
 
 
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 _EDGES = np.argwhere(np.triu((_CORNERS[:, None] != _CORNERS).sum(-1) == 1))
-"""Corners of a box in its frame, and the pairs of them that an edge joins."""
+"""Corners of a box in its frame, and the pairs of them that an edge connects."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hand:
-    """A gripper at rest and wide open, in the frame of its tool."""
+    """A fully opened gripper in its tool frame."""
 
     boxes: Boxes
     side: Int[np.ndarray, " b"]
     """1 or -1 for boxes of the finger on that side of the closing axis, 0 for the palm."""
     pad: Bool[np.ndarray, " b"]
-    """Which boxes touch what is held."""
+    """Which boxes belong to the pads."""
     approach: Float[np.ndarray, "3"]
     closing: Float[np.ndarray, "3"]
     travel: float
-    """How far each of two fingers can close, half of the opening [m]; 0 where nothing closes."""
+    """Maximum travel of each of two fingers, half of the opening [m]; 0 if nothing closes."""
     pad_middle: float
-    """Where the middle of the pads lies along the approach [m]."""
+    """Position of the middle of the pads along the approach [m]."""
     tip: float
-    """Where the fingers end along the approach [m]."""
+    """Position of the fingertips along the approach [m]."""
     rest: float
-    """How far a finger stands from wide open where the gripper is at rest [m]."""
+    """Travel of a finger from fully open to the gripper's rest position [m]."""
     fixed: int = 0
-    """The side of a jaw that does not move, which the other closes on; 0 where both close."""
+    """Side of a fixed jaw on which the other closes; 0 if both move."""
 
     @property
     def closes(self) -> bool:
@@ -57,37 +57,38 @@ class Hand:
         return self.travel > 0.0
 
     def meeting(
-        self, way: Float[np.ndarray, "g 2"], gap: float
+        self, distance: Float[np.ndarray, "g 2"], gap: float
     ) -> tuple[Float[np.ndarray, " g"], Float[np.ndarray, "g 2"]]:
-        """How the hand closes on what its sides meet.
+        """Compute how the hand closes on an object at a distance from each side.
 
-        Two fingers close alike. A jaw that closes on a fixed one leaves that one beside what is
-        held, so that the open hand has room; then it draws the hand there.
+        Two fingers close by the same travel. A fixed jaw first keeps a gap to the object, so that
+        the open hand is clear; the closing jaw then pulls the hand there.
 
         Args:
-            way: How far each side is from what it meets [m].
-            gap: What a fixed jaw leaves [m].
+            distance: Distance of each side from the object [m].
+            gap: Gap of a fixed jaw [m].
 
         Returns:
-            How far the hand moves along its closing axis before, and how far each side closes [m].
+            Shift of the hand along its closing axis before, and travel of each side [m].
         """
-        total = way.sum(1)
+        total = distance.sum(1)
         near = np.minimum(total, gap)
         first = {0: total / 2, 1: near, -1: total - near}[self.fixed]
         travel = np.stack([first, total - first], axis=1)
-        return (way[:, 0] - way[:, 1] - (travel[:, 0] - travel[:, 1])) / 2, travel
+        shift = (distance[:, 0] - distance[:, 1] - (travel[:, 0] - travel[:, 1])) / 2
+        return shift, travel
 
     def closed_to(self, width: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """How far from rest each finger that moves has closed to a width between the pads [m]."""
+        """Return the travel from rest of each moving finger at a width between the pads [m]."""
         share = 0.5 if self.fixed == 0 else 1.0
         return np.asarray(share * (2 * self.travel - width) - self.rest)
 
     def inner(self, side: int) -> tuple[float, Float[np.ndarray, "2 2"]]:
-        """The inner face of the pad on a side.
+        """Return the inner face of the pad on a side.
 
         Returns:
-            Its place along the closing axis [m], and its lower and upper corner along the
-            approach and across both axes [m].
+            Its position along the closing axis, and its lower and upper corner along the approach
+            and across both axes [m].
         """
         axes = np.stack([self.closing, self.approach, np.cross(self.approach, self.closing)])
         rows = np.flatnonzero((self.side == side) & self.pad)
@@ -99,7 +100,7 @@ class Hand:
 
     @property
     def thickness(self) -> float:
-        """Of the thinnest part of a finger, along the closing axis; inf without one [m]."""
+        """Thickness of the thinnest box of a finger along the closing axis; inf without any [m]."""
         reach = _reach(self.boxes, self.closing[None])[self.side != 0]
         return float(2 * reach.min(initial=np.inf))
 
@@ -109,11 +110,12 @@ class Hand:
         along: Float[np.ndarray, "k 3"] | None = None,
         beyond: Float[np.ndarray, " k"] | None = None,
     ) -> Float[np.ndarray, " k"]:
-        """How far the fingers stick out of the tool's origin along axes of its frame [m].
+        """Return how far the fingers extend from the tool's origin along axes of its frame [m].
 
         Args:
             axes: The axes.
-            along, beyond: With these, only of what lies so far or farther along other axes [m].
+            along, beyond: If given, only of the parts that lie at least this far along other
+                axes [m].
         """
         if along is None or beyond is None:
             reach = self.boxes.center @ axes.T + _reach(self.boxes, axes)
@@ -131,15 +133,12 @@ class Hand:
 
 
 def _reach(boxes: Boxes, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "b k"]:
-    """How far boxes stick out of their centers along axes [m]."""
+    """Return the half extents of boxes along axes [m]."""
     return np.einsum("kbj,bj->bk", np.abs(axes @ boxes.rotation).transpose(1, 0, 2), boxes.half)
 
 
 def empty_handed(robot: Robot) -> str:
-    """That a tool holds nothing, and what would help; "" where it may hold.
-
-    A flange, or a hand that is drawn as one piece, has no finger that moves.
-    """
+    """Explain why a tool cannot grasp (no moving finger) and what would help; "" if it can."""
     model = robot.model
     fingers = [
         link
@@ -158,10 +157,11 @@ def empty_handed(robot: Robot) -> str:
 
 @lru_cache(maxsize=64)
 def hand_of(robot: Robot) -> Hand:
-    """The gripper of a robot.
+    """Build the model of a robot's gripper.
 
-    Fingers are moved along the closing axis until their pads are the opening apart, for files in
-    which the gripper rests closed. Those that turn are first put where their pads face each other.
+    Fingers are moved along the closing axis until the distance of their pads is the opening, for
+    files whose gripper rests closed. Rotating fingers are first posed so that their pads face each
+    other.
     """
     model, fingers = robot.model, finger_links(robot)
     values, gap = facing_pose(robot, fingers)
@@ -169,28 +169,22 @@ def hand_of(robot: Robot) -> Hand:
     T_tool_root = invert(poses[robot.tool_link])
     T_tool_link = {link: T_tool_root @ poses[link] for link in robot.gripper_links}
     tips = tips_of(robot, {link: T_tool_link[link] for link in fingers})
-    nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    cover, finger, turned = [nothing], [np.zeros(0, bool)], [np.zeros(0, bool)]
+    cover, finger, turned = [], [np.zeros(0, bool)], [np.zeros(0, bool)]
     for link, T in T_tool_link.items():
         for index, boxes in enumerate(model.boxes[link]):
-            placed = Boxes(apply(T, boxes.center), T[:3, :3] @ boxes.rotation, boxes.half)
+            placed = boxes.moved(T)
             face = squared(placed, robot.closing_axis) if (link, index) in tips else None
             cover.append(placed if face is None else face)
             finger.append(np.full(len(boxes), link in fingers))
             turned.append(np.full(len(boxes), face is not None))
-    boxes = Boxes(
-        np.concatenate([boxes.center for boxes in cover]),
-        np.concatenate([boxes.rotation for boxes in cover]),
-        np.concatenate([boxes.half for boxes in cover]),
-    )
     moving = {joint.child for joint in model.joints.values() if joint.parent not in fingers}
-    return _sorted_out(
-        boxes, np.concatenate(finger), np.concatenate(turned), gap, robot,
+    return _open_hand(
+        Boxes.join(cover), np.concatenate(finger), np.concatenate(turned), gap, robot,
         one_jaw=len(moving & fingers) == 1,
     )  # fmt: skip
 
 
-def _sorted_out(
+def _open_hand(
     boxes: Boxes,
     finger: Bool[np.ndarray, " b"],
     turned: Bool[np.ndarray, " b"],
@@ -199,14 +193,14 @@ def _sorted_out(
     *,
     one_jaw: bool,
 ) -> Hand:
-    """Tell palm, fingers and pads apart, and open the fingers.
+    """Classify palm, fingers and pads, and open the fingers.
 
     Args:
-        boxes, finger: The gripper, and which boxes are fingers'.
-        turned: Tips that were turned: on their side, nothing else is a pad.
-        gap: How far apart the pads are at rest [m]; None where the boxes are at rest.
-        robot: Names the axes and the opening.
-        one_jaw: Whether one finger alone moves: what faces it is a jaw that does not.
+        boxes, finger: The gripper, and which boxes belong to fingers.
+        turned: Tips that were rotated; on their side, they alone are pads.
+        gap: Distance of the pads at rest [m]; None if the boxes are at rest.
+        robot: Gives the axes and the opening.
+        one_jaw: Whether only one finger moves, toward a fixed jaw.
     """
     approach, closing = robot.approach_axis, robot.closing_axis
     reach = _reach(boxes, np.stack([approach, closing]))
@@ -219,7 +213,10 @@ def _sorted_out(
             fixed = 1 if at[opposite].mean() > at[finger].mean() else -1
             side = np.where(finger, -fixed, np.where(opposite, fixed, 0))
     tips = [(along + reach[:, 0])[side == s].max(initial=-np.inf) for s in (1, -1)]
-    flat = np.abs(np.einsum("bij,i->bj", boxes.rotation, closing)).max(1, initial=0.0) > FLAT
+    flat = (
+        np.abs(np.einsum("bij,i->bj", boxes.rotation, closing)).max(1, initial=0.0)
+        > MIN_FLAT_COSINE
+    )
     pad = np.zeros(len(boxes), bool)
     for s, tip in zip((1, -1), tips, strict=True):
         pad |= (side == s) & flat & (along + reach[:, 0] > tip - PAD_DEPTH)
@@ -235,9 +232,9 @@ def _sorted_out(
     if fixed:
         spread = np.where(side == fixed, 0.0, fixed * (sum(faces) - robot.opening))
     center = boxes.center + np.where(side != 0, spread, 0.0)[:, None] * closing
-    # What stands farther in than the pads, behind them, ends the room for what they hold.
+    # Boxes that protrude inwards behind the pads limit the usable depth of the pads.
     front = np.where(side > 0, faces[0], np.where(side < 0, faces[1], -np.inf))
-    behind = (side != 0) & ~pad & (inner * side < front - INSIDE)
+    behind = (side != 0) & ~pad & (inner * side < front - LEVEL_TOLERANCE)
     ends = (along + reach[:, 0])[behind]
     low = max(float((along - reach[:, 0])[pad].min()), float(ends.max(initial=-np.inf)))
     return Hand(

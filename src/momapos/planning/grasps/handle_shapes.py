@@ -1,4 +1,4 @@
-"""The shape of a moving part: its panel, and what sticks out of it."""
+"""Analyze the shape of a moving part: its panel, and what protrudes from it."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from .swept_boxes import Convex, convex_of
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-WORD = "handle"
+HANDLE_WORD = "handle"
 _MODELS = 1024
-"""Parts whose geometry is remembered [-]."""
-WIDE = 0.25
-"""What covers this share of the widest element's face belongs to the panel [-]."""
-STICKS_OUT = 0.008
-"""What sticks out of the panel by less is no handle [m]."""
-TOUCHING = 0.01
-"""Elements whose upright boxes come twice as near are one thing [m]."""
-SAME = 0.01
-"""A collision element that sticks out of a named visual by less is that visual [m]."""
+"""Number of parts whose geometry is cached [-]."""
+PANEL_SHARE = 0.25
+"""Elements whose face has this share of the widest one's area belong to the panel [-]."""
+MIN_PROTRUSION = 0.008
+"""Minimum height of a handle above the panel [m]."""
+CONTACT_GAP = 0.01
+"""Elements whose axis-aligned boxes are within twice this distance form one group [m]."""
+VISUAL_TOLERANCE = 0.01
+"""A collision element represents a visual if it exceeds the visual's box by less [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,21 +37,21 @@ class Element:
     name: str
     convex: Convex
     index: int | None
-    """Among the collision elements of its link; None for what is only drawn."""
+    """Index among the collision elements of its link; None for a visual."""
 
     @property
     def low(self) -> Float[np.ndarray, "3"]:
-        """Lower corner of its upright box [m]."""
+        """Lower corner of the axis-aligned box [m]."""
         return self.convex.vertices.min(0)
 
     @property
     def high(self) -> Float[np.ndarray, "3"]:
-        """Upper corner of its upright box [m]."""
+        """Upper corner of the axis-aligned box [m]."""
         return self.convex.vertices.max(0)
 
 
 def rigid_links(model: Articulated, joint: str) -> tuple[str, ...]:
-    """Links that a joint moves and that are fixed to each other."""
+    """Return the child link of a joint and all links fixed to it."""
     links = {model.joint(joint).child}
     for other in model.urdf.joints:
         if other.parent in links and not other.movable:
@@ -62,20 +62,20 @@ def rigid_links(model: Articulated, joint: str) -> tuple[str, ...]:
 def poses_in_part(
     model: Articulated, joint: str, links: tuple[str, ...]
 ) -> dict[str, Float[np.ndarray, "4 4"]]:
-    """Poses of links in the frame of the moving link, all joints at rest."""
+    """Return the poses of links in the frame of the moving link, with all joints at rest."""
     poses = model.rest_poses
     T_part_root = invert(poses[model.joint(joint).child])
     return {name: T_part_root @ poses[name] for name in links}
 
 
 def named_shapes(model: Articulated, joint: str) -> list[tuple[str, Geometry]]:
-    """Shapes named "handle" on the part itself, not on parts that hang from it by more joints."""
-    return model.shapes_named(WORD, rigid_links(model, joint))
+    """Return the shapes named "handle" on the part itself, not on parts jointed to it."""
+    return model.shapes_named(HANDLE_WORD, rigid_links(model, joint))
 
 
 @lru_cache(maxsize=_MODELS)
 def part_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
-    """The collision elements of all that a joint moves."""
+    """Return the collision elements of all links that a joint moves."""
     links = model.moved_by(joint)
     T_link = poses_in_part(model, joint, links)
     return tuple(
@@ -87,7 +87,7 @@ def part_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 @lru_cache(maxsize=_MODELS)
 def part_pieces(model: Articulated, joint: str) -> tuple[Element, ...]:
-    """The same, meshes that are not convex as their convex pieces."""
+    """Return the same, with non-convex meshes split into convex pieces."""
     links = model.moved_by(joint)
     T_link = poses_in_part(model, joint, links)
     found: list[Element] = []
@@ -102,7 +102,7 @@ def part_pieces(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 @lru_cache(maxsize=_MODELS)
 def visual_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
-    """The visual elements of what a joint moves rigidly, each as its convex hull."""
+    """Return the convex hulls of the visuals of the links that a joint moves rigidly."""
     links = rigid_links(model, joint)
     T_link = poses_in_part(model, joint, links)
     return tuple(
@@ -114,7 +114,7 @@ def visual_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 @lru_cache(maxsize=_MODELS)
 def named_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
-    """What is named "handle"; for a visual, the collision elements that stand for it if any do."""
+    """Return the elements named "handle"; for a visual, its collision elements if there are any."""
     links = rigid_links(model, joint)
     T_link = poses_in_part(model, joint, links)
     by_link = {link: [e for e in part_elements(model, joint) if e.link == link] for link in links}
@@ -135,59 +135,59 @@ def named_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 def _inside(element: Element, other: Element) -> bool:
     return bool(
-        (element.low >= other.low - SAME).all() and (element.high <= other.high + SAME).all()
+        (element.low >= other.low - VISUAL_TOLERANCE).all()
+        and (element.high <= other.high + VISUAL_TOLERANCE).all()
     )
 
 
 def protrusions(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> list[list[Element]]:
-    """What sticks out of the panel of a part on the side to which it opens.
+    """Find what protrudes from a part's panel on the side to which it opens.
 
-    The panel is the element with the widest face across the direction, with all that are nearly
-    as wide.
+    The panel consists of the elements with wide faces, see `PANEL_SHARE`.
 
     Args:
-        elements: Of the part.
-        out: Unit vector to which it opens.
+        elements: The part.
+        out: Unit vector in which it opens.
 
     Returns:
-        Groups of elements that touch each other.
+        Groups of touching elements.
     """
     if len(elements) < 2:
         return []
     area = _faces(elements, out)
-    panel = area > WIDE * area.max()
+    panel = area > PANEL_SHARE * area.max()
     tops = np.array([(e.convex.vertices @ out).max() for e in elements])
     front = tops[panel].max()
     sizes = np.array([np.ptp(e.convex.vertices, axis=0).max() for e in elements])
     chosen = [
         e
         for e, wide, top, size in zip(elements, panel, tops, sizes, strict=True)
-        if not wide and top > front + STICKS_OUT and size > STICKS_OUT
+        if not wide and top > front + MIN_PROTRUSION and size > MIN_PROTRUSION
     ]
     return clusters(chosen)
 
 
 def _faces(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> Float[np.ndarray, " e"]:
-    """Size of the elements seen along a direction, as the rectangle around each [m^2]."""
+    """Return the area of each element's bounding rectangle across a direction [m^2]."""
     across = np.linalg.svd(out[None])[2][1:]
     return np.array([np.ptp(e.convex.vertices @ across.T, axis=0).prod() for e in elements])
 
 
 def widest(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> Element:
-    """The element with the widest face across a direction; the foremost of those alike."""
+    """Return the element with the widest face across a direction; the foremost of similar ones."""
     area = _faces(elements, out)
     tops = np.array([(e.convex.vertices @ out).max() for e in elements])
     return elements[int(np.lexsort((tops, area > 0.9 * area.max()))[-1])]
 
 
 def clusters(elements: list[Element] | tuple[Element, ...]) -> list[list[Element]]:
-    """Group elements whose upright boxes touch within 2 cm, the longest group first."""
+    """Group elements whose axis-aligned boxes are within 2 cm, the longest group first."""
     if not elements:
         return []
-    low = np.array([e.low for e in elements]) - TOUCHING
-    high = np.array([e.high for e in elements]) + TOUCHING
+    low = np.array([e.low for e in elements]) - CONTACT_GAP
+    high = np.array([e.high for e in elements]) + CONTACT_GAP
     touch = np.all((low[:, None] <= high[None]) & (low[None] <= high[:, None]), axis=2)
-    joined = touch @ touch  # over ever longer chains, until none grows
+    joined = touch @ touch  # transitive closure
     while (joined != touch).any():
         touch, joined = joined, joined @ joined
     first = joined.argmax(axis=1)
@@ -196,5 +196,5 @@ def clusters(elements: list[Element] | tuple[Element, ...]) -> list[list[Element
 
 
 def corners(elements: list[Element] | tuple[Element, ...]) -> Float[np.ndarray, "n 3"]:
-    """The corners of all elements."""
+    """Return the corners of all elements."""
     return np.concatenate([e.convex.vertices for e in elements])

@@ -1,4 +1,4 @@
-"""Where a moving part can be held: its handle, or the free edge where it has none."""
+"""Find the handles of a moving part, or its free edges if it has none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from momapos.model.scene import SceneObject
 from momapos.model.urdf import Articulated, joint_motion, opening_of
 
 from .front_strips import Strip, strips_of
-from .handle_core import HELD_DEPTH, HandleKind, core_of
+from .handle_core import MAX_HELD_DEPTH, HandleKind, core_of
 from .handle_shapes import (
     Element,
     clusters,
@@ -36,24 +36,24 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _POINTS = 9
-"""Points on the way of a handle [-]."""
+"""Points on the path of a handle [-]."""
 _MODELS = 1024
-"""Parts whose handles are remembered [-]."""
-ROUND = 1.5
-"""A handle less elongated than this is a knob: it can be turned about freely [-]."""
-FACE_INSIDE = 0.05
-"""A door is pushed this far inside its free edge [m]."""
-MOST_STRIPS = 4
-"""Strips of a part that are tried, the longest ones [-]."""
-LEAST_LEVER = 0.5
-"""A front is pulled at no strip that is nearer to its hinge than this share of its width: what the
-hand is off there moves the front by far more at its free edge [-]."""
-RIM = 0.02
-"""Elements of a panel that end this near its edge make the edge [m]."""
+"""Number of parts whose handles are cached [-]."""
+KNOB_ELONGATION = 1.5
+"""A handle less elongated than this is a knob, which can be approached at any roll [-]."""
+PUSH_INSET = 0.05
+"""Distance from the free edge at which a door is pushed [m]."""
+MAX_STRIPS = 4
+"""Maximum number of strips of a part, the longest ones [-]."""
+MIN_LEVER_SHARE = 0.5
+"""Minimum lever arm of a strip, as a share of the part's largest one: close to the hinge, an error
+of the hand moves the free edge by much more [-]."""
+EDGE_WIDTH = 0.02
+"""Elements of a panel that end this close to its edge form the edge [m]."""
 
 
 class HandleSource(StrEnum):
-    """How a handle was found; the words stand in answers."""
+    """How a handle was found; plans contain the words."""
 
     NAME = "name"
     SHAPE = "shape"
@@ -62,12 +62,12 @@ class HandleSource(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """Something to hold, in the frame of the moving link."""
+    """A handle, edge or face to grasp or push, in the frame of the moving link."""
 
     center: Float[np.ndarray, "3"]
-    """Middle of all of it."""
+    """Middle of the whole handle [m]."""
     grip: Float[np.ndarray, "3"]
-    """Middle of what a hand closes on: of the bar, without what fastens it."""
+    """Middle of the part that a hand closes on, without fixings [m]."""
     long: Float[np.ndarray, "3"]
     """Unit vector along the handle."""
     out: Float[np.ndarray, "3"]
@@ -77,24 +77,24 @@ class Handle:
     thickness: float
     """Size across, which the fingers must span [m]."""
     depth: float
-    """Size of what a hand closes on along `out` [m]."""
+    """Size along `out` of the part that a hand closes on [m]."""
     found: HandleSource
     kind: HandleKind
     name: str
-    """Of its link or shape, or of the panel that has none."""
+    """Name of its link or shape, or of the panel without a handle."""
     elements: tuple[Element, ...]
-    """What the pads may touch."""
+    """Elements that the pads may touch."""
     in_pieces: bool = False
-    """Whether hands meet the part's meshes cut into convex pieces there, and not their hulls."""
+    """Whether collision checks use convex pieces of the part's meshes instead of their hulls."""
 
     @property
     def knob(self) -> bool:
-        """Whether the hand may turn about it."""
+        """Whether this is a knob."""
         return self.kind is HandleKind.KNOB
 
     @property
     def edge(self) -> bool:
-        """Whether this is a free edge and no handle."""
+        """Whether this is a free edge."""
         return self.kind is HandleKind.EDGE
 
     def __str__(self) -> str:
@@ -107,14 +107,14 @@ class Handle:
 
 
 def has_handle(model: Articulated, joint: str) -> bool:
-    """Whether the part that a joint moves has geometry named "handle"."""
+    """Check whether the part that a joint moves has geometry named "handle"."""
     return bool(named_shapes(model, joint))
 
 
 def opening_direction(
     item: SceneObject, joint: str
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Middle of the part that a joint moves, and where it moves when it opens, in the world."""
+    """Return the middle of a part and the direction in which it opens, in the world."""
     middle, direction = _opening(item.model, joint)
     T_world_part = item.link_poses()[item.joint(joint).child]
     return apply(T_world_part, middle[None])[0], T_world_part[:3, :3] @ direction
@@ -124,7 +124,7 @@ def opening_direction(
 def _opening(
     model: Articulated, joint: str
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Middle of a part and where it moves when it opens, in the part's frame."""
+    """Return the same in the part's frame."""
     links = rigid_links(model, joint)
     T_link = poses_in_part(model, joint, links)
     centers = [apply(T_link[n], h.vertices).mean(0) for n in links for h in model.hulls[n]]
@@ -133,30 +133,30 @@ def _opening(
 
 
 def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
-    """Find what to hold on the part that a joint moves: the first of `find_handles`."""
+    """Return the first handle of `find_handles`."""
     return find_handles(model, joint, sign)[0]
 
 
 @lru_cache(maxsize=_MODELS)
 def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, ...]:
-    """Find what to hold on the part that a joint moves, the best guess first.
+    """Find the handles of the part that a joint moves, the most probable first.
 
-    What is named "handle" comes first, the largest group of it; then what sticks out of the part's
-    panel, seen in its collision elements, else in what is drawn; of a part that shows neither, what
-    the pieces of its meshes show; then the panel's free edges.
+    The order: the largest group named "handle"; protrusions of the panel, in the collision elements
+    or else in the visuals; without these, handles in the convex pieces of the meshes; then the free
+    edges of the panel.
 
     Args:
         model: The object.
         joint: The joint.
-        sign: Direction in which the joint opens (+1 or -1); the handle faces that way.
+        sign: Opening direction of the joint (+1 or -1), which the handle faces.
 
     Raises:
-        TaskError: The part has no geometry at all.
+        TaskError: The part has no geometry.
     """
     own = _own(part_elements(model, joint), model, joint)
     known = handles_by_hulls(model, joint, sign)
     if not own and not known:
-        raise TaskError(f"joint {joint!r} moves nothing that has a shape")
+        raise TaskError(f"joint {joint!r} moves no geometry; it must move a link with a shape")
     if not own:
         return known
     taken = {id(e) for handle in known for e in handle.elements}
@@ -166,7 +166,7 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
 
 
 def handles_in_turn(model: Articulated, joint: str, sign: float) -> Iterator[Handle]:
-    """What to hold, the best guess first; meshes are cut into pieces when it comes to them."""
+    """Yield the handles, the most probable first; split meshes only when needed."""
     found = find_handles(model, joint, sign)
     yield from (h for h in found if not h.edge)
     yield from (h for h in handles_by_pieces(model, joint, sign) if h not in found)
@@ -175,7 +175,7 @@ def handles_in_turn(model: Articulated, joint: str, sign: float) -> Iterator[Han
 
 @lru_cache(maxsize=_MODELS)
 def handles_by_hulls(model: Articulated, joint: str, sign: float) -> tuple[Handle, ...]:
-    """What is named "handle", and what sticks out of the panel as an element of its own."""
+    """Find the geometry named "handle" and the elements that protrude from the panel."""
     own = _own(part_elements(model, joint), model, joint)
     named = clusters(named_elements(model, joint))[:1]
     handles = [_of(HandleSource.NAME, group, model, joint, sign, own) for group in named]
@@ -190,7 +190,7 @@ def handles_by_hulls(model: Articulated, joint: str, sign: float) -> tuple[Handl
 
 @lru_cache(maxsize=_MODELS)
 def handles_by_pieces(model: Articulated, joint: str, sign: float) -> tuple[Handle, ...]:
-    """What sticks out of the panel where meshes are cut into convex pieces, then strips of them."""
+    """Find protrusions and strips among the convex pieces of the meshes."""
     whole = part_elements(model, joint)
     own = _own(part_pieces(model, joint), model, joint)
     cut = [e for e in own if not any(e is other for other in whole)]
@@ -200,20 +200,18 @@ def handles_by_pieces(model: Articulated, joint: str, sign: float) -> tuple[Hand
     of_cut = {id(e) for e in cut}
     groups = [g for g in protrusions(own, out) if of_cut & {id(e) for e in g}]
     handles = _by_shape(groups, model, joint, sign, own)
-    told = {id(e) for h in handles if h.kind is not HandleKind.LIP for e in h.elements}
-    stands_out = {id(e) for group in groups for e in group}
-    least = LEAST_LEVER * lever_arms(model, joint, corners(own)).max()
-    found = strips_of(own, tuple(e for e in cut if id(e) not in told), out)
-    levers = [_lever(model, joint, strip.end) for strip in found]
-    strips = [s for s, lever in zip(found, levers, strict=True) if lever >= least]
-    for strip in sorted(strips, key=lambda s: -s.half_length)[:MOST_STRIPS]:
-        out_of_front = id(strip.element) in stands_out
-        handles.append(_of_strip(strip, HandleKind.LIP if out_of_front else HandleKind.RECESS))
+    used = {id(e) for h in handles if h.kind is not HandleKind.LIP for e in h.elements}
+    protruding = {id(e) for group in groups for e in group}
+    least = MIN_LEVER_SHARE * lever_arms(model, joint, corners(own)).max()
+    found = strips_of(own, tuple(e for e in cut if id(e) not in used), out)
+    strips = [s for s in found if _lever(model, joint, s.end) >= least]
+    for strip in sorted(strips, key=lambda s: -s.half_length)[:MAX_STRIPS]:
+        lip = id(strip.element) in protruding
+        handles.append(_of_strip(strip, HandleKind.LIP if lip else HandleKind.RECESS))
     return tuple(replace(handle, in_pieces=True) for handle in handles)
 
 
 def _own(elements: tuple[Element, ...], model: Articulated, joint: str) -> tuple[Element, ...]:
-    """Those elements that a joint moves rigidly."""
     links = rigid_links(model, joint)
     return tuple(e for e in elements if e.link in links)
 
@@ -225,14 +223,13 @@ def _by_shape(
     sign: float,
     own: tuple[Element, ...],
 ) -> list[Handle]:
-    """Handles of what sticks out, the long ones far from the hinge first."""
-    shown = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
-    return sorted(shown, key=lambda h: -h.half_length * _lever(model, joint, h.center))
+    """Return the handles of protrusions, long ones far from the hinge first."""
+    handles = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
+    return sorted(handles, key=lambda h: -h.half_length * _lever(model, joint, h.center))
 
 
 def _of_strip(strip: Strip, kind: HandleKind) -> Handle:
-    """A narrow piece of a front, held from one side of it."""
-    depth = min(strip.depth, HELD_DEPTH)
+    depth = min(strip.depth, MAX_HELD_DEPTH)
     center = strip.end - strip.depth / 2 * strip.out
     return Handle(
         center, strip.end - depth / 2 * strip.out, strip.long, strip.out, strip.half_length,
@@ -242,13 +239,7 @@ def _of_strip(strip: Strip, kind: HandleKind) -> Handle:
 
 
 def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "k 3"]:
-    """Where the handle passes while a joint goes from where it stands to a value, in the world [m].
-
-    Args:
-        item: The object.
-        joint: The joint.
-        to: Value it goes to [rad] or [m].
-    """
+    """Return the handle's path in the world [m] from the joint's current value to another."""
     record = item.joint(joint)
     handle = find_handle(item.model, joint, opening_of(item.model, joint).sign)
     values = np.linspace(item.values()[joint], to, _POINTS)
@@ -257,14 +248,13 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
 
 
 def _lever(model: Articulated, joint: str, point: Float[np.ndarray, "3"]) -> float:
-    """Distance of a point from the axis of a hinge [m]; 1 for a slide."""
     return float(lever_arms(model, joint, point[None])[0])
 
 
 def lever_arms(
     model: Articulated, joint: str, points: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, " n"]:
-    """Distances of points of a part from the axis of its hinge [m]; 1 for a slide."""
+    """Return the distances of a part's points from its hinge axis [m]; 1 for a slide."""
     record = model.joint(joint)
     if record.kind == "prismatic":
         return np.ones(len(points))
@@ -274,7 +264,7 @@ def lever_arms(
 def motion_direction(
     model: Articulated, joint: str, sign: float, point: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """Direction in which a point of the part moves when the joint opens, in the part's frame."""
+    """Return the direction in which a point moves when the joint opens, in the part's frame."""
     record = model.joint(joint)
     if record.kind == "prismatic":
         return sign * record.axis
@@ -291,15 +281,15 @@ def _of(
     sign: float,
     part: tuple[Element, ...],
 ) -> Handle:
-    """A handle from its elements."""
+    """Build a handle from its elements."""
     center, rotation, half = model.box_around(corners(group))
     order = np.argsort(half)
     motion = motion_direction(model, joint, sign, center)
-    # The outward side is the one of the two short axes along which the part moves off.
+    # Of the two short axes, the outward one is that along which the part moves.
     long = rotation[:, order[2]]
     across = [order[0], order[1]]
     if abs(motion @ long) > 0.9:
-        # A peg that points at the robot: hold it across, whichever of the rest is longer.
+        # A peg along the motion: `long` is the longer one of the other axes.
         across, long = [order[2], order[0]], rotation[:, order[1]]
     out_axis = max(across, key=lambda k: abs(float(motion @ rotation[:, k])))
     side = next(k for k in range(3) if k != out_axis and abs(rotation[:, k] @ long) < 0.5)
@@ -308,7 +298,7 @@ def _of(
     length = float(half[along])
     others = [e for e in part if not any(e is mine for mine in group)]
     core = core_of(center, long * length, out, float(half[out_axis]), group, others)
-    kind = core.kind if length >= ROUND * half[side] else HandleKind.KNOB
+    kind = core.kind if length >= KNOB_ELONGATION * half[side] else HandleKind.KNOB
     thickness = 2 * float(min(half[side], half[along]))
     return Handle(
         center, center + core.shift * out, long, out, length, thickness, core.depth,
@@ -319,7 +309,7 @@ def _of(
 def _panel_normal(
     part: tuple[Element, ...], model: Articulated, joint: str, sign: float
 ) -> Float[np.ndarray, "3"]:
-    """Unit normal of the front of a part, on the side to which it opens."""
+    """Return the unit normal of a part's front, on the side to which it opens."""
     opens = motion_direction(model, joint, sign, corners(part).mean(0))
     center, rotation, _ = model.box_around(widest(part, opens).convex.vertices)
     opens = motion_direction(model, joint, sign, center)
@@ -328,17 +318,16 @@ def _panel_normal(
 
 
 def _name_of(group: list[Element]) -> str:
-    """What a group is called: by its largest element."""
     return max(group, key=lambda e: float(np.ptp(e.convex.vertices, axis=0).max())).name
 
 
 def _free_edges(
     part: tuple[Element, ...], model: Articulated, joint: str, sign: float
 ) -> list[Handle]:
-    """The edge of a panel that is farthest from the hinge, or both rims of a drawer's front."""
+    """Return the edge of a panel farthest from the hinge, or both edges of a drawer's front."""
     record = model.joint(joint)
     opens = motion_direction(model, joint, sign, corners(part).mean(0))
-    # A drawer has a front, and a box behind it; a door may be a frame around a pane.
+    # A drawer has a front and a box behind it; a door may be a frame around a pane.
     panel = [widest(part, opens)] if record.kind == "prismatic" else list(part)
     center, rotation, half = model.box_around(corners(panel))
     motion = motion_direction(model, joint, sign, center)
@@ -363,9 +352,9 @@ def _edge(
     far: Float[np.ndarray, "3"],
     panel: list[Element],
 ) -> Handle:
-    """The side of a panel that lies farthest in a direction."""
+    """Return the edge of a panel that lies farthest in a direction."""
     ends = np.array([(e.convex.vertices @ far).max() for e in panel])
-    rim = [e for e, end in zip(panel, ends, strict=True) if end > ends.max() - RIM]
+    rim = [e for e, end in zip(panel, ends, strict=True) if end > ends.max() - EDGE_WIDTH]
     points = corners(rim)
     across, length, out = points @ normal, points @ along, points @ far
     middle = [(x.min() + x.max()) / 2 for x in (across, length)]
@@ -378,14 +367,14 @@ def _edge(
 
 
 def front_face(model: Articulated, joint: str, sign: float) -> Handle | None:
-    """The front of a part, near its free edge; None where it has no collision geometry."""
+    """Return the front of a part near its free edge; None if it has no collision geometry."""
     links = rigid_links(model, joint)
     part = tuple(e for e in part_elements(model, joint) if e.link in links)
     if not part:
         return None
     edge = _free_edges(part, model, joint, sign)[0]
     slides = model.joint(joint).kind == "prismatic"
-    middle = edge.center - edge.out * (edge.depth / 2 if slides else FACE_INSIDE)
+    middle = edge.center - edge.out * (edge.depth / 2 if slides else PUSH_INSET)
     out = _panel_normal(part, model, joint, sign)
     tops = [float((e.convex.vertices @ out).max()) for e in edge.elements]
     front = middle + out * (max(tops) - float(middle @ out))

@@ -1,4 +1,4 @@
-"""The grasps of a part by one hand, whatever the part weighs and where it stands."""
+"""Generate the grasps of a part by one hand, independent of the part's weight and pose."""
 
 from __future__ import annotations
 
@@ -18,70 +18,75 @@ from .hand_boxes import Hand, empty_handed, hand_of
 from .handle_core import HandleKind
 from .handle_shapes import Element, corners, part_elements, part_pieces
 from .handles import Handle, HandleSource, front_face, motion_direction
-from .pinch_grasps import advance, close, contact_of, near_elements, pinch_capacity, stands_clear
+from .pinch_grasps import (
+    advance,
+    close_hands,
+    contact_of,
+    near_elements,
+    pinch_capacity,
+    stands_clear,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 HAND_REACH = 0.35
-"""What is farther from a handle cannot meet the hand [m]."""
-BITE = 0.003
-"""Fingertips reach at least this far beyond the near side of what they hold [m]."""
-HOOKED = 0.8
-"""A grasp hooks where at least this share of the pull is along the closing axis [-]."""
+"""Elements farther from a handle cannot touch the hand [m]."""
+MIN_OVERLAP = 0.003
+"""Minimum depth of the fingertips beyond the near side of the handle [m]."""
+HOOK_SHARE = 0.8
+"""Share of the pull along the closing axis above which a grasp is a hook [-]."""
 _PARTS = 512
-"""Parts whose grasps are remembered [-]."""
+"""Number of parts whose grasps are cached [-]."""
 
 
 class Family(StrEnum):
-    """How a grasp holds; the words stand in answers."""
+    """The grasp families; plans contain the words."""
 
     PINCH = "pinch"
-    """Pads on both sides, friction carries the pull."""
+    """Pads on both sides; friction transmits the pull."""
     HOOK = "hook"
-    """A finger behind a bar, a lip or an edge carries the pull."""
+    """A finger behind a bar, a lip or an edge transmits the pull."""
     PUSH = "push"
-    """The fingertips against a front, for closing alone."""
+    """Fingertips against a front, for closing only."""
     SUCTION = "suction"
-    """A cup on a front."""
+    """A suction cup on a front."""
 
 
 FAMILIES: tuple[Family, ...] = tuple(Family)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PartGrasps:
-    """The grasps of one handle by one robot, whatever the part weighs and where it stands."""
+    """The grasps of one handle by one robot; see `Grasps` for the fields."""
 
     Ts_part_tool: Float[np.ndarray, "g 4 4"]
     code: Int[np.ndarray, " g"]
-    """Index into `FAMILIES`."""
     width: Float[np.ndarray, " g"]
     capacity: Float[np.ndarray, " g"]
     point: Float[np.ndarray, "g 3"]
-    """Middle of the contact in the part [m]."""
-    plainness: Float[np.ndarray, " g"]
-    """The less, the plainer [-]."""
+    """Middle of the contact in the part's frame [m]."""
+    complexity: Float[np.ndarray, " g"]
+    """Deviation from a straight grasp in the middle; simple grasps are preferred [-]."""
     line: Int[np.ndarray, " g"]
-    """Grasps with the same number differ by their depth alone."""
     reason: str
-    """Why there is none; "" where there is one."""
+    """Why there are none; "" if there are."""
 
     def only(self, rows: Bool[np.ndarray, " g"]) -> PartGrasps:
-        """Some of the grasps."""
+        """Return a subset of the grasps."""
         return PartGrasps(
             self.Ts_part_tool[rows], self.code[rows], self.width[rows], self.capacity[rows],
-            self.point[rows], self.plainness[rows], self.line[rows], self.reason,
+            self.point[rows], self.complexity[rows], self.line[rows], self.reason,
         )  # fmt: skip
 
 
 def grasp_frames(
     robot: Robot, center: np.ndarray, approach: np.ndarray, closing: np.ndarray
 ) -> Float[np.ndarray, "g 4 4"]:
-    """Tool poses from where the tool is, where it points and how it closes.
+    """Build tool poses from origins, approach directions and closing directions.
 
     Args:
-        robot: Names the axes of its tool.
+        robot: Gives the axes of its tool.
         center: Tool origins (g, 3).
         approach: Unit approach directions (g, 3).
         closing: Unit closing directions (g, 3), perpendicular to `approach`.
@@ -98,18 +103,18 @@ def grasp_frames(
     return T
 
 
-@dataclass(frozen=True)
-class Lines:
-    """Straight ways of the tool onto a handle."""
+@dataclass(frozen=True, eq=False)
+class ApproachLines:
+    """Straight approach lines of the tool to a handle."""
 
     R: Float[np.ndarray, "g 3 3"]
     target: Float[np.ndarray, "g 3"]
-    """Point on the handle's middle line [m]."""
-    plainness: Float[np.ndarray, " g"]
+    """Point on the handle's center line [m]."""
+    complexity: Float[np.ndarray, " g"]
 
 
-def lines_onto(robot: Robot, handle: Handle, config: GraspConfig) -> Lines:
-    """Turns about the handle, tilts along it, rolls about the approach, points along it."""
+def approach_lines(robot: Robot, handle: Handle, config: GraspConfig) -> ApproachLines:
+    """Combine turns about the handle, tilts and points along it, and rolls about the approach."""
     side = np.cross(handle.long, handle.out)
     if handle.knob:
         rolls = np.arange(config.rolls) * 2 * np.pi / config.rolls
@@ -123,14 +128,14 @@ def lines_onto(robot: Robot, handle: Handle, config: GraspConfig) -> Lines:
     R_turn = rotation_about(handle.long, turn)
     approach = R_turn @ -handle.out
     closing = R_turn @ side
-    approach = np.einsum("gij,gj->gi", _rotations(closing, tilt), approach)
-    closing = np.einsum("gij,gj->gi", _rotations(approach, roll), closing)
-    plainness = np.abs(turn) + np.abs(tilt) + 5 * np.abs(point)
+    approach = np.einsum("gij,gj->gi", rotation_of(closing * tilt[:, None]), approach)
+    closing = np.einsum("gij,gj->gi", rotation_of(approach * roll[:, None]), closing)
+    complexity = np.abs(turn) + np.abs(tilt) + 5 * np.abs(point)
     if not handle.knob:
-        plainness = plainness + 0.5 * np.abs(np.sin(roll))
+        complexity = complexity + 0.5 * np.abs(np.sin(roll))
     target = handle.grip + point[:, None] * handle.long
     R = grasp_frames(robot, target, approach, closing)[:, :3, :3]
-    return Lines(R, target, plainness)
+    return ApproachLines(R, target, complexity)
 
 
 def _points(handle: Handle, config: GraspConfig) -> Float[np.ndarray, " p"]:
@@ -140,32 +145,26 @@ def _points(handle: Handle, config: GraspConfig) -> Float[np.ndarray, " p"]:
     return np.array(config.points) * usable
 
 
-def _rotations(
-    axes: Float[np.ndarray, "g 3"], angles: Float[np.ndarray, " g"]
-) -> Float[np.ndarray, "g 3 3"]:
-    return rotation_of(axes * angles[:, None])
-
-
 @lru_cache(maxsize=_PARTS)
 def grasps_of(
     robot: Robot, model: Articulated, joint: str, sign: float, handle: Handle, config: GraspConfig
 ) -> PartGrasps:
-    """The grasps of a handle.
+    """Generate the grasps of a handle.
 
-    The hand comes along a straight line until its pads are at the handle or something is in its
-    way; then the fingers close. A grasp is kept where only the pads touch, only the handle, over
-    enough of it, within the friction cone.
+    The hand moves along a straight line until its pads are at the handle or it is blocked; then the
+    fingers close. A grasp is valid if only the pads touch, only the handle, over a minimum area
+    and within the friction cone.
 
     Args:
-        robot: Whose hand.
+        robot: The robot.
         model, joint: The part.
-        sign: Direction of the joint in which it opens (+1 or -1).
-        handle: What to hold.
-        config: What is tried.
+        sign: Opening direction of the joint (+1 or -1).
+        handle: The handle.
+        config: The grasps to try.
     """
     hand = hand_of(robot)
-    if empty_handed(robot):
-        return _none(empty_handed(robot))
+    if reason := empty_handed(robot):
+        return _none(reason)
     if robot.grips is Grip.FINGERS and hand.closes:
         return _closed(robot, hand, model, joint, sign, handle, config)
     return _touching(robot, hand, model, joint, sign, handle, config)
@@ -175,7 +174,7 @@ def grasps_of(
 def push_grasps(
     robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
 ) -> tuple[Handle, PartGrasps] | None:
-    """Ways to push a part shut with the fingertips against its front; None where it has none."""
+    """Generate pushes that close a part with the fingertips; None if it has no front."""
     face = front_face(model, joint, sign)
     if face is None:
         return None
@@ -183,7 +182,7 @@ def push_grasps(
     push = np.full(len(found.code), FAMILIES.index(Family.PUSH))
     firm = np.full(len(found.code), np.inf)
     return face, PartGrasps(
-        found.Ts_part_tool, push, found.width, firm, found.point, found.plainness, found.line,
+        found.Ts_part_tool, push, found.width, firm, found.point, found.complexity, found.line,
         found.reason,
     )  # fmt: skip
 
@@ -197,23 +196,17 @@ def _closed(
     handle: Handle,
     config: GraspConfig,
 ) -> PartGrasps:
-    """Grasps with fingers that close."""
-    elements, held = surroundings(model, joint, handle)
-    lines = lines_onto(robot, handle, config)
+    """Generate grasps with fingers that close."""
+    elements, held = elements_near_handle(model, joint, handle)
+    lines = approach_lines(robot, handle, config)
     what = handle.name if handle.found is not HandleSource.EDGE else f"the edge of {handle.name}"
-    R, p, plain, line, obstacle = _deep_enough(hand, elements, lines, handle, config)
+    R, p, complexity, line, obstacle = _grasp_depths(hand, elements, lines, handle, config)
     if not len(R):
         name = elements[obstacle].link if obstacle >= 0 else handle.name
         no_room = f"the hand has no room at {what}: {name} is in its way"
         return _none(_too_thick(robot, handle, what) or no_room)
-    closing = close(hand, elements, held, R, p, config.hand_clearance)
-    met = np.isfinite(closing.travel).all(1)
-    way = np.where(met[:, None], closing.travel, 0.0)
-    shift, travel = hand.meeting(way, config.hand_clearance)
-    p = p - shift[:, None] * (R @ hand.closing)
-    met &= (travel > 0).any(1) & (travel.sum(1) < 2 * hand.travel)
-    firm = (closing.cosine >= np.cos(np.arctan(config.friction))).all(1)
-    rows = np.flatnonzero(met & firm)
+    p, travel, met = close_hands(hand, elements, held, R, p, config)
+    rows = np.flatnonzero(met)
     if not len(rows):
         return _none(_too_thick(robot, handle, what) or f"the fingers cannot close on {what}")
     rows = rows[stands_clear(hand, elements, held, R[rows], p[rows], config)]
@@ -221,25 +214,24 @@ def _closed(
         return _none(_too_thick(robot, handle, what) or f"the open hand has no room at {what}")
     own = tuple(e for e, mine in zip(elements, held, strict=True) if mine)
     contact = contact_of(hand, own, R[rows], p[rows], travel[rows], config.friction)
-    pads = np.diff(hand.inner(1)[1], axis=0)[0]
-    kept = (contact.area >= 1e-4 * config.pad_contact) & (contact.apart < pads.min())
+    kept = contact.is_firm(hand, config)
     if not kept.any():
         return _none(f"the pads touch too little of {what}")
     rows, point = rows[kept], contact.point[kept]
     pull = np.array([motion_direction(model, joint, sign, x) for x in point])
     lean = np.abs(np.einsum("gi,gi->g", R[rows] @ hand.closing, pull))
     capacity = pinch_capacity(robot.grip_force, config.friction, lean)
-    code = np.where(lean > HOOKED, FAMILIES.index(Family.HOOK), FAMILIES.index(Family.PINCH))
+    code = np.where(lean > HOOK_SHARE, FAMILIES.index(Family.HOOK), FAMILIES.index(Family.PINCH))
     width = robot.opening - travel[rows].sum(1)
     return PartGrasps(
-        poses_of(R[rows], p[rows]), code, width, capacity, point, plain[rows], line[rows], ""
+        poses_of(R[rows], p[rows]), code, width, capacity, point, complexity[rows], line[rows], ""
     )
 
 
-def surroundings(
+def elements_near_handle(
     model: Articulated, joint: str, handle: Handle
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
-    """The elements near a handle, and which of them the pads may touch."""
+    """Return the elements near a handle, and which of them the pads may touch."""
     part = part_pieces(model, joint) if handle.in_pieces else part_elements(model, joint)
     near = near_elements(part, handle.center, HAND_REACH + handle.half_length)
     own = {id(e) for e in handle.elements}
@@ -248,10 +240,10 @@ def surroundings(
     return elements, np.array([id(e) in own for e in elements], bool)
 
 
-def _deep_enough(
+def _grasp_depths(
     hand: Hand,
     elements: tuple[Element, ...],
-    lines: Lines,
+    lines: ApproachLines,
     handle: Handle,
     config: GraspConfig,
 ) -> tuple[
@@ -261,39 +253,39 @@ def _deep_enough(
     Int[np.ndarray, " g"],
     int,
 ]:
-    """Tool poses where the pads are at the handle, as deep as there is room, and less deep.
+    """Build tool poses with the pads at the handle, at the deepest reachable depth and others.
 
     Returns:
-        Rotations, origins, plainness, the line of each, and what is in the way of most lines that
-        lead nowhere.
+        Rotations, origins, complexity and line of each, and the obstacle of most blocked lines.
     """
     origin = lines.target - hand.pad_middle * (lines.R @ hand.approach)
-    room = advance(hand, elements, lines.R, origin, config)
-    deepest = np.minimum(room.travel, 0.0)
-    # At the least the tips come a little beyond the near side of the handle.
+    reached = advance(hand, elements, lines.R, origin, config)
+    deepest = np.minimum(reached.travel, 0.0)
+    # The shallowest grasp has the tips slightly beyond the near side of the handle.
     along = np.abs(np.einsum("gij,j->gi", lines.R, hand.approach) @ handle.out)
     reach = np.minimum(handle.depth, 0.02) / 2 * along
-    shallow = hand.pad_middle - hand.tip + BITE - reach
+    shallow = hand.pad_middle - hand.tip + MIN_OVERLAP - reach
     fits = deepest >= shallow
-    blocked = room.obstacle[~fits & (room.obstacle >= 0)]
+    blocked = reached.obstacle[~fits & (reached.obstacle >= 0)]
     worst = int(np.bincount(blocked).argmax()) if len(blocked) else -1
-    # Where the tool's origin lies in a bar, the hand can turn about it on its way.
+    # With the tool's origin in a bar, the hand can turn about the bar during the motion.
     at_origin = np.full(len(deepest), min(hand.pad_middle, 0.0))
     turns = (at_origin <= deepest) & (at_origin >= shallow)
-    R, p, plain, line = [], [], [], []
+    R, p, complexity, line = [], [], [], []
     for share in (*config.standoffs, None):
         if share is None:
             travel, rows = at_origin, fits & turns
         else:
             travel = deepest + share * (shallow - deepest)
-            rows = fits & ~(turns & (np.abs(travel - at_origin) < BITE))
-            rows &= (share == config.standoffs[0]) | (deepest - travel > BITE / 2)
+            rows = fits & ~(turns & (np.abs(travel - at_origin) < MIN_OVERLAP))
+            rows &= (share == config.standoffs[0]) | (deepest - travel > MIN_OVERLAP / 2)
         R.append(lines.R[rows])
         line.append(np.flatnonzero(rows) + (len(rows) if share is None else 0))
         p.append(origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach))
-        plain.append(lines.plainness[rows] + 10 * (-travel[rows]).clip(0))
+        complexity.append(lines.complexity[rows] + 10 * (-travel[rows]).clip(0))
     return (
-        np.concatenate(R), np.concatenate(p), np.concatenate(plain), np.concatenate(line), worst,
+        np.concatenate(R), np.concatenate(p), np.concatenate(complexity), np.concatenate(line),
+        worst,
     )  # fmt: skip
 
 
@@ -306,23 +298,23 @@ def _touching(
     handle: Handle,
     config: GraspConfig,
 ) -> PartGrasps:
-    """Poses of a hand that touches and does not close: a cup, a hook, fingertips that push."""
+    """Generate grasps that touch without closing: suction cup, hook, pushing fingertips."""
     if robot.grips is Grip.SUCTION and handle.kind is HandleKind.EDGE:
         handle = front_face(model, joint, sign) or handle
-    elements, held = surroundings(model, joint, handle)
-    lines = lines_onto(robot, handle, config)
+    elements, held = elements_near_handle(model, joint, handle)
+    lines = approach_lines(robot, handle, config)
     hooks = robot.grips is not Grip.SUCTION and handle.kind is not HandleKind.FACE
     if hooks:
         elements = tuple(e for e, own in zip(elements, held, strict=True) if not own)
         origin = lines.target
     else:
         origin = lines.target - hand.tip * (lines.R @ hand.approach)
-    room = advance(hand, elements, lines.R, origin, config)
-    if not hooks:  # across the front they would slide along it
+    reached = advance(hand, elements, lines.R, origin, config).travel
+    if not hooks:  # outside the friction cone the tool would slide along the front
         steep = lines.R @ hand.approach @ -handle.out < np.cos(np.arctan(config.friction))
-        room.travel[steep] = -np.inf
-    travel = np.minimum(room.travel, 0.0) if hooks else room.travel + config.hand_clearance
-    rows = np.flatnonzero(np.abs(travel) < hand.tip if hooks else np.abs(travel) < BITE)
+        reached[steep] = -np.inf
+    travel = np.minimum(reached, 0.0) if hooks else reached + config.hand_clearance
+    rows = np.flatnonzero(np.abs(travel) < hand.tip if hooks else np.abs(travel) < MIN_OVERLAP)
     if not len(rows):
         return _none(f"the tool has no room at {handle.name}")
     p = origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach)
@@ -330,7 +322,7 @@ def _touching(
     count = len(rows)
     return PartGrasps(
         poses_of(lines.R[rows], p), np.full(count, code), np.full(count, robot.opening),
-        np.full(count, robot.grip_force), lines.target[rows], lines.plainness[rows],
+        np.full(count, robot.grip_force), lines.target[rows], lines.complexity[rows],
         np.arange(count), "",
     )  # fmt: skip
 
@@ -338,6 +330,7 @@ def _touching(
 def poses_of(
     R: Float[np.ndarray, "g 3 3"], p: Float[np.ndarray, "g 3"]
 ) -> Float[np.ndarray, "g 4 4"]:
+    """Build poses from rotations and positions."""
     T = np.tile(np.eye(4), (len(R), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, p
     return T
@@ -352,7 +345,7 @@ def _none(reason: str) -> PartGrasps:
 
 
 def _too_thick(robot: Robot, handle: Handle, what: str) -> str:
-    """That no way of closing spans a handle; "" where one does."""
+    """Return a reason if the gripper cannot span a handle, else ""."""
     least = handle.thickness
     if not handle.edge:
         least = min(least, float(np.ptp(corners(handle.elements) @ handle.out)))

@@ -1,4 +1,4 @@
-"""Hands that close on a part: where they can go, where the pads meet it, what they transmit."""
+"""Compute how hands close on a part: reachable depth, pad contact, transmitted force."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from momapos.model.urdf import Boxes
 
 from .config import GraspConfig
 from .hand_boxes import Hand
@@ -17,33 +15,33 @@ from .swept_boxes import NEVER, touches_hull
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-BACK = 0.25
-"""A hand that comes along a line is looked at from this far before its target [m]."""
+START_DISTANCE = 0.25
+"""Distance before its target at which a hand starts on its approach line [m]."""
 ROWS, COLUMNS = 40, 3
-"""Points of a pad at which its contact is looked for, along and across the fingers [-]."""
-CONE = 2 / 3
-"""Of the friction cone, so much may be spent on staying where the pads are [-]."""
-NEAR = 0.0015
-"""A pad touches what is this near to its face: rubber gives way [m]."""
-OWN, OTHERS = 1 / 4, 1 / 2
-"""Shares of its clearance that an open hand at a grasp keeps at least from what it holds, and from
-all else [-]."""
+"""Sample points of a pad's contact, along and across the fingers [-]."""
+CONE_SHARE = 2 / 3
+"""Share of the friction cone within which a surface counts as contact [-]."""
+PAD_COMPLIANCE = 0.0015
+"""Depth by which the rubber of a pad yields [m]."""
+HELD_CLEARANCE_SHARE, OTHER_CLEARANCE_SHARE = 1 / 4, 1 / 2
+"""Minimum clearance of an open hand at a grasp to the grasped elements and to all others, as shares
+of `hand_clearance` [-]."""
 
 
-@dataclass(frozen=True)
-class Clearing:
-    """How far hands come along their lines before anything touches."""
+@dataclass(frozen=True, eq=False)
+class Advance:
+    """How far hands move along their approach lines before they touch something."""
 
     travel: Float[np.ndarray, " g"]
-    """[m]"""
+    """Travel from the target [m]."""
     obstacle: Int[np.ndarray, " g"]
-    """The element that stops each, -1 for none."""
+    """Index of the element that stops each hand, or -1."""
 
 
 def near_elements(
     elements: tuple[Element, ...], center: Float[np.ndarray, "3"], reach: float
 ) -> tuple[Element, ...]:
-    """Those elements whose upright boxes come within a distance of a point."""
+    """Return the elements whose axis-aligned boxes are within a distance of a point."""
     return tuple(
         e
         for e in elements
@@ -57,32 +55,32 @@ def advance(
     R: Float[np.ndarray, "g 3 3"],
     p: Float[np.ndarray, "g 3"],
     config: GraspConfig,
-) -> Clearing:
-    """How far open hands move along their approach before they touch anything.
+) -> Advance:
+    """Move open hands along their approach, from `START_DISTANCE` before, until they touch.
 
     Args:
         hand: The gripper.
         elements: The part.
-        R, p: Where the tools are to go, in the frame of the part; they begin `BACK` before.
-        config: Names the clearance.
+        R, p: Target poses of the tools, in the part's frame.
+        config: Gives the clearance.
 
     Returns:
-        Travel from the poses given, mostly positive: how much farther they could go.
+        Travel beyond the target poses; negative if a hand stops before.
     """
-    start = p - BACK * (R @ hand.approach)
+    start = p - START_DISTANCE * (R @ hand.approach)
     travel = np.full(len(R), NEVER)
     obstacle = np.full(len(R), -1)
     for index, element in enumerate(elements):
         touch = touches_hull(
             hand.boxes, element.convex, R, start, hand.approach, config.hand_clearance
         )
-        # What lies behind the straight approach is not in the way.
-        begin = np.where(touch.end < BACK - config.pregrasp, NEVER, touch.begin).min(
+        # Obstacles before the straight approach do not count.
+        begin = np.where(touch.end < START_DISTANCE - config.pregrasp, NEVER, touch.begin).min(
             1, initial=NEVER
         )
         obstacle = np.where(begin < travel, index, obstacle)
         travel = np.minimum(travel, begin)
-    return Clearing(travel - BACK, obstacle)
+    return Advance(travel - START_DISTANCE, obstacle)
 
 
 def stands_clear(
@@ -93,43 +91,55 @@ def stands_clear(
     p: Float[np.ndarray, "g 3"],
     config: GraspConfig,
 ) -> Bool[np.ndarray, " g"]:
-    """Whether open hands touch nothing at their grasps and on the straight way there."""
+    """Check that open hands are clear at their grasps and on the straight approach."""
     clear = np.ones(len(R), bool)
     for element, own in zip(elements, held, strict=True):
-        margin = config.hand_clearance * (OWN if own else OTHERS)
+        margin = config.hand_clearance * (HELD_CLEARANCE_SHARE if own else OTHER_CLEARANCE_SHARE)
         touch = touches_hull(hand.boxes, element.convex, R, p, -hand.approach, margin)
         clear &= ~((touch.begin <= config.pregrasp) & (touch.end > 0)).any(1)
     return clear
 
 
-@dataclass(frozen=True)
-class Closing:
-    """Where fingers meet what they close on."""
+def close_hands(
+    hand: Hand,
+    elements: tuple[Element, ...],
+    held: Bool[np.ndarray, " e"],
+    R: Float[np.ndarray, "g 3 3"],
+    p: Float[np.ndarray, "g 3"],
+    config: GraspConfig,
+) -> tuple[Float[np.ndarray, "g 3"], Float[np.ndarray, "g 2"], Bool[np.ndarray, " g"]]:
+    """Close hands until their pads touch held elements.
 
-    travel: Float[np.ndarray, "g 2"]
-    """How far each finger closes until its pad touches what is held [m]; NEVER where it does not,
-    or not first."""
-    cosine: Float[np.ndarray, "g 2"]
-    """Between the closing axis and the normal of each contact [-]."""
+    Returns:
+        Tool origins after closing, travel of each finger [m], and which hands have both pads in
+        contact within the friction cone.
+    """
+    closing, cosine = _close_fingers(hand, elements, held, R, p, config.hand_clearance)
+    met = np.isfinite(closing).all(1)
+    distance = np.where(met[:, None], closing, 0.0)
+    shift, travel = hand.meeting(distance, config.hand_clearance)
+    met &= (travel > 0).any(1) & (travel.sum(1) < 2 * hand.travel)
+    met &= (cosine >= np.cos(np.arctan(config.friction))).all(1)
+    return p - shift[:, None] * (R @ hand.closing), travel, met
 
 
-def close(
+def _close_fingers(
     hand: Hand,
     elements: tuple[Element, ...],
     held: Bool[np.ndarray, " e"],
     R: Float[np.ndarray, "g 3 3"],
     p: Float[np.ndarray, "g 3"],
     clearance: float,
-) -> Closing:
-    """Close both fingers until they touch something.
+) -> tuple[Float[np.ndarray, "g 2"], Float[np.ndarray, "g 2"]]:
+    """Return the travel of each finger until its pad touches, and the cosine to the contact normal.
 
-    A finger counts where its pad touches first, and what is held; all else keeps a clearance.
+    The travel is NEVER if anything else touches first, or is within half the clearance.
     """
     travel = np.full((len(R), 2), NEVER)
     cosine = np.zeros((len(R), 2))
     for k, side in enumerate((1, -1)):
         rows = np.flatnonzero(hand.side == side)
-        boxes = Boxes(hand.boxes.center[rows], hand.boxes.rotation[rows], hand.boxes.half[rows])
+        boxes = hand.boxes.take(rows)
         pad, other = hand.pad[rows], np.full(len(R), NEVER)
         for element, own in zip(elements, held, strict=True):
             touch = touches_hull(boxes, element.convex, R, p, -side * hand.closing)
@@ -146,21 +156,26 @@ def close(
             margin = 0.0 if own else clearance / 2
             other = np.minimum(other, rest.min(1, initial=NEVER) - margin)
         travel[:, k] = np.where(other < travel[:, k], NEVER, travel[:, k])
-    return Closing(travel, cosine)
+    return travel, cosine
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contact:
-    """What closed pads touch."""
+    """The contact of two closed pads."""
 
     area: Float[np.ndarray, " g"]
-    """Of the smaller contact of the two [m^2]."""
+    """Area of the smaller contact [m^2]."""
     point: Float[np.ndarray, "g 3"]
-    """Middle of both, in the part."""
+    """Middle of both contacts, in the part's frame [m]."""
     apart: Float[np.ndarray, " g"]
-    """Distance of their middles, seen along the closing axis [m]."""
+    """Distance of the two middles across the closing axis [m]."""
     spread: Float[np.ndarray, " g"]
-    """Mean distance of the contact from its middle, of the smaller of the two [m]."""
+    """Mean distance of the contact points from their middle, the smaller of both pads [m]."""
+
+    def is_firm(self, hand: Hand, config: GraspConfig) -> Bool[np.ndarray, " g"]:
+        """Check that the contacts are large enough and face each other."""
+        pads = np.diff(hand.inner(1)[1], axis=0)[0]
+        return (self.area >= 1e-4 * config.pad_contact) & (self.apart < pads.min())
 
 
 def contact_of(
@@ -171,12 +186,12 @@ def contact_of(
     travel: Float[np.ndarray, "g 2"],
     friction: float,
 ) -> Contact:
-    """Where the pads of closed hands touch what they hold, by points on their faces.
+    """Compute the contact of closed pads from sample points on their faces.
 
-    Only surface well within the friction cone about the closing axis counts: pads slip over the
-    rest, as at the sharp edge of a bar or on a wedge.
+    Only surfaces well within the friction cone about the closing axis count. Pads slip on others,
+    such as the sharp edge of a bar or a wedge.
     """
-    cone = np.cos(CONE * np.arctan(friction))
+    cone = np.cos(CONE_SHARE * np.arctan(friction))
     axis = R @ hand.closing
     across = np.cross(hand.approach, hand.closing)
     areas, middles, spreads = [], [], []
@@ -185,7 +200,7 @@ def contact_of(
         a = low[0] + (np.arange(ROWS) + 0.5) / ROWS * (high[0] - low[0])
         b = low[1] + (np.arange(COLUMNS) + 0.5) / COLUMNS * (high[1] - low[1])
         grid = (a[:, None, None] * hand.approach + b[None, :, None] * across).reshape(-1, 3)
-        shift = face - side * (travel[:, k] + NEAR)
+        shift = face - side * (travel[:, k] + PAD_COMPLIANCE)
         local = grid[None] + shift[:, None, None] * hand.closing
         points = np.einsum("gij,gnj->gni", R, local) + p[:, None]
         touching = np.zeros(points.shape[:2], bool)
@@ -209,14 +224,14 @@ def contact_of(
 def pinch_capacity(
     force: float, friction: float, lean: Float[np.ndarray, " g"]
 ) -> Float[np.ndarray, " g"]:
-    """The pull that two closed fingers transmit [N].
+    """Return the pull that two closed fingers transmit [N].
 
-    Across the closing axis friction at both pads carries it; along the axis a finger's own force
-    does, and takes as much from the other pad's friction.
+    Friction at both pads carries the component across the closing axis. The force of one finger
+    carries the component along it, which reduces the normal force at the other pad.
 
     Args:
-        force: Of each finger [N].
-        friction: Between pad and part [-].
+        force: Force of each finger [N].
+        friction: Friction coefficient between pad and part [-].
         lean: Share of the pull along the closing axis [-].
     """
     along = np.abs(lean)
@@ -233,20 +248,20 @@ def lifting_capacity(
     center: Float[np.ndarray, "3"],
     down: Float[np.ndarray, "k 3"],
 ) -> Float[np.ndarray, " g"]:
-    """The weight that two closed pads carry whose contact is somewhere on an object [N].
+    """Return the weight that two closed pads carry [N].
 
-    Weight beside the pads turns the object between them: friction bears that too, as far as the
-    contact spreads, within an ellipsoid of force and torque (Howe and Cutkosky, IJRR 1996). Weight
-    nearer to one pad loads that one more.
+    A center of mass away from the contact exerts a torque, which friction bears within an ellipsoid
+    of force and torque that grows with the spread of the contact (Howe and Cutkosky, IJRR 1996).
+    The pad nearer to the center of mass bears more load.
 
     Args:
-        force: Of each finger [N].
-        friction: Between pads and object [-].
-        contact: Of the pads.
+        force: Force of each finger [N].
+        friction: Friction coefficient between pads and object [-].
+        contact: Contact of the pads.
         closing: Unit closing axes.
-        width: Between the pads [m].
+        width: Distance between the pads [m].
         center: Center of mass, in the frame of the contact [m].
-        down: Unit directions of the weight there; the worst one counts.
+        down: Unit directions of gravity in that frame; the worst one counts.
     """
     away = center - contact.point
     along = np.abs(closing @ down.T)
@@ -266,6 +281,6 @@ def _transmitted(
     shear: Float[np.ndarray, " *batch"],
     along: Float[np.ndarray, " *batch"],
 ) -> Float[np.ndarray, " *batch"]:
-    """What two pads transmit of a load of which shares shear them and press on one of them [N]."""
+    """Return the load that two pads transmit, given its shares in shear and along the axis [N]."""
     by_friction = 2 * friction * force / np.maximum(shear + friction * along, 1e-9)
     return np.minimum(by_friction, force / np.maximum(along, 1e-9))

@@ -1,4 +1,4 @@
-"""Push a part that is ajar from behind: the fingers reach in past its free edge."""
+"""Push a part that is ajar from behind: the fingers reach past its free edge."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from momapos.model.urdf import Articulated
 
 from .config import GraspConfig
 from .hand_boxes import Hand, hand_of
-from .handles import FACE_INSIDE, Handle, front_face
+from .handles import PUSH_INSET, Handle, front_face
 from .part_grasps import grasp_frames
 
 if TYPE_CHECKING:
@@ -25,19 +25,19 @@ LEANS = (0.0, 20.0, 40.0)
 def push_from_behind(
     robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
 ) -> tuple[Handle, Float[np.ndarray, "g 4 4"], Float[np.ndarray, " g"]] | None:
-    """Tool poses in which the side of a finger touches the back of a part near its free edge.
+    """Build tool poses in which the side of a finger touches a part's back near its free edge.
 
     The palm stays beyond the edge, so that the arm need not reach around the part.
 
     Args:
-        robot: Whose hand.
+        robot: The robot.
         model, joint: The part.
-        sign: Direction of the joint in which it opens (+1 or -1).
+        sign: Opening direction of the joint (+1 or -1).
         config: Points along the edge, and tilts.
 
     Returns:
-        The back of the part, the poses in its frame, and how far from plain each is; None where
-        the part has no back or the robot no fingers.
+        The back of the part, the poses in the part's frame and their complexity; None if the part
+        has no back or the robot no fingers.
     """
     back, hand = front_face(model, joint, -sign), hand_of(robot)
     if back is None or not (hand.side != 0).any():
@@ -52,7 +52,7 @@ def push_from_behind(
         np.arange(4) * np.pi / 2, indexing="ij",
     )  # fmt: skip
     lean, tilt, point, roll = (g.ravel() for g in grid)
-    # From along the panel the fingers lean into it, which is against its outward normal there.
+    # The fingers lean from the direction along the panel toward it, against its outward normal.
     R = rotation_about(np.cross(inward, -back.out), lean) @ rotation_about(back.out, tilt)
     approach = R @ inward
     closing = np.einsum("gij,gj->gi", rotation_of(approach * roll[:, None]), R @ back.long)
@@ -64,10 +64,10 @@ def push_from_behind(
 def _touching(
     hand: Hand, back: Handle, inward: Float[np.ndarray, "3"], R: Float[np.ndarray, "g 3 3"]
 ) -> Float[np.ndarray, "g 3"]:
-    """Tool origins at which the fingers touch the back, their tips at its middle point.
+    """Return tool origins at which the fingers touch the back, with their tips at its middle point.
 
-    What of them stays beyond the free edge does not touch: knuckles may stand out there.
+    Parts of the fingers beyond the free edge, such as knuckles, are ignored.
     """
     reach = hand.finger_reach(inward @ R)
-    toward = hand.finger_reach(-back.out @ R, inward @ R, reach - FACE_INSIDE)
+    toward = hand.finger_reach(-back.out @ R, inward @ R, reach - PUSH_INSET)
     return back.center - reach[:, None] * inward + toward[:, None] * back.out

@@ -1,4 +1,4 @@
-"""How hard a part is to move: what a grasp must transmit."""
+"""Estimate the force that moves a part, which a grasp must transmit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 GRAVITY = 9.81
 _PARTS = 1024
-"""Parts whose mass is remembered [-]."""
+"""Number of parts whose mass is cached [-]."""
 
 
 def resistance_of(
@@ -29,17 +29,16 @@ def resistance_of(
     handle_lever: float,
     config: ResistanceConfig,
 ) -> float:
-    """The largest torque [Nm] or force [N] at a joint that moves a part over some values.
+    """Return the largest torque [Nm] or force [N] that a joint needs over a range of values.
 
-    A seal or a catch, friction, and weight, each at its worst: the seal is that of the part at its
-    handle, wherever the part is held.
+    The sum of seal or latch (pulled at the handle), friction, and the largest weight.
 
     Args:
         item: The object.
         joint: Its joint.
-        values: Of the joint [rad] or [m].
+        values: Joint values [rad] or [m].
         handle_lever: Distance of the handle from the axis [m]; 1 for a slide.
-        config: What nobody measured.
+        config: Assumed values.
     """
     record = item.joint(joint)
     slides = record.kind == "prismatic"
@@ -53,7 +52,7 @@ def resistance_of(
 def weight_at(
     item: SceneObject, joint: str, values: Float[np.ndarray, " v"], config: ResistanceConfig
 ) -> Float[np.ndarray, " v"]:
-    """Torque [Nm] or force [N] of a part's weight at its joint, at some values of it [rad], [m]."""
+    """Return torque [Nm] or force [N] of a part's weight at joint values [rad], [m]."""
     record = item.joint(joint)
     mass, center = _mass(item.model, joint, config)
     down = (item.link_poses()[record.parent] @ record.T_parent_joint)[:3, :3].T @ [0.0, 0.0, -1.0]
@@ -63,8 +62,8 @@ def weight_at(
     return np.asarray(mass * GRAVITY * np.abs(lever))
 
 
-def stays(item: SceneObject, joint: str, value: float, config: ResistanceConfig) -> bool:
-    """Whether a part that nobody holds stays where it is, by its friction."""
+def stays_in_place(item: SceneObject, joint: str, value: float, config: ResistanceConfig) -> bool:
+    """Check that friction holds a released part in place."""
     slides = item.joint(joint).kind == "prismatic"
     friction = config.slide_friction if slides else config.hinge_friction
     return float(weight_at(item, joint, np.array([value]), config)[0]) < friction
@@ -74,19 +73,18 @@ def stays(item: SceneObject, joint: str, value: float, config: ResistanceConfig)
 def _mass(
     model: Articulated, joint: str, config: ResistanceConfig
 ) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Mass [kg] and center of mass of what a joint moves, in the frame of the moving link [m]."""
+    """Return mass [kg] and center of mass [m] of the part that a joint moves, in its frame."""
     return _mass_of_links(model, poses_in_part(model, joint, model.moved_by(joint)), config)
 
 
 def mass_of(model: Articulated, config: ResistanceConfig) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Mass [kg] and center of mass [m] of a whole object at rest, in the frame of its root."""
+    """Return mass [kg] and center of mass [m] of a whole object at rest, in its root's frame."""
     return _mass_of_links(model, model.rest_poses, config)
 
 
 def _mass_of_links(
     model: Articulated, T_link: Mapping[str, Float[np.ndarray, "4 4"]], config: ResistanceConfig
 ) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Mass [kg] and center of mass [m] of some links, in the frame of their poses."""
     volumes, centers = [], []
     for link, T in T_link.items():
         for hull in model.hulls[link]:
@@ -94,16 +92,12 @@ def _mass_of_links(
             volumes.append(volume)
             centers.append(T[:3, :3] @ center + T[:3, 3])
     middle = np.average(centers, axis=0, weights=volumes) if sum(volumes) > 0 else np.zeros(3)
-    return _clipped(sum(volumes), config), middle
-
-
-def _clipped(volume: float, config: ResistanceConfig) -> float:
-    """Mass of a volume, within what parts weigh [kg]."""
-    return float(np.clip(config.density * volume, config.least_mass, config.most_mass))
+    mass = np.clip(config.density * sum(volumes), config.least_mass, config.most_mass)
+    return float(mass), middle
 
 
 def _volume(hull: Hull) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Volume [m^3] and center of mass [m] of a hull."""
+    """Return volume [m^3] and centroid [m] of a hull."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     parts = np.einsum("fi,fi->f", np.cross(a, b), c) / 6
     total = float(parts.sum())

@@ -1,8 +1,8 @@
-"""Hooks that slide along what they hold, and turn about it.
+"""Add slides along the handle to the motion of hooks.
 
-While the part rests, the fingers open, the hand goes on along the handle, and the fingers close
-there. At every waypoint the hand may go so from one grasp to another: to slide is a step of the
-path over the waypoints. Between waypoints a hand that holds a bar may turn about it.
+While the part rests at a waypoint, the fingers open, the hand moves along the handle, and the
+fingers close there. A slide is a step of the path over the waypoints. Between waypoints, a hand
+that holds a bar may also turn about it.
 """
 
 from __future__ import annotations
@@ -26,43 +26,43 @@ from .config import GraspConfig
 from .hand_boxes import Hand, hand_of
 from .handle_shapes import Element
 from .handles import Handle
-from .part_grasps import FAMILIES, Family, surroundings
+from .part_grasps import FAMILIES, Family, elements_near_handle
 from .pinch_grasps import stands_clear
-from .resistance import stays
+from .resistance import stays_in_place
 from .task_motions import TaskMotion
 from .turning_grasps import Turning
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-STATES = 6
-"""States of a slide, the last of which takes hold anew [-]."""
-STEP = 0.01
-"""A slide is looked at in steps of this [m]."""
-MOVED = 1e-3
-"""A hand that is farther along the handle has slid [m]."""
+SLIDE_STATES = 6
+"""Steps of a slide, the last of which grasps again [-]."""
+CHECK_STEP = 0.01
+"""Distance of the collision checks along a slide [m]."""
+MIN_SLIDE = 1e-3
+"""Minimum length of a slide [m]."""
 _HOOK = FAMILIES.index(Family.HOOK)
 _DIGITS = 4
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class SlidingMotion(TaskMotion):
-    """A motion on which the part rests at waypoints, so that the hand can slide there.
+    """A motion whose part rests at some waypoints so that the hand can slide there.
 
-    Such a waypoint comes twice, before and after. The groups of `turning` are grasps between which
-    the hand may slide and turn.
+    Such a waypoint appears twice: before and after the slide. The groups of `turning` are grasps
+    between which the hand may slide and turn.
     """
 
     turn_lane: Int[np.ndarray, " g"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Grasps with the same number differ by a turn about the handle alone."""
+    """Grasps with the same number differ only by a turn about the handle."""
     slide_lane: Int[np.ndarray, " g"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Grasps with the same number differ by a free way along the handle alone."""
+    """Grasps with the same number differ only by a free slide along the handle."""
     after: Bool[np.ndarray, " w"] = field(default_factory=lambda: np.zeros(0, bool))
-    """Waypoints that come after a slide; the one before each is the same without it."""
+    """Whether each waypoint ends a slide; the waypoint before is its beginning."""
 
     @property
     def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
-        """The hand turns between waypoints and slides at them."""
+        """See `TaskMotion`; the hand turns between waypoints and slides at them."""
         approach = np.arange(len(self.turn_lane))
         row = np.where(self.after, 2, 1)
         row[1] = 0
@@ -70,29 +70,29 @@ class SlidingMotion(TaskMotion):
 
     @property
     def layer_of(self) -> Int[np.ndarray, " w"]:
-        """The two of a slide have the same states of the arm."""
+        """See `TaskMotion`; both waypoints of a slide share their arm states."""
         return np.cumsum(~self.after) - 1
 
     @property
     def closed(self) -> Bool[np.ndarray, " d"]:
-        """Fingers are open while the hand slides."""
-        return super().closed & ~self._inside(1, STATES)
+        """See `TaskMotion`; the fingers are open during a slide."""
+        return super().closed & ~self._inside(1, SLIDE_STATES)
 
     @property
     def closes(self) -> Bool[np.ndarray, " d"]:
-        """They open before a slide and close after it."""
-        ends = self._inside(0, 1) | self._inside(STATES, STATES + 1)
+        """See `TaskMotion`; the fingers open before a slide and close after it."""
+        ends = self._inside(0, 1) | self._inside(SLIDE_STATES, SLIDE_STATES + 1)
         return super().closes | ends
 
     def _inside(self, first: int, last: int) -> Bool[np.ndarray, " d"]:
-        """States of the slides, from one of each up to another."""
+        """Select steps first:last of every slide."""
         begins = self.waypoint_steps[:-1][self.after[1:]]
         return np.isin(
             np.arange(len(self.object_q)), begins[:, None] + np.arange(first, last)[None]
         )
 
     def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
-        """Tool poses at every step; the tool goes straight along the handle and turns about it."""
+        """See `TaskMotion`; the tool moves straight along the handle and turns about it."""
         steps, turning = np.arange(len(self.object_q)), self.turning
         next_one = np.searchsorted(self.waypoint_steps, steps)
         before, after = grasps[np.maximum(next_one - 1, 0)], grasps[next_one]
@@ -104,23 +104,23 @@ class SlidingMotion(TaskMotion):
         Ts[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn)
         return Ts
 
-    def carried_out(
-        self, way: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
+    def executed_steps(
+        self, mode: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
     ) -> tuple[Int[np.ndarray, " k"], tuple[Hold, ...]]:
-        """The steps of a motion without the slides that it does not need, and its holds."""
+        """See `TaskMotion`; slides of no length are left out."""
         begins, ends = self.waypoint_steps[:-1][self.after[1:]], self.waypoint_steps[self.after]
         along = Ts_world_tool[ends, :3, 3] - Ts_world_tool[begins, :3, 3]
-        slid = np.linalg.norm(along, axis=1) > MOVED
+        slid = np.linalg.norm(along, axis=1) > MIN_SLIDE
         kept = np.ones(len(self.object_q), bool)
         for begin, end in zip(begins[~slid], ends[~slid], strict=True):
             kept[begin + 1 : end + 1] = False
         last = len(kept) - 1 if self.release_step is None else self.release_step
         firsts = [self.grasp_step, *ends[slid].tolist()]
         lasts = [*begins[slid].tolist(), last]
-        grasps = self.turning.members(np.array([way]))[0]
+        grasps = self.turning.members(np.array([mode]))[0]
         grasps = grasps[grasps >= 0]
         turns = len(np.unique(self.turn_lane[grasps])) < len(grasps)
-        axis = self.turning.axis_of(way) if turns else None
+        axis = self.turning.axis_of(mode) if turns else None
         number = np.cumsum(kept) - 1 - self.grasp_step
         holds: list[Hold] = []
         for first, end in zip(firsts, lasts, strict=True):
@@ -135,17 +135,17 @@ class SlidingMotion(TaskMotion):
 def sliding_motion(
     motion: TaskMotion, robot: Robot, target: SceneObject, config: GraspConfig
 ) -> SlidingMotion | None:
-    """The same motion, on which a hook may slide along the handle.
+    """Extend a motion by slides of hooks along the handle.
 
     Args:
-        motion: Of a joint, by one handle.
-        robot: Whose hand.
+        motion: A joint's motion, by one handle.
+        robot: The robot.
         target: The object with the joint.
-        config: Which clearance the open hand keeps.
+        config: Gives the clearance of the open hand.
 
     Returns:
-        None where no two hooks have a free way between them along the handle, or where the part
-        rests at no waypoint between its ends.
+        The motion, or None if no slide between two hooks is free, or if the part rests at no
+        waypoint between its ends.
     """
     if motion.task.joint is None or motion.handle is None or not config.sliding:
         return None
@@ -157,13 +157,13 @@ def sliding_motion(
     hooks &= motion.grasps.handle == motion.grasps.handle[0]
     if not len(rests) or hooks.sum() < 2:
         return None
-    elements, held = surroundings(target.model, joint.name, handle)
-    if robot.grips is Grip.HOOK:  # it is behind what it holds, and does not open
+    elements, held = elements_near_handle(target.model, joint.name, handle)
+    if robot.grips is Grip.HOOK:  # it is behind the handle and does not open
         elements = tuple(e for e, own in zip(elements, held, strict=True) if not own)
         held = np.zeros(len(elements), bool)
-    way = partial(_way_is_free, hand_of(robot), elements, held, config)
+    is_free = partial(_slide_is_free, hand_of(robot), elements, held, config)
     turn_lane = _turn_lanes(motion.turning, len(hooks))
-    slide_lane = _slide_lanes(Ts_part_tool, hooks, handle, way)
+    slide_lane = _slide_lanes(Ts_part_tool, hooks, handle, is_free)
     groups = _groups(hooks, turn_lane, slide_lane)
     if not groups:
         return None
@@ -182,21 +182,21 @@ def sliding_motion(
 
 
 def _rests(motion: TaskMotion, target: SceneObject, config: GraspConfig) -> Int[np.ndarray, " r"]:
-    """Waypoints between the ends of a part's way at which it stays where it is let go."""
+    """Return the waypoints between the ends of the motion at which a released part stays."""
     joint, released = motion.task.joint, 1 if motion.release_step is None else 2
     assert joint is not None
     between = np.arange(2, len(motion.waypoint_steps) - released)
     values = motion.object_q[motion.waypoint_steps[between]].tolist()
-    stay = [stays(target, joint, value, config.resistance) for value in values]
+    stay = [stays_in_place(target, joint, value, config.resistance) for value in values]
     return between[np.array(stay, bool)]
 
 
-Way: TypeAlias = "Callable[[Float[np.ndarray, '4 4'], Float[np.ndarray, '4 4']], bool]"
-"""Whether an open hand finds its way from one pose in the part to another free."""
+PathCheck: TypeAlias = "Callable[[Float[np.ndarray, '4 4'], Float[np.ndarray, '4 4']], bool]"
+"""Check that an open hand can move straight from one pose in the part to another."""
 
 
 def _turn_lanes(turning: Turning, count: int) -> Int[np.ndarray, " g"]:
-    """A number for the grasps of each group that turns, one for each other grasp."""
+    """Number the grasps by turning group; each other grasp gets a number of its own."""
     lanes = np.arange(count) + len(turning.groups)
     for number, group in enumerate(turning.groups):
         lanes[group[group >= 0]] = number
@@ -204,13 +204,16 @@ def _turn_lanes(turning: Turning, count: int) -> Int[np.ndarray, " g"]:
 
 
 def _slide_lanes(
-    Ts: Float[np.ndarray, "g 4 4"], hooks: Bool[np.ndarray, " g"], handle: Handle, is_free: Way
+    Ts: Float[np.ndarray, "g 4 4"],
+    hooks: Bool[np.ndarray, " g"],
+    handle: Handle,
+    is_free: PathCheck,
 ) -> Int[np.ndarray, " g"]:
-    """A number for hooks that differ by a free way along the handle, one for each other grasp."""
+    """Number the hooks by free slides between them; each other grasp gets a number of its own."""
     away = Ts[:, :3, 3] - handle.grip
     along = away @ handle.long
-    beside = away - along[:, None] * handle.long
-    keys = np.round(np.column_stack([Ts[:, :3, :3].reshape(-1, 9), beside]), _DIGITS) + 0.0
+    across = away - along[:, None] * handle.long
+    keys = np.round(np.column_stack([Ts[:, :3, :3].reshape(-1, 9), across]), _DIGITS) + 0.0
     _, alike = np.unique(keys, axis=0, return_inverse=True)
     lanes = np.arange(len(Ts))
     for group in np.unique(alike[hooks]):
@@ -226,7 +229,7 @@ def _groups(
     turn_lane: Int[np.ndarray, " g"],
     slide_lane: Int[np.ndarray, " g"],
 ) -> list[Int[np.ndarray, " k"]]:
-    """Hooks that some slides and turns join; each group has a slide."""
+    """Group the hooks connected by slides and turns; keep the groups with a slide."""
     rows = np.flatnonzero(hooks)
     first = len(turn_lane)
     lanes = [turn_lane[rows] + first, slide_lane[rows] + first + int(turn_lane.max()) + 1]
@@ -238,7 +241,7 @@ def _groups(
     return [group for group in groups if len(np.unique(slide_lane[group])) < len(group)]
 
 
-def _way_is_free(
+def _slide_is_free(
     hand: Hand,
     elements: tuple[Element, ...],
     held: Bool[np.ndarray, " e"],
@@ -246,9 +249,8 @@ def _way_is_free(
     one: Float[np.ndarray, "4 4"],
     other: Float[np.ndarray, "4 4"],
 ) -> bool:
-    """Whether an open hand can go straight from one pose in the part to another, and could draw
-    back from anywhere between them."""
-    count = 1 + int(np.ceil(np.linalg.norm(other[:3, 3] - one[:3, 3]) / STEP))
+    """Check that an open hand can slide between two poses and retract from anywhere between."""
+    count = 1 + int(np.ceil(np.linalg.norm(other[:3, 3] - one[:3, 3]) / CHECK_STEP))
     p = np.linspace(one[:3, 3], other[:3, 3], count)
     R = np.tile(one[:3, :3], (count, 1, 1))
     return bool(stands_clear(hand, elements, held, R, p, config).all())
@@ -260,14 +262,14 @@ def _with_rests(
     turn_lane: Int[np.ndarray, " g"],
     slide_lane: Int[np.ndarray, " g"],
 ) -> SlidingMotion:
-    """A motion on which the part rests at some waypoints for as long as a slide takes."""
+    """Let the part rest at some waypoints for the steps of a slide."""
     copies = np.ones(len(motion.object_q), np.int64)
-    copies[motion.waypoint_steps[rests]] += STATES
+    copies[motion.waypoint_steps[rests]] += SLIDE_STATES
     old = np.repeat(np.arange(len(copies)), copies)
     first = np.cumsum(copies) - copies
     twice = np.sort(np.append(np.arange(len(motion.waypoint_steps)), rests))
     after = np.append(False, np.diff(twice) == 0)
-    steps = first[motion.waypoint_steps[twice]] + STATES * after
+    steps = first[motion.waypoint_steps[twice]] + SLIDE_STATES * after
     same = {f.name: getattr(motion, f.name) for f in fields(motion)}
     release = motion.release_step
     return SlidingMotion(

@@ -1,4 +1,4 @@
-"""When boxes that move along a line touch convex hulls, for many poses of the boxes at a time."""
+"""Compute when boxes that move along a line touch convex hulls, for many poses at once."""
 
 from __future__ import annotations
 
@@ -16,37 +16,36 @@ if TYPE_CHECKING:
 
 NEVER = np.inf
 _STILL = 1e-9
-"""Along an axis that turns less than this with the motion nothing comes nearer [-]."""
-_ALIKE = 4
-"""Digits up to which the normals of faces are the same."""
+"""Rate of approach along an axis below which the distance counts as constant [-]."""
+_NORMAL_DIGITS = 4
+"""Decimals to which face normals are compared [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Convex:
-    """A convex hull as its corners and the planes of its faces."""
+    """A convex hull: its corners and the planes of its faces."""
 
     vertices: Float[np.ndarray, "m 3"]
     normals: Float[np.ndarray, "k 3"]
-    """Outward unit normals, each once."""
+    """Distinct outward unit normals."""
     offsets: Float[np.ndarray, " k"]
-    """How far the planes are from the origin along them [m]."""
+    """Distances of the planes from the origin along their normals [m]."""
 
     def depth(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, " *n"]:
-        """How deep points lie inside, negative outside [m]."""
+        """Return the depth of points inside the hull; negative outside [m]."""
         return (self.offsets - points @ self.normals.T).min(-1)
 
     def surface(
         self, points: Float[np.ndarray, "g n 3"], outward: Float[np.ndarray, "g 3"]
     ) -> tuple[Float[np.ndarray, "g n"], Float[np.ndarray, "g n"]]:
-        """How deep points lie inside [m], and how a line from them meets the surface.
+        """Return the depth of points [m], and the angle at which a line from them leaves the hull.
 
         Args:
-            points: In groups.
-            outward: Unit direction of the line of each group.
+            points: Points in groups.
+            outward: Unit direction of each group's lines.
 
         Returns:
-            Depth, negative outside; cosine between the line and the normal of the face by which
-            it leaves.
+            Depth, negative outside; cosine between the line and the normal of the exit face.
         """
         depth, cosine = np.empty(points.shape[:2]), np.empty(points.shape[:2])
         _surface(
@@ -58,7 +57,7 @@ class Convex:
     def span(
         self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
     ) -> tuple[float, float]:
-        """Where a line enters and leaves it [m]; no end beyond the begin where it misses."""
+        """Return where a line enters and leaves the hull [m]; end <= begin if it misses."""
         rate, gap = self.normals @ direction, self.offsets - self.normals @ origin
         facing, leaving = rate < -_STILL, rate > _STILL
         if (gap[~facing & ~leaving] < 0).any():
@@ -69,27 +68,27 @@ class Convex:
 
 
 def convex_of(hull: Hull, T: Float[np.ndarray, "4 4"]) -> Convex:
-    """A hull, placed."""
+    """Transform a hull."""
     vertices = hull.vertices @ T[:3, :3].T + T[:3, 3]
     a, b, c = (vertices[hull.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
     normals = normals[length > 0] / length[length > 0, None]
-    _, first = np.unique(np.round(normals, _ALIKE) + 0.0, axis=0, return_index=True)
+    _, first = np.unique(np.round(normals, _NORMAL_DIGITS) + 0.0, axis=0, return_index=True)
     normals = normals[first]
     return Convex(vertices, normals, (vertices @ normals.T).max(0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Touch:
-    """When each box of each pose touches a hull, as travel along the line [m]."""
+    """The travel at which each box of each pose touches a hull [m]."""
 
     begin: Float[np.ndarray, "g b"]
-    """NEVER where it does not; negative where it overlaps from before the start."""
+    """First contact; NEVER without contact, negative if they overlap at the start."""
     end: Float[np.ndarray, "g b"]
-    """Where it has passed."""
+    """End of the contact."""
     cosine: Float[np.ndarray, "g b"]
-    """Between the line and the normal of the contact at the beginning [-]."""
+    """Cosine between the line and the contact normal at the first contact [-]."""
 
 
 def touches_hull(
@@ -100,17 +99,17 @@ def touches_hull(
     direction: Float[np.ndarray, "3"],
     margin: float = 0.0,
 ) -> Touch:
-    """When boxes that move along a line touch a hull.
+    """Compute when boxes that move along a line touch a hull.
 
-    Two convex bodies are apart while a plane separates them; the faces of both are tried. Where
-    only edges cross, that says "touch" a little too early, and never too late.
+    The separating axes are the face normals of both bodies. For crossing edges this reports a
+    contact slightly early, never late.
 
     Args:
-        boxes: In the frame of the tool.
-        hull: In the frame of the part.
+        boxes: Boxes in the tool frame.
+        hull: Hull in the part's frame.
         R, p: Poses of the tool in the part.
-        direction: Unit vector of the motion in the frame of the tool.
-        margin: Distance that counts as a touch [m].
+        direction: Unit vector of the motion in the tool frame.
+        margin: Distance that counts as contact [m].
     """
     begin, end, cosine = (np.empty((len(R), len(boxes))) for _ in range(3))
     _touches(
@@ -135,7 +134,7 @@ def _touches(
     end: F2,
     cosine: F2,
 ) -> None:
-    """All in the frame of the tool, in which the boxes and their axes stay as they are."""
+    """Fill in `begin`, `end` and `cosine`; works in the tool frame, where the boxes are fixed."""
     center, rotation, half = boxes
     own_normals, own_offsets = np.empty_like(normals), np.empty(len(normals))
     own = np.empty_like(vertices)
@@ -194,7 +193,7 @@ def _touches(
 
 @kernel
 def _nearing(gap, rate):
-    """Travel from which on an axis does not separate any more what nears along it."""
+    """Return the travel at which two bodies meet along an axis."""
     if rate < -_STILL:
         return -gap / rate
     return np.inf if gap > 0.0 and rate <= _STILL else -np.inf

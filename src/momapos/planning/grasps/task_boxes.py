@@ -1,4 +1,4 @@
-"""The boxes of a task: what moves, at every value of its joint, and what stands still."""
+"""Collect the boxes of a task: moving ones at every joint value, and static ones."""
 
 from __future__ import annotations
 
@@ -22,33 +22,31 @@ def moving_boxes(
     T_part_link: dict[str, Float[np.ndarray, "4 4"]],
     held: Mapping[str, Collection[int]] | None,
 ) -> tuple[MovingBoxes, list[str], Bool[np.ndarray, " m"]]:
-    """Boxes of the moving links at each value, and which of them the palm may touch.
+    """Return the boxes of the moving links at each value, their labels, and which may be touched.
 
     Args:
         target: The object.
-        Ts_world_part: Where the part is at each value.
-        T_part_link: Where the moving links are in it.
-        held: Collision elements that are held, by link; None for all.
+        Ts_world_part: Pose of the part at each value.
+        T_part_link: Poses of the moving links in the part.
+        held: Indices of the grasped collision elements by link; None for all.
     """
-    center, rotation, half, labels, near = [], [], [], [], []
+    found, labels, touched = [], [], [np.zeros(0, bool)]
     for link, T in T_part_link.items():
         for index, boxes in enumerate(target.model.boxes[link]):
-            center.append(boxes.center @ T[:3, :3].T + T[:3, 3])
-            rotation.append(T[:3, :3] @ boxes.rotation)
-            half.append(boxes.half)
+            found.append(boxes.moved(T))
             labels += [f"{target.name}/{link}"] * len(boxes)
-            near.append(np.full(len(boxes), held is None or index in held.get(link, ())))
-    c, R, h = _stack(center, rotation, half)
+            touched.append(np.full(len(boxes), held is None or index in held.get(link, ())))
+    part, R, p = Boxes.join(found), Ts_world_part[:, :3, :3], Ts_world_part[:, None, :3, 3]
     world = MovingBoxes(
-        np.einsum("vij,mj->vmi", Ts_world_part[:, :3, :3], c) + Ts_world_part[:, None, :3, 3],
-        np.einsum("vij,mjk->vmik", Ts_world_part[:, :3, :3], R),
-        np.broadcast_to(h, (len(Ts_world_part), *h.shape)).copy(),
+        np.einsum("vij,mj->vmi", R, part.center) + p,
+        np.einsum("vij,mjk->vmik", R, part.rotation),
+        np.broadcast_to(part.half, (len(R), *part.half.shape)).copy(),
     )
-    return world, labels, np.concatenate(near) if near else np.zeros(0, bool)
+    return world, labels, np.concatenate(touched)
 
 
 def held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:
-    """The collision elements of handles, by link."""
+    """Return the indices of the handles' collision elements by link."""
     held: dict[str, set[int]] = {}
     for element in (e for handle in handles for e in handle.elements):
         if element.index is not None:
@@ -56,36 +54,25 @@ def held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:
     return held
 
 
-def room_boxes(scene: Scene) -> Boxes:
-    """All boxes of a room."""
+def scene_boxes(scene: Scene) -> Boxes:
+    """Return all boxes of a scene."""
     return static_boxes(scene, None, set())[0]
 
 
 def static_boxes(
     scene: Scene, target: SceneObject | None, moved: set[str]
 ) -> tuple[Boxes, list[str]]:
-    """Boxes of all that stands still, and their names.
+    """Return the boxes of all static links, and their labels.
 
     Args:
-        scene: The room.
-        target: The object of which some links move, if any does.
-        moved: These links.
+        scene: The scene.
+        target: The object with moving links, if any.
+        moved: Names of these links.
     """
-    center, rotation, half, labels = [], [], [], []
+    found, labels = [], []
     for item in scene.objects:
         for link, boxes in item.link_boxes.items():
-            if item is target and link in moved:
-                continue
-            center.append(boxes.center)
-            rotation.append(boxes.rotation)
-            half.append(boxes.half)
-            labels += [f"{item.name}/{link}"] * len(boxes)
-    return Boxes(*_stack(center, rotation, half)), labels
-
-
-def _stack(
-    center: list[np.ndarray], rotation: list[np.ndarray], half: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    if not center:
-        return np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))
-    return np.concatenate(center), np.concatenate(rotation), np.concatenate(half)
+            if item is not target or link not in moved:
+                found.append(boxes)
+                labels += [f"{item.name}/{link}"] * len(boxes)
+    return Boxes.join(found), labels

@@ -1,4 +1,4 @@
-"""A task as motion: tool poses over time, and what else moves meanwhile."""
+"""Turn a task into a motion: tool poses at every step, and the boxes that move with them."""
 
 from __future__ import annotations
 
@@ -16,56 +16,55 @@ from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import Boxes, MovingBoxes, joint_motion, opening_of
 
 from .config import GraspConfig, MotionConfig
-from .grasp_families import Grasps, holding_grasps, inside_grasps
+from .grasp_families import Grasps, select_inner_pushes, select_part_grasps
 from .handle_core import HandleKind
 from .handles import Handle, find_handle, handles_in_turn, lever_arms
 from .resistance import resistance_of
-from .rigid_grasps import holding_object
+from .rigid_grasps import select_object_grasps
 from .task_boxes import held_elements, moving_boxes, static_boxes
 from .turning_grasps import Turning, no_turning, turning_about
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-LIFT = 0.05
-"""How far a rigid object is lifted, or the gripper drawn back [m]."""
+LIFT_HEIGHT = 0.05
+"""Height by which a rigid object is lifted [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TaskMotion:
     """Tool poses of every grasp along the motion, and the boxes that move with it."""
 
     task: Task
     Ts_world_tool: Float[np.ndarray, "g d 4 4"]
-    """Straight approach first, then the motion itself."""
+    """Straight approach, then the motion."""
     object_q: Float[np.ndarray, " d"]
     """Value of the object's joint at each step [rad] or [m]; zeros for rigid objects."""
     waypoint_steps: Int[np.ndarray, " w"]
     """Steps that are waypoints; the first is the pre-grasp."""
     grasp_step: int
-    """Step at which the gripper holds the object."""
+    """Step at which the hand grasps the object."""
     holding: Bool[np.ndarray, " d"]
-    """Whether the gripper may touch what it grasps."""
+    """Whether the gripper may touch the grasped part, at each step."""
     static: Boxes
-    """Boxes that stand still, world frame."""
+    """Static boxes in the world."""
     moving: MovingBoxes
-    """Boxes that move, at each value, world frame."""
+    """Moving boxes in the world, at each value."""
     value: Int[np.ndarray, " d"]
-    """Index of each step's value into `moving`."""
+    """Index into `moving` at each step."""
     grasped: Bool[np.ndarray, " m"]
     """Moving boxes that the gripper may touch."""
     labels: tuple[str, ...]
-    """Names of the standing, then of the moving boxes."""
+    """Names of the static boxes, then of the moving ones."""
     grasps: Grasps
-    """How each grasp holds."""
     refusal: str
-    """Why no grasp holds, wherever the base stands; "" where some do."""
+    """Why no grasp holds, for any base pose; "" if some do."""
     turning: Turning
     """Grasps between which the hand may turn."""
     release_step: int | None = None
-    """Step after which the hand lets go of the part of a joint; None where it never does."""
-    passed_over: str = ""
-    """Why a better handle than that of the grasps is not held; "" where there is none."""
+    """Step after which the hand releases the part of a joint; None if it never does."""
+    better_handle_reason: str = ""
+    """Why a better handle is not used; "" if there is none."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -74,11 +73,11 @@ class TaskMotion:
 
     @property
     def waypoints(self) -> Float[np.ndarray, "w 3"]:
-        """Tool positions of the plainest grasp at the waypoints, pre-grasp left out [m]."""
+        """Tool positions of the first grasp at the waypoints, without the pre-grasp [m]."""
         return self.Ts_world_tool[0, self.waypoint_steps[1:], :3, 3]
 
     def only(self, rows: Bool[np.ndarray, " g"]) -> TaskMotion:
-        """The same motion with some of its grasps."""
+        """Return the motion with a subset of its grasps."""
         return replace(
             self,
             Ts_world_tool=self.Ts_world_tool[rows],
@@ -88,7 +87,7 @@ class TaskMotion:
 
     @property
     def closed(self) -> Bool[np.ndarray, " d"]:
-        """At which steps the fingers are closed about what they hold, if they close at all."""
+        """Whether the fingers are closed at each step, if they close at all."""
         steps = np.arange(len(self.object_q))
         if self.task.verb == "place":
             return steps <= self.grasp_step
@@ -97,37 +96,40 @@ class TaskMotion:
 
     @property
     def closes(self) -> Bool[np.ndarray, " d"]:
-        """At which steps the fingers close about what they hold, or open to let it go."""
+        """Whether the fingers close or open at each step."""
         steps = [s for s in (self.grasp_step, self.release_step) if s is not None]
         return np.isin(np.arange(len(self.object_q)), steps)
 
     @property
     def free_ends(self) -> tuple[int, ...]:
-        """Steps at which the arm comes from a motion of its own choice, or goes on with one."""
+        """Steps at which a free arm motion ends or begins."""
         return (0,) if self.release_step is None else (0, len(self.object_q) - 1)
 
     @property
     def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
-        """Grasps between which the hand may go on its way to a waypoint: those with the same
-        number in the row of numbers that is the waypoint's. On the approach it keeps its grasp."""
+        """Rows of grasp numbers, and the row of each waypoint.
+
+        On its path to a waypoint, the hand may change between grasps with the same number in the
+        waypoint's row. It keeps its grasp during the approach.
+        """
         grasps = np.arange(len(self.Ts_world_tool))
         return np.stack([0 * grasps, grasps]), (self.layer_of == 1).astype(np.int64)
 
     @property
     def layer_of(self) -> Int[np.ndarray, " w"]:
-        """Waypoints with the same number have the same states of the arm."""
+        """Layer of each waypoint; waypoints of one layer share their arm states."""
         return np.arange(len(self.waypoint_steps))
 
     @property
     def handle(self) -> Handle | None:
-        """What the first grasp holds; None for rigid objects."""
+        """Handle of the first grasp; None for rigid objects."""
         handles = self.grasps.handles
         return handles[int(self.grasps.handle[0])] if handles else None
 
     def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
-        """Tool poses at every step, for the grasp that the hand has at each waypoint.
+        """Return the tool pose at every step, given the grasp at each waypoint.
 
-        Between waypoints with different grasps it turns about the axis of `turning`.
+        Between waypoints with different grasps the hand turns about the axis of `turning`.
         """
         first = grasps[0]
         Ts = self.Ts_world_tool[first]
@@ -140,71 +142,64 @@ class TaskMotion:
         out[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn - self.turning.angles[first])
         return out
 
-    def holds(self, way: int) -> tuple[Hold, ...]:
-        """What a plan says of a way of holding; nothing of a rigid object."""
+    def holds(self, mode: int) -> tuple[Hold, ...]:
+        """Return a plan's record of a grasp mode; empty for rigid objects."""
         if self.task.joint is None:
             return ()
-        grasp = int(self.turning.members(np.array([way]))[0, 0])
+        grasp = int(self.turning.members(np.array([mode]))[0, 0])
         last = len(self.object_q) - 1 if self.release_step is None else self.release_step
-        axis = self.turning.axis_of(way)
+        axis = self.turning.axis_of(mode)
         words = self.grasps.describe(grasp, turns=axis is not None)
         family = str(self.grasps.family[grasp])
         return (Hold(0, last - self.grasp_step, axis, family, words),)
 
-    def carried_out(
-        self, way: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
+    def executed_steps(
+        self, mode: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
     ) -> tuple[Int[np.ndarray, " k"], tuple[Hold, ...]]:
-        """The steps of a motion that are carried out, and its holds.
+        """Return the steps that are executed in a grasp mode, and the holds.
 
         Args:
-            way: The way of holding.
-            Ts_world_tool: Where the tool is at every step.
+            mode: The grasp mode.
+            Ts_world_tool: Tool pose at every step.
         """
-        return np.arange(len(Ts_world_tool)), self.holds(way)
+        return np.arange(len(Ts_world_tool)), self.holds(mode)
 
     def sweep(self) -> Boxes:
-        """The moving boxes at all values, as one set."""
+        """Return the moving boxes at all values as one set."""
         return self.moving.sweep()
 
     def static_obstacles(self) -> Boxes:
-        """All boxes as they are before the task begins; `labels` names them in this order."""
-        first = self.moving.at(0)
-        return Boxes(
-            np.concatenate([self.static.center, first.center]),
-            np.concatenate([self.static.rotation, first.rotation]),
-            np.concatenate([self.static.half, first.half]),
-        )
+        """Return all boxes as they are before the task, in the order of `labels`."""
+        return Boxes.join([self.static, self.moving.at(0)])
 
 
 def task_motion(
     scene: Scene, robot: Robot, task: Task, config: MotionConfig, *, inside: bool = False
 ) -> TaskMotion:
-    """Turn a task into tool poses.
+    """Turn a task into a motion.
 
     Args:
-        scene: The room.
-        robot: Whose hand.
-        task: What moves.
-        config: How finely the motion is cut, and what grasps are tried.
-        inside: Whether a part that is ajar is pushed on from behind, and not held.
+        scene: The scene.
+        robot: The robot.
+        task: The task.
+        config: The resolution of the motion, and the grasps to try.
+        inside: Whether to push a part that is ajar from behind instead of grasping it.
 
     Raises:
-        TaskError: The object cannot be held by this gripper.
+        TaskError: The robot has no gripper for a rigid object, or the object has no shape.
     """
     target = scene.object(task.object)
     if task.joint is None:
         return _rigid_motion(scene, robot, task, target, config)
     motion = _joint_motion(scene, robot, task, target, config, inside=inside)
-    # A hand that pushes from behind holds nothing that it could draw back from.
-    return (
-        with_retreat(motion, robot, config.grasps) if config.home_again and not inside else motion
-    )
+    # A hand that pushes from behind has nothing to release.
+    retreats = config.home_again and not inside
+    return with_retreat(motion, robot, config.grasps) if retreats else motion
 
 
 def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskMotion:
-    """The same motion, at the end of which the hand lets go and draws straight back."""
-    last = motion.Ts_world_tool[:, -1]
-    back = _straight_approach(robot, last, config)[:, ::-1]
+    """Extend a motion: at its end the hand releases the part and retracts straight."""
+    back = _straight_approach(robot, motion.Ts_world_tool[:, -1], config)[:, ::-1]
     steps = back.shape[1]
     held = motion.Ts_world_tool.shape[1]
     return replace(
@@ -218,18 +213,18 @@ def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskM
     )
 
 
-def by_another_handle(
-    motion: TaskMotion, scene: Scene, robot: Robot, config: MotionConfig, passed: list[Handle]
+def with_other_handle(
+    motion: TaskMotion, scene: Scene, robot: Robot, config: MotionConfig, excluded: list[Handle]
 ) -> TaskMotion | None:
-    """The same motion by a handle that is not passed over; None where none of them holds."""
+    """Return the same motion with another handle; None if no other handle holds."""
     task, target = motion.task, scene.object(motion.task.object)
     if task.joint is None or motion.handle is None or motion.handle.kind is HandleKind.FACE:
         return None
     sign = opening_of(target.model, task.joint).sign
-    if all(handle in passed for handle in handles_in_turn(target.model, task.joint, sign)):
+    if all(handle in excluded for handle in handles_in_turn(target.model, task.joint, sign)):
         return None
-    other = _joint_motion(scene, robot, task, target, config, inside=False, passed=passed)
-    # The push comes where no handle holds, and was tried with the first.
+    other = _joint_motion(scene, robot, task, target, config, inside=False, excluded=excluded)
+    # A push is the last resort, and was tried with the first handle.
     if other.refusal or other.handle is None or other.handle.kind is HandleKind.FACE:
         return None
     retreats = motion.release_step is not None
@@ -237,11 +232,11 @@ def by_another_handle(
 
 
 GraspFilter: TypeAlias = "Callable[[TaskMotion], Bool[np.ndarray, ' g']]"
-"""Which grasps of a task may be used."""
+"""Return which grasps of a task may be used."""
 
 
-def in_room(motion: TaskMotion, scene: Scene) -> TaskMotion:
-    """The same motion of the same object, among what stands in another version of its room."""
+def in_scene(motion: TaskMotion, scene: Scene) -> TaskMotion:
+    """Return the same motion with the static boxes of another version of the scene."""
     target = scene.object(motion.task.object)
     joint = motion.task.joint
     moved = target.model.links if joint is None else target.model.moved_by(joint)
@@ -257,7 +252,7 @@ def _joint_motion(
     config: MotionConfig,
     *,
     inside: bool,
-    passed: Collection[Handle] = (),
+    excluded: Collection[Handle] = (),
 ) -> TaskMotion:
     assert task.joint is not None
     assert task.to is not None
@@ -269,11 +264,15 @@ def _joint_motion(
     handle = find_handle(target.model, joint.name, sign)
     lever = float(lever_arms(target.model, joint.name, handle.center[None])[0])
     torque = resistance_of(target, joint.name, values, lever, config.grasps.resistance)
-    chosen = inside_grasps(robot, target.model, joint.name, sign, config.grasps) if inside else None
+    chosen = (
+        select_inner_pushes(robot, target.model, joint.name, sign, config.grasps)
+        if inside
+        else None
+    )
     if chosen is None:
-        chosen = holding_grasps(
+        chosen = select_part_grasps(
             robot, target.model, joint.name, sign, torque,
-            closes=task.verb == "close", config=config.grasps, passed=passed,
+            closes=task.verb == "close", config=config.grasps, excluded=excluded,
         )  # fmt: skip
     Ts_part_tool = chosen.Ts_part_tool
     poses = target.link_poses()
@@ -305,7 +304,7 @@ def _joint_motion(
         grasps=chosen.grasps,
         refusal=chosen.reason,
         turning=turning,
-        passed_over=chosen.passed_over,
+        better_handle_reason=chosen.better_handle_reason,
     )
 
 
@@ -317,7 +316,7 @@ def _count(kind: str, span: float, config: MotionConfig) -> int:
 def _straight_approach(
     robot: Robot, Ts_world_tool: Float[np.ndarray, "g 4 4"], config: GraspConfig
 ) -> Float[np.ndarray, "g s 4 4"]:
-    """Tool poses on the straight line to the grasp, the grasp itself left out."""
+    """Return tool poses on the straight line to the grasp, excluding the grasp."""
     steps = max(2, int(np.ceil(config.pregrasp / 0.02)))
     back = np.linspace(config.pregrasp, 0.0, steps + 1)[:-1]
     T = np.tile(Ts_world_tool[:, None], (1, steps, 1, 1))
@@ -329,16 +328,18 @@ def _straight_approach(
 def _rigid_motion(
     scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
 ) -> TaskMotion:
-    """Pick: approach, grasp, lift. Place: the same backwards, from release to retreat."""
+    """Build the motion of a rigid object: approach, grasp, lift; reversed to place it."""
     if not robot.has_gripper:
         raise TaskError(
-            f"{robot.name} has no gripper, so it cannot {task.verb} {target.name!r}; its "
-            "gripper_links name nothing beyond the arm's own links"
+            f"{robot.name} has no gripper, so it cannot {task.verb} {target.name!r}; "
+            "gripper_links must name links beyond the arm's own links"
         )
     T_object = _upright_frame(target)
-    chosen = holding_object(robot, target, T_object, config.grasps, carried=task.verb == "place")
+    chosen = select_object_grasps(
+        robot, target, T_object, config.grasps, carried=task.verb == "place"
+    )
     Ts_object_tool = chosen.Ts_part_tool
-    lifts = np.linspace(0.0, LIFT, config.substeps + 1)
+    lifts = np.linspace(0.0, LIFT_HEIGHT, config.substeps + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
     Ts_world_object[:, 2, 3] += lifts
     T_object_link = {n: invert(T_object) @ T for n, T in target.link_poses().items()}
@@ -352,7 +353,7 @@ def _rigid_motion(
         value = np.concatenate([np.zeros(steps, np.int64), np.arange(len(lifts))])
         waypoint_steps, first = np.array([0, steps, steps + len(lifts) - 1]), steps
     else:
-        # The hand comes down with the object, lets go, and backs off along its approach.
+        # The hand lowers the object, releases it, and retracts along its approach.
         down = (Ts_world_object[None] @ Ts_object_tool[:, None])[:, ::-1]
         Ts = np.concatenate([down, approach[:, ::-1]], axis=1)
         value = np.concatenate([np.arange(len(lifts))[::-1], np.zeros(steps, np.int64)])
@@ -377,7 +378,7 @@ def _rigid_motion(
 
 
 def _upright_frame(target: SceneObject) -> Float[np.ndarray, "4 4"]:
-    """A frame in the middle of a rigid object, z up and turned as the object is."""
+    """Return a frame in the middle of a rigid object, with z up and the object's yaw."""
     poses = target.link_poses()
     points = [
         hull.vertices @ T[:3, :3].T + T[:3, 3]
@@ -385,7 +386,7 @@ def _upright_frame(target: SceneObject) -> Float[np.ndarray, "4 4"]:
         for hull in target.model.hulls[name]
     ]
     if not points:
-        raise TaskError(f"{target.name!r} has no shape that could be held")
+        raise TaskError(f"{target.name!r} has no collision shape, so it cannot be grasped")
     x = target.T_world_object[:3, 0]
     yaw = float(np.arctan2(x[1], x[0])) if np.hypot(x[0], x[1]) > 1e-6 else 0.0
     R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])

@@ -1,4 +1,4 @@
-"""What may be asked of an object: verbs, joints and values."""
+"""Check tasks against a scene: verbs, objects, joints and values."""
 
 from __future__ import annotations
 
@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from momapos.core import ANGLES, LENGTHS, MAX, Quantity, TaskError, parse_quantity
+from momapos.core import (
+    ANGLES,
+    LENGTHS,
+    MAX,
+    Quantity,
+    TaskError,
+    expect,
+    finite_number,
+    parse_quantity,
+)
 from momapos.model.records import Task, Verb
 from momapos.model.scene import Scene, SceneObject, joint_value
 from momapos.model.urdf import Articulated, Joint, opening_of
@@ -18,16 +27,15 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 WIDE_OPEN = math.pi / 2
-"""How far a hinge is opened when nothing is said, as in the paper [rad]."""
-STAND_OFF = 1.5
-"""A robot that nobody places starts about so far from doors and drawers [m]."""
-KNOB = 0.1
-"""What a joint turns that is nowhere larger than this is a knob or a button [m]."""
-ROUNDED = 1e-3
-"""What lies outside a limit by no more is that limit, written with fewer digits [rad] or [m]."""
-
-LONGEST_TURN, LONGEST_SLIDE = 2 * math.pi, 10.0
-"""No task moves a part farther: the model's limits are wrong, or the unit is [rad], [m]."""
+"""Default opening angle of a hinge, as in the paper [rad]."""
+START_DISTANCE = 1.5
+"""Default distance of the start from doors and drawers [m]."""
+MAX_KNOB_SIZE = 0.1
+"""Maximum size of a knob or button [m]."""
+LIMIT_TOLERANCE = 1e-3
+"""Values that exceed a limit by less are rounded versions of that limit [rad] or [m]."""
+MAX_TURN, MAX_SLIDE = 2 * math.pi, 10.0
+"""Maximum motion of a task; a larger one has a wrong limit or unit [rad], [m]."""
 
 
 def make_task(
@@ -40,24 +48,30 @@ def make_task(
     """Check a request against the scene and fill in what it leaves out.
 
     Args:
-        scene: The room.
+        scene: The scene.
         verb: open, close, pick or place.
-        object_name: Which object.
-        joint: Which of its joints; may be left out where only one part has a handle.
-        to: Value to reach, as a number [rad] or [m] or as a text with its unit such as "90deg" or
-            "30cm"; a quarter turn or the whole slide by default. "max" to open it as far as it
-            can be opened: the answer says to which value.
+        object_name: The object, or object and joint as in "fridge/door_hinge".
+        joint: The joint; optional if only one part has a handle.
+        to: Value to reach, as a number [rad] or [m] or a text with a unit such as "90deg" or
+            "30cm"; a quarter turn or the whole slide by default. "max" opens the part as far as
+            possible; the plan contains the value.
 
     Raises:
-        TaskError: The request makes no sense here; the message says what would.
+        TaskError: The request does not fit the object; the message says what would.
         UnknownNameError: There is no such object or joint.
     """
-    if verb not in get_args(Verb):
+    expect("scene", scene, Scene, "load_scene reads one")
+    expect("object_name", object_name, str)
+    if joint is None and "/" in object_name and object_name not in {o.name for o in scene.objects}:
+        object_name, _, joint = object_name.partition("/")
+    if joint is not None:
+        expect("joint", joint, str)
+    if not isinstance(verb, str) or verb not in get_args(Verb):
         raise TaskError(f"no verb {verb!r}; it must be one of {', '.join(get_args(Verb))}")
     target = scene.object(object_name)
     if verb in ("pick", "place"):
         if joint is not None or to is not None:
-            raise TaskError(f"{verb} moves a whole object; leave out the joint and --to")
+            raise TaskError(f"{verb} moves a whole object; leave out joint and to")
         if target.model.joints:
             raise TaskError(f"{object_name!r} has joints; {verb} is for rigid objects")
         return Task(verb, object_name)  # type: ignore[arg-type]
@@ -75,7 +89,8 @@ def make_task(
 
 
 def openable(scene: Scene) -> list[tuple[str, str]]:
-    """Every (object, joint) whose moving part has a handle, in the scene's order."""
+    """Return every (object, joint) whose moving part has a handle, in the scene's order."""
+    expect("scene", scene, Scene, "load_scene reads one")
     return [
         (item.name, joint)
         for item in scene.objects
@@ -85,12 +100,9 @@ def openable(scene: Scene) -> list[tuple[str, str]]:
 
 
 def in_front_of_parts(scene: Scene) -> Float[np.ndarray, "2"]:
-    """A point on the floor before the doors and drawers of a room, on the side to which they open.
-
-    Without any, the middle of everything [m].
-    """
+    """Return a floor point in front of a scene's doors and drawers, or else its middle [m]."""
     points = [
-        point[:2] + STAND_OFF * direction[:2]
+        point[:2] + START_DISTANCE * direction[:2]
         for name, joint in openable(scene)
         for point, direction in [opening_direction(scene.object(name), joint)]
     ]
@@ -100,7 +112,7 @@ def in_front_of_parts(scene: Scene) -> Float[np.ndarray, "2"]:
 
 
 def slides(scene: Scene, task: Task) -> bool:
-    """Whether a task moves a part along a line, and does not turn it."""
+    """Check whether a task moves a part along a line instead of turning it."""
     if task.joint is None:
         return False
     return scene.object(task.object).joint(task.joint).kind == "prismatic"
@@ -109,14 +121,14 @@ def slides(scene: Scene, task: Task) -> bool:
 def hand_path(
     scene: Scene, object_name: str, joint: str | None = None, to: float | None = None
 ) -> Float[np.ndarray, "k 3"]:
-    """Where a hand goes that opens or holds an object, in the world [m].
+    """Return the path of the hand that opens or grasps an object, in the world [m].
 
     Args:
-        scene: The room.
-        object_name: Which object.
-        joint: Which of its joints; all that have a handle by default. Without any, the path is the
-            middle of the object.
-        to: Value the joint goes to [rad] or [m]; wide open by default.
+        scene: The scene.
+        object_name: The object.
+        joint: Its joint; by default all joints with a handle. Without any, the path is the middle
+            of the object.
+        to: Value of the joint at the end [rad] or [m]; wide open by default.
 
     Raises:
         UnknownNameError: There is no such object or joint.
@@ -141,72 +153,72 @@ def _only_joint(target: SceneObject) -> Joint:
     choice = handled or joints
     if len(choice) > 1:
         raise TaskError(
-            f"{target.name!r} has several moving parts; say {target.name}/JOINT with one of "
+            f"{target.name!r} has several moving parts; name one as {target.name}/JOINT: "
             + _by_size(target, choice)
         )
     return target.model.joints[choice[0]]
 
 
 def _by_size(target: SceneObject, joints: list[str]) -> str:
-    """Names of joints, with the knobs apart from the doors and drawers."""
-    knobs = [j for j in joints if _turns_a_knob(target, j)]
+    """List joints in words, knobs separately from doors and drawers."""
+    knobs = [j for j in joints if _is_knob(target, j)]
     parts = [j for j in joints if j not in knobs]
     words = [", ".join(parts)] if parts else []
     return "; ".join([*words, *([f"knobs: {', '.join(knobs)}"] if knobs else [])])
 
 
-def _turns_a_knob(target: SceneObject, joint: str) -> bool:
-    """Whether a joint moves a small thing that is held anywhere, and no door or drawer."""
+def _is_knob(target: SceneObject, joint: str) -> bool:
     model = target.model
     points = [h.vertices for name in model.moved_by(joint) for h in model.hulls[name]]
     extent = max((float(np.ptp(p, axis=0).max()) for p in points), default=0.0)
-    return extent < KNOB
+    return extent < MAX_KNOB_SIZE
 
 
 def _goal(model: Articulated, joint: Joint, verb: str, start: float) -> float:
-    """Where a part goes when nobody says how far."""
-    way = opening_of(model, joint.name)
+    opening = opening_of(model, joint.name)
     if verb == "close":
-        return way.closed
-    wide = way.closed + way.sign * WIDE_OPEN
-    if joint.kind == "prismatic" or way.sign * (way.wide - wide) < 0:
-        return way.wide
-    return wide if way.sign * (wide - start) > ROUNDED or not math.isfinite(way.wide) else way.wide
+        return opening.closed
+    goal = opening.closed + opening.sign * WIDE_OPEN
+    if joint.kind == "prismatic" or opening.sign * (opening.wide - goal) < 0:
+        return opening.wide
+    is_ahead = opening.sign * (goal - start) > LIMIT_TOLERANCE
+    return goal if is_ahead or not math.isfinite(opening.wide) else opening.wide
 
 
 def _limit(target: SceneObject, joint: Joint, verb: str, start: float) -> float:
-    """The value at which a part is wide open, or as far as a task may move it from here."""
+    """Return the value at which a part is wide open, or as far as a task may move it."""
     if verb == "close":
         raise TaskError(
-            f"{target.name}/{joint.name}: --to {MAX} opens a part as far as it goes; "
-            "close shuts it all the way, leave --to out"
+            f"{target.name}/{joint.name}: to={MAX} is only for open; leave out to, since close "
+            "always closes a part completely"
         )
-    way = opening_of(target.model, joint.name)
-    longest = LONGEST_SLIDE if joint.kind == "prismatic" else LONGEST_TURN
-    return way.wide if abs(way.wide - start) <= longest else start + way.sign * longest
+    opening, most = opening_of(target.model, joint.name), _longest(joint)
+    return opening.wide if abs(opening.wide - start) <= most else start + opening.sign * most
 
 
 def _within_limits(where: str, joint: Joint, to: float | str) -> float:
-    """The value that is asked for, moved onto a limit that it only misses by rounding."""
-    quantity = parse_quantity(to) if isinstance(to, str) else Quantity(float(to), "", f"{to:g}")
-    value = joint_value(joint, quantity, f"{where}: --to")
+    """Return a requested value in the joint's unit; correct rounding beyond a limit."""
+    if not isinstance(to, str):
+        to = finite_number("to", to)
+    quantity = parse_quantity(to) if isinstance(to, str) else Quantity(to, "", f"{to:g}")
+    value = joint_value(joint, quantity, f"{where}: to")
     if not math.isfinite(value):
-        raise TaskError(f"{where}: --to must be a finite number, or an angle such as 90deg")
-    if not joint.lower - ROUNDED <= value <= joint.upper + ROUNDED:
-        asked = f"{value:g} {_unit(joint)}" + ("" if quantity.unit else _meant(joint, value))
-        raise TaskError(f"{where}: --to {asked} is outside its limits {limits_of(joint)}")
+        raise TaskError(f"{where}: to must be a finite number, or an angle such as 90deg")
+    if not joint.lower - LIMIT_TOLERANCE <= value <= joint.upper + LIMIT_TOLERANCE:
+        given = f"{value:g} {_unit(joint)}" + ("" if quantity.unit else _unit_hint(joint, value))
+        raise TaskError(f"{where}: to {given} is outside its limits {limits_of(joint)}")
     return min(max(value, joint.lower), joint.upper)
 
 
-def _meant(joint: Joint, value: float) -> str:
-    """The unit that a number without one may have been meant in."""
+def _unit_hint(joint: Joint, value: float) -> str:
+    """Suggest a unit in which a number without a unit would be within the limits."""
     units = LENGTHS if joint.kind == "prismatic" else ANGLES
     fits = [u for u, factor in units.items() if joint.lower <= factor * value <= joint.upper]
     return f" (did you mean {value:g}{fits[0]}?)" if fits else ""
 
 
 def limits_of(joint: Joint) -> str:
-    """The limits of a joint in words."""
+    """Return the limits of a joint in words."""
     text = f"{joint.lower:.4g} to {joint.upper:.4g} {_unit(joint)}"
     if joint.kind == "prismatic":
         return text
@@ -217,12 +229,16 @@ def _unit(joint: Joint) -> str:
     return "m" if joint.kind == "prismatic" else "rad"
 
 
+def _longest(joint: Joint) -> float:
+    return MAX_SLIDE if joint.kind == "prismatic" else MAX_TURN
+
+
 def _check_goal(target: SceneObject, joint: Joint, verb: str, start: float, goal: float) -> None:
     where, unit = f"{target.name}/{joint.name}", _unit(joint)
-    if abs(goal - start) < ROUNDED:
+    if abs(goal - start) < LIMIT_TOLERANCE:
         raise TaskError(f"{where}: already at {goal:g} {unit}; nothing to {verb}")
-    longest = LONGEST_SLIDE if joint.kind == "prismatic" else LONGEST_TURN
-    if abs(goal - start) > longest + ROUNDED:
+    longest = _longest(joint)
+    if abs(goal - start) > longest + LIMIT_TOLERANCE:
         raise TaskError(
             f"{where}: from {start:g} to {goal:g} {unit} is too far; a part moves at most "
             f"{longest:.4g} {unit}" + ("" if joint.kind == "prismatic" else " (a full turn)")

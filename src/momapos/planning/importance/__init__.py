@@ -1,4 +1,4 @@
-"""Importance: which objects of a room matter for a task with one of them."""
+"""Importance: score how much each object of a scene matters for a task with one of them."""
 
 import lazy_loader
 

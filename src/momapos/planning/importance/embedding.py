@@ -1,8 +1,8 @@
-"""Skip-gram over walks or words: what keeps the same company gets similar vectors.
+"""Skip-gram over walks or words: items in the same context get similar vectors.
 
 The training is a kernel of plain arithmetic in a fixed order, so that a seed gives the same vectors
-on every machine. A BLAS adds up in the order that suits the processor; the chain of small updates
-makes 2e-4 of cosine out of its rounding (gensim, one worker, measured).
+on every machine. A BLAS sums in an order that depends on the processor, and the chain of small
+updates amplifies its rounding to 2e-4 in the cosine (measured with gensim, one worker).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 LEARNING_RATE = 0.1
-"""At the start; it falls to nearly nothing. High, for the corpus is small and seen few times."""
+"""Initial learning rate, which decreases to almost 0 [-]; high, because the corpus is small."""
 NEGATIVE = 3
-"""Words drawn as no company for each that is [-]."""
+"""Negative samples per context word [-]."""
 _TABLE = 1 << 17
 _STEP, _SHIFT = np.uint64(6364136223846793005), np.uint64(33)
 _ODD = np.uint64(1442695040888963407)
@@ -29,27 +29,21 @@ _ODD = np.uint64(1442695040888963407)
 
 @dataclass(frozen=True)
 class SkipGram:
-    """How vectors are learnt."""
+    """Parameters of the training."""
 
     dimensions: int
     """Length of a vector [-]."""
     window: int
-    """Words before and after that count as company [-]."""
+    """Number of words before and after that count as context [-]."""
     epochs: int
-    """Passes over the sentences [-]."""
+    """Number of passes over the sentences [-]."""
     seed: int
 
 
 def embed_walks(
     walks: Int[np.ndarray, "w length"], count: int, config: SkipGram
 ) -> Float[np.ndarray, "count d"]:
-    """Vectors of the objects that walks pass (DeepWalk, Perozzi et al. 2014).
-
-    Args:
-        walks: Indices of objects.
-        count: Number of objects.
-        config: How vectors are learnt.
-    """
+    """Train vectors of `count` objects on walks over them (DeepWalk, Perozzi et al. 2014)."""
     start = np.arange(len(walks) + 1) * walks.shape[1]
     return _skip_gram(walks.ravel(), start, count, config)
 
@@ -57,7 +51,7 @@ def embed_walks(
 def embed_words(
     sentences: Sequence[Sequence[str]], config: SkipGram
 ) -> dict[str, Float[np.ndarray, " d"]]:
-    """Vectors of words, from the words that stand near them (Mikolov et al. 2013)."""
+    """Train vectors of words on sentences (Mikolov et al. 2013)."""
     known = {word: k for k, word in enumerate(dict.fromkeys(w for s in sentences for w in s))}
     tokens = np.array([known[word] for sentence in sentences for word in sentence], int)
     start = np.r_[0, np.cumsum([len(sentence) for sentence in sentences])]
@@ -67,9 +61,9 @@ def embed_words(
 def _skip_gram(
     tokens: Int[np.ndarray, " t"], start: Int[np.ndarray, " s_plus_1"], count: int, config: SkipGram
 ) -> Float[np.ndarray, "count d"]:
-    """Skip-gram with negative sampling, as word2vec does it, without thinning out common words.
+    """Train skip-gram with negative sampling as word2vec does, without subsampling common words.
 
-    Words are drawn as no company by their frequency to the power 3/4.
+    Negative samples are drawn with the frequency to the power 3/4.
     """
     rng = np.random.default_rng(config.seed)
     vectors = (rng.random((count, config.dimensions)) - 0.5) / config.dimensions
@@ -91,11 +85,11 @@ class Text(NamedTuple):
 
     tokens: I1
     start: I1
-    """Where each sentence begins, and the end."""
+    """Index of each sentence's first token, and the number of tokens."""
 
 
 class Vectors(NamedTuple):
-    """What is learned of each word."""
+    """Vectors of each word, changed in place."""
 
     words: F2
     outputs: F2
@@ -104,7 +98,7 @@ class Vectors(NamedTuple):
 
 
 class Training(NamedTuple):
-    """How it is learned, see `SkipGram`."""
+    """Parameters of the training for the kernels, see `SkipGram`."""
 
     window: int
     epochs: int
@@ -114,10 +108,10 @@ class Training(NamedTuple):
 
 @kernel
 def _sigmoid(x):
-    """1 / (1 + exp(-x)) within 1e-5, by Lambert's fraction of tanh(x / 2); 0 or 1 beyond 6.
+    """Return 1 / (1 + exp(-x)) within 1e-5, by Lambert's fraction of tanh(x / 2); 0 or 1 beyond 6.
 
-    As in word2vec, a product beyond 6 is learnt: else those of words that never meet would grow
-    without end.
+    As in word2vec, training stops at a product beyond 6: otherwise products of words that never
+    occur together would grow without bound.
     """
     if abs(x) > 6.0:
         return 1.0 if x > 0.0 else 0.0
@@ -129,7 +123,7 @@ def _sigmoid(x):
 
 @kernel
 def _dot(a, b):
-    """Product of two vectors in four sums: the processor overlaps them, the order is fixed."""
+    """Return the dot product in four sums: the processor overlaps them, the order is fixed."""
     size = len(a)
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     whole = size - size % 4
@@ -145,7 +139,7 @@ def _dot(a, b):
 
 @kernel
 def _learn(word, company, vectors, table, negative, rate, state):
-    """One update: `word` shall predict `company`, and not the words that are drawn."""
+    """Do one update: make `word` predict `company`, and not the negative samples."""
     words, outputs, change = vectors
     mine = words[word]
     for k in range(len(change)):
@@ -168,13 +162,7 @@ def _learn(word, company, vectors, table, negative, rate, state):
 
 
 @entry
-def _train(
-    text: Text,
-    table: I1,
-    vectors: Vectors,
-    training: Training,
-    state: np.uint64,
-) -> None:
+def _train(text: Text, table: I1, vectors: Vectors, training: Training, state: np.uint64) -> None:
     tokens, start = text
     window, epochs, negative, rate = training
     seen, total = 0, epochs * len(tokens)
@@ -183,7 +171,7 @@ def _train(
             for here in range(start[s], start[s + 1]):
                 now = rate * max(1.0 - seen / total, 1e-4)
                 seen += 1
-                # Near words count more often than far ones: the window's width is drawn.
+                # The window's width is random, so near words count more often than far ones.
                 state = state * _STEP + _ODD
                 width = 1 + np.int64(state >> _SHIFT) % window
                 first, last = max(start[s], here - width), min(start[s + 1] - 1, here + width)
@@ -195,9 +183,9 @@ def _train(
 
 
 def cosine(vectors: Float[np.ndarray, "n d"], target: int) -> Float[np.ndarray, " n"]:
-    """Cosine of the angle between each vector and the target's, in [-1, 1]; 0 for zero vectors.
+    """Return the cosine between each vector and the target's, in [-1, 1]; 0 for zero vectors.
 
-    Rounded to 1e-9, so that the order in which a processor adds up leaves no trace.
+    It is rounded to 1e-9, so that it does not depend on the order of summation.
     """
     length = np.linalg.norm(vectors, axis=1)
     product = vectors @ vectors[target]

@@ -1,4 +1,4 @@
-"""The set S while it grows: which objects are modeled, and which come next."""
+"""The set S of key objects, and how it grows."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from .ranking import Importance
 
 @dataclass(frozen=True)
 class Selection:
-    """What is modeled at the moment."""
+    """The objects that have a kinematic model; all others are boxes."""
 
     ranked: Importance
     alpha: float
-    """Threshold that has been reached [-]."""
+    """Current threshold [-]."""
     joined: frozenset[str] = frozenset()
-    """Objects that a check has added, whatever their score."""
+    """Objects that a check has added, regardless of their score."""
     rounds: int = 0
-    """How often a plan was checked again because objects joined [-]."""
+    """Number of times that a plan was checked again because objects were added [-]."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -35,11 +35,11 @@ class Selection:
         return tuple(n for n in self.ranked.names if n not in chosen)
 
     def join(self, names: Iterable[str]) -> Selection:
-        """Add objects that a check found to matter."""
+        """Return the selection with more objects, regardless of their score."""
         return replace(self, joined=self.joined | frozenset(names))
 
     def relax_alpha(self) -> Selection:
-        """Lower alpha until S is twice as large, or everything (MoMa-Pos, Lemma 1)."""
+        """Lower alpha until S is twice as large or contains all objects (MoMa-Pos, Lemma 1)."""
         wanted = min(2 * len(self.names), len(self.ranked.names))
         for score in self.ranked.scores:
             lower = replace(self, alpha=min(self.alpha, float(score)))
@@ -48,16 +48,16 @@ class Selection:
         return replace(self, alpha=0.0)
 
     def record(self) -> KeyObjects:
-        """What the plan says of it."""
+        """Return the record for the plan."""
         ranked = self.ranked
         return KeyObjects(ranked.scorer, self.alpha, self.names, ranked.by_name, self.rounds)
 
 
 def everything(ranked: Importance) -> Selection:
-    """The selection in which no object is a box."""
+    """Select all objects."""
     return Selection(ranked, 0.0)
 
 
 def start_of(ranked: Importance) -> Selection:
-    """The selection at the configured threshold."""
+    """Select the objects above the configured threshold."""
     return Selection(ranked, ranked.alpha)

@@ -1,6 +1,6 @@
-"""What the relations are read from: an object's upright box, its rigid groups, its convex bodies.
+"""Geometry for the relations: each object's upright box, rigid groups and convex bodies.
 
-Everything is stacked over the whole scene once, so that the kernels run over plain arrays.
+It is stacked over the whole scene once, so that the kernels run over plain arrays.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 CONTACT_LAYER = 0.01
-"""Corners this little above an object's lowest point are what it stands on [m]."""
+"""Vertices up to this height above an object's lowest point form its support area [m]."""
 GRIDS = ((9, 9), (27, 3), (3, 27))
-"""Points along the two sides of what an object stands on: squarish, long, deep [-]."""
-LONG = 3.0
-"""Ratio of the sides from which a rectangle is long [-]."""
+"""Sample points along the two sides of a support area: squarish, long in x, long in y [-]."""
+LONG_ASPECT_RATIO = 3.0
+"""Ratio of the sides above which a rectangle is long [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectBodies:
     """All objects of a scene at their joint values, in the world frame."""
 
@@ -35,11 +35,11 @@ class ObjectBodies:
     """Lower corner of each object's axis-aligned box [m]."""
     high: Float[np.ndarray, "n 3"]
     base: Float[np.ndarray, "n s 2"]
-    """Points of the rectangle that each object stands on [m]."""
+    """Sample points of each object's support area [m]."""
     articulated: Bool[np.ndarray, " n"]
-    """Whether an object has movable joints: such things are hollow."""
+    """Whether an object has movable joints; such objects are taken to be hollow."""
     groups: Boxes
-    """The box of each set of links that move as one, in the frame of its first link."""
+    """The box of each rigid group of links, in the frame of its first link."""
     group_start: Int[np.ndarray, " n_plus_1"]
     hull_start: Int[np.ndarray, " n_plus_1"]
     hull_low: Float[np.ndarray, "h 3"]
@@ -85,7 +85,7 @@ def stack_bodies(scene: Scene, upright: Boxes) -> ObjectBodies:
 
 
 def _hull_rows(item: SceneObject) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, str]]:
-    """World pose, vertices, faces and rigid group of each hull, group by group."""
+    """Return world pose, vertices, faces and rigid group of each hull, group by group."""
     poses, parents = item.link_poses(), _rigid_groups(item.model)
     rows = [
         (poses[link], hull.vertices, hull.faces, parents[link])
@@ -97,7 +97,7 @@ def _hull_rows(item: SceneObject) -> list[tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _rigid_groups(model: Articulated) -> dict[str, str]:
-    """For each link, the first link of those that move with it."""
+    """Map each link to the first link of its rigid group."""
     first = {model.urdf.root: model.urdf.root}
     for joint in model.urdf.joints:
         first[joint.child] = joint.child if joint.movable else first[joint.parent]
@@ -110,7 +110,7 @@ def _each_object(
     points: Float[np.ndarray, "v 3"],
     start: Int[np.ndarray, " n_plus_1"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower and upper corner, and contact points of each object from its vertices."""
+    """Compute lower and upper corner and support points of each object from its vertices."""
     n = len(scene.objects)
     low, high, base = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, int(np.prod(GRIDS[0])), 2))
     for i, item in enumerate(scene.objects):
@@ -126,9 +126,10 @@ def _each_object(
 
 
 def _grid(size: Float[np.ndarray, "2"]) -> Float[np.ndarray, "s 2"]:
-    """Evenly spread points of a rectangle from its corner, closer along a long side [m]."""
+    """Spread points evenly over a rectangle, denser along a long side [m]."""
     x, y = size
-    counts = GRIDS[1] if x > LONG * y else GRIDS[2] if y > LONG * x else GRIDS[0]
+    ratio = LONG_ASPECT_RATIO
+    counts = GRIDS[1] if x > ratio * y else GRIDS[2] if y > ratio * x else GRIDS[0]
     steps = [(np.arange(count) + 0.5) / count for count in counts]
     return np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2) * size
 
@@ -139,7 +140,7 @@ def _groups(
     points: Float[np.ndarray, "v 3"],
     vertex_start: Int[np.ndarray, " h_plus_1"],
 ) -> tuple[Boxes, Int[np.ndarray, " n"]]:
-    """The box of each rigid group, in the frame of the group's first link."""
+    """Compute the box of each rigid group in the frame of its first link, and groups per object."""
     center, rotation, half, counts = [], [], [], []
     hull = 0
     for item, mine in zip(scene.objects, rows, strict=True):
@@ -175,7 +176,7 @@ def _planes(
     vertex_start: Int[np.ndarray, " h_plus_1"],
     faces: list[np.ndarray],
 ) -> Float[np.ndarray, "p 4"]:
-    """Outward planes of all faces; slivers, whose normal is noise, hold everything."""
+    """Compute the outward planes of all faces; those of slivers constrain nothing."""
     if not faces:
         return np.zeros((0, 4))
     index = np.concatenate([f + s for f, s in zip(faces, vertex_start, strict=False)])

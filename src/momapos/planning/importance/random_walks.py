@@ -1,4 +1,4 @@
-"""Biased random walks over the scene graph, all of them in one kernel."""
+"""Biased random walks over the scene graph."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Transitions:
-    """Where a walk goes next: the neighbors of each object in one list, row after row."""
+    """Transition probabilities of a walk: the neighbors of each object, row by row."""
 
     start: Int[np.ndarray, " n_plus_1"]
     target: Int[np.ndarray, " m"]
@@ -25,7 +25,7 @@ class Transitions:
     """Sums to 1 over each row that is not empty."""
 
     def dense(self) -> Float[np.ndarray, "n n"]:
-        """The whole matrix P(i, j); a row of zeros for an object without neighbors."""
+        """Return the matrix P(i, j); rows of objects without neighbors are 0."""
         n = len(self.start) - 1
         matrix = np.zeros((n, n))
         matrix[np.repeat(np.arange(n), np.diff(self.start)), self.target] = self.probability
@@ -33,17 +33,17 @@ class Transitions:
 
 
 def transitions(graph: SceneGraph, *, k0: float, printed: bool = False) -> Transitions:
-    """Chances of the next object: P(i, j) = w(i, j) / sum over the neighbors u of w(i, u).
+    """Compute P(i, j) = w(i, j) / sum over the neighbors u of w(i, u).
 
-    MoMa-Pos, section III-A, prints w = k0 / dist_xy(i, j) + (1 - k0) size(j). The terms have
-    different units, so that k0 means little; scaled, each lies in (0, 1], the first by the
-    closest pair of neighbors, the second by the largest object. Edges are walked both ways, or a
-    cup on a table would be a dead end.
+    MoMa-Pos, section III-A, gives w = k0 / dist_xy(i, j) + (1 - k0) size(j). The terms have
+    different units, which makes k0 hard to interpret. Scaled, each is in (0, 1]: the first relative
+    to the closest pair of neighbors, the second to the largest object. Edges are undirected;
+    otherwise a cup on a table would be a dead end.
 
     Args:
         graph: Relations, distances and sizes.
         k0: Weight of the distance against the size, in [0, 1].
-        printed: Whether the terms are taken as they are, in 1/m and m.
+        printed: Use the paper's terms, in 1/m and m, instead of the scaled ones.
     """
     edges = graph.adjacency
     edge = edges.data - 1
@@ -59,13 +59,7 @@ def transitions(graph: SceneGraph, *, k0: float, printed: bool = False) -> Trans
 
 
 @entry
-def _walk(
-    start: I1,
-    target: I1,
-    cumulative: F1,
-    first: I1,
-    draws: F2,
-) -> np.ndarray:
+def _walk(start: I1, target: I1, cumulative: F1, first: I1, draws: F2) -> np.ndarray:
     out = np.empty((len(first), draws.shape[1] + 1), np.int64)
     for w in range(len(first)):
         here = first[w]
@@ -82,13 +76,13 @@ def _walk(
 def walk(
     steps: Transitions, first: Int[np.ndarray, " w"], length: int, rng: np.random.Generator
 ) -> Int[np.ndarray, "w length"]:
-    """Walk from each given object; one without neighbors stays where it is.
+    """Walk from each given object; without neighbors, a walk stays at its object.
 
     Args:
-        steps: Chances of the next object.
-        first: Where each walk begins.
-        length: Objects in a walk, the first included.
-        rng: Draws the steps; the same state gives the same walks.
+        steps: Transition probabilities.
+        first: First object of each walk.
+        length: Number of objects in a walk.
+        rng: Source of the random steps.
     """
     row = np.repeat(np.arange(len(steps.start) - 1), np.diff(steps.start))
     total = np.r_[0.0, np.cumsum(steps.probability)]

@@ -1,4 +1,4 @@
-"""Which objects deserve a kinematic model, for a task with one of them."""
+"""Rank the objects of a scene by their importance for a task with one of them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import InputError
+from momapos.core import InputError, expect, finite_array, whole_number
 from momapos.model.scene import Scene
 
 from .config import ImportanceConfig
 from .scene_graph import SceneGraph, build_graph
-from .scorers import LEAST, SCORERS
+from .scorers import MIN_SCORE, SCORERS
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -24,12 +24,12 @@ DIGITS = 6
 
 @dataclass(frozen=True, eq=False)
 class Importance:
-    """All objects of a scene, the most important first; the target leads."""
+    """All objects of a scene, most important first, starting with the target."""
 
     target: str
     names: tuple[str, ...]
     scores: Float[np.ndarray, " n"]
-    """In (0, 1], falling; the target's is 1."""
+    """In (0, 1], in descending order; the target's is 1."""
     alpha: float
     scorer: str
     seed: int
@@ -41,35 +41,34 @@ class Importance:
 
     @cached_property
     def by_name(self) -> dict[str, float]:
-        """The score of each object."""
+        """Scores by object name."""
         return dict(zip(self.names, map(float, self.scores), strict=True))
 
     @cached_property
     def _rows(self) -> list[int]:
-        """Place of each object in the graph."""
         place = {name: i for i, name in enumerate(self.graph.names)}
         return [place[name] for name in self.names]
 
     @cached_property
     def relations(self) -> tuple[str, ...]:
-        """What each is to the target: on, in, inside, carries, contains, near; else ""."""
+        """Relation of each object to the target: on, in, inside, carries, contains, near or ""."""
         words = self.graph.relations(self.graph.index(self.target))
         return tuple(words[i] for i in self._rows)
 
     @cached_property
     def steps(self) -> tuple[int, ...]:
-        """Relations on the shortest way to the target; -1 where there is none."""
+        """Number of relations on the shortest path to the target, -1 without a path."""
         steps = self.graph.steps(self.graph.index(self.target))
         return tuple(int(steps[i]) for i in self._rows)
 
     def selected(self, alpha: float | None = None) -> tuple[str, ...]:
-        """The set S: names with a score of at least alpha, most important first.
+        """Return the set S: names with a score of at least alpha, most important first.
 
         Args:
-            alpha: Threshold in [0, 1]; the configured one by default. At 0 everything is in S.
+            alpha: Threshold in [0, 1]; None for the configured one. At 0 all objects are in S.
 
         Raises:
-            InputError: The threshold is outside.
+            InputError: The threshold is outside [0, 1].
         """
         limit = self.alpha if alpha is None else alpha
         if not 0 <= limit <= 1:
@@ -77,10 +76,10 @@ class Importance:
         return self.names[: int(np.count_nonzero(self.scores >= limit))]
 
     def score(self, name: str) -> float:
-        """The score of one object.
+        """Return the score of one object.
 
         Raises:
-            UnknownNameError: There is none; the message offers the nearest.
+            UnknownNameError: There is no such object; the message suggests the nearest name.
         """
         self.graph.index(name)
         return float(self.scores[self.names.index(name)])
@@ -94,29 +93,33 @@ def rank(
     path: Float[np.ndarray, "k 3"] | None = None,
     seed: int = 0,
 ) -> Importance:
-    """Score every object of a scene against the target (MoMa-Pos, section III-A).
+    """Score every object of a scene relative to the target (MoMa-Pos, section III-A).
 
     Args:
-        scene: The room.
-        target: Name of the object that the task is about.
+        scene: The scene.
+        target: Name of the task's object.
         config: How to score.
-        path: Where the hand goes, in the world [m]; only the scorer `reach` looks at it.
+        path: Positions of the hand, in the world frame [m]; used by the scorer `reach` only.
         seed: Same seed, same scores.
 
     Raises:
-        UnknownNameError: There is no such object; the message offers the nearest.
+        UnknownNameError: There is no such object; the message suggests the nearest name.
         InputError: The seed is no integer from 0 to 2**32 - 1.
     """
-    config = config or ImportanceConfig()
-    if not 0 <= seed < 2**32:
-        raise InputError(f"seed must be between 0 and 4294967295, not {seed}")
+    expect("scene", scene, Scene, "load_scene reads one")
+    expect("target", target, str)
+    config = ImportanceConfig() if config is None else config
+    expect("config", config, ImportanceConfig)
+    if path is not None:
+        path = finite_array("path", path, (None, 3))
+    seed = whole_number("seed", seed, 0, 2**32 - 1)
     scene.object(target)
     graph = build_graph(scene, config.graph)
     chosen = graph.index(target)
     scorer = config.scorer or "reach"
     scores = SCORERS[scorer](graph, chosen, config, seed, path)
-    # The last digits are the processor's.
-    scores = np.clip(np.round(scores, DIGITS), LEAST, 1.0)
+    # Rounded, because the last digits depend on the processor.
+    scores = np.clip(np.round(scores, DIGITS), MIN_SCORE, 1.0)
     scores[chosen] = 1.0
     others = np.arange(len(graph)) != chosen
     order = np.lexsort((np.arange(len(graph)), graph.gaps(chosen), -scores, others))

@@ -1,4 +1,4 @@
-"""How objects lie to each other: on, in, inside, near; compiled kernels over stacked bodies."""
+"""Find the relations between objects (on, in, inside, near): kernels over stacked bodies."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 
 ON, IN, INSIDE, NEAR = range(4)
 KINDS = ("on", "in", "inside", "near")
-SUPPORT = 0.05
-"""Share of what an object stands on that a supporter must carry [-]."""
-BENEATH = 0.5
-"""Share of it that must have the container beneath, and above for `inside` [-]."""
-CONTAINED = 0.8
-"""Share of an object's box inside the container's box; of its outline, for `in` [-]."""
-WALLS_INSIDE, WALLS_IN = 3, 4
-"""Sides, of four, on which the container must stand around the object [-]."""
-SAME = 1e-4
-"""Gaps are rounded to this, so that touching cabinets tie however the room is turned [m]."""
+MIN_SUPPORT = 0.05
+"""Smallest share of an object's support area that a supporter carries [-]."""
+MIN_COVERED = 0.5
+"""Smallest share of the support area above the container; for `inside`, also below it [-]."""
+MIN_CONTAINED = 0.8
+"""Smallest share of an object's box in the container's box; for `in`, of its outline [-]."""
+MIN_WALLS_INSIDE, MIN_WALLS_IN = 3, 4
+"""Smallest number of the four sides on which the container surrounds the object [-]."""
+GAP_STEP = 1e-4
+"""Gaps are rounded to this, so that touching cabinets tie regardless of the scene's yaw [m]."""
 _CORNERS = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 _POINTS = 4
-"""Points along each edge of the box that is tested for being contained [-]."""
+"""Sample points along each edge of a box that is tested for containment [-]."""
 
 
 class BodyArrays(NamedTuple):
-    """Stacked bodies as the kernels take them, see `ObjectBodies`."""
+    """Stacked bodies for the kernels, see `ObjectBodies`."""
 
     low: F2
     high: F2
@@ -48,11 +48,11 @@ class BodyArrays(NamedTuple):
 
 @kernel
 def _span(point, direction, planes, first, last):
-    """Where a line lies in a convex body: (enters, leaves); leaves < enters if nowhere.
+    """Intersect a line with a convex body; return (enters, leaves), with leaves < enters for none.
 
     Args:
-        point, direction: x, y, z of each.
-        planes, first, last: The body's planes are those from first to last.
+        point, direction: x, y, z of the line.
+        planes, first, last: The body has the planes from first to last.
     """
     x, y, z = point
     dx, dy, dz = direction
@@ -73,7 +73,7 @@ def _span(point, direction, planes, first, last):
 
 @kernel
 def _columns(i, j, bodies, contact):
-    """Shares of what i stands on where j carries it, lies beneath it, and lies above it."""
+    """Return the shares of i's support area where j carries it, is below it, and is above it."""
     low, high, base, articulated = bodies.low, bodies.high, bodies.base, bodies.articulated
     hull_start, hull_low, hull_high = bodies.hull_start, bodies.hull_low, bodies.hull_high
     planes, plane_start = bodies.planes, bodies.plane_start
@@ -93,7 +93,7 @@ def _columns(i, j, bodies, contact):
                 continue
             touches |= abs(leaves) <= contact
             under |= enters < -1e-6
-            # A body that the object lies within stands for a hollow thing: closed if it has doors.
+            # A body that contains the object stands for a hollow one, closed if it has doors.
             within = articulated[j] and enters < 0.0 and bottom + leaves > top
             over |= enters > contact or within
         carried += touches
@@ -105,8 +105,8 @@ def _columns(i, j, bodies, contact):
 
 @kernel
 def _contained(i, g, upright, groups, low):
-    """Shares of i's box in the box of group g, and of its outline in the box seen from above; and
-    how far i's underside is below the box's top [m].
+    """Return the share of i's box in the box of group g, the same seen from above, and the depth
+    of i's underside below the top of that box [m].
     """
     center, rotation, half = upright
     group_center, group_rotation, group_half = groups
@@ -140,7 +140,7 @@ def _contained(i, g, upright, groups, low):
 
 @kernel
 def _walls(i, j, g, bodies, groups, height):
-    """On how many of four sides j stands around i, along the axes of the group's box."""
+    """Count the sides, of four along the axes of the group's box, on which j surrounds i."""
     base, hull_start = bodies.base, bodies.hull_start
     planes, plane_start = bodies.planes, bodies.plane_start
     x, y = base[i, :, 0].mean(), base[i, :, 1].mean()
@@ -164,13 +164,9 @@ def _walls(i, j, g, bodies, groups, height):
 
 @entry
 def _hierarchy(
-    bodies: BodyArrays,
-    upright: BoxArrays,
-    groups: BoxArrays,
-    group_start: I1,
-    contact: float,
+    bodies: BodyArrays, upright: BoxArrays, groups: BoxArrays, group_start: I1, contact: float
 ) -> np.ndarray:
-    """Find who is on, in or inside whom: rows of child, parent, kind."""
+    """Find the relations on, in and inside: rows of child, parent, kind."""
     low, high, base = bodies.low, bodies.high, bodies.base
     n = len(low)
     found = np.empty((64, 3), np.int64)
@@ -180,7 +176,7 @@ def _hierarchy(
         y0, y1 = base[i, :, 1].min(), base[i, :, 1].max()
         bottom = low[i, 2]
         for j in range(n):
-            # The lower one carries the higher one, so nobody stands on himself, nor two on
+            # The lower object carries the higher one, so no object is on itself, nor two on
             # each other.
             if low[j, 2] >= bottom - 1e-6 or high[j, 2] < bottom - contact:
                 continue
@@ -200,25 +196,25 @@ def _hierarchy(
 def _kind(i, j, bodies, upright, groups, group_start, contact):
     low, high = bodies.low, bodies.high
     carried, below, roofed = _columns(i, j, bodies, contact)
-    if below >= BENEATH:
+    if below >= MIN_COVERED:
         for g in range(group_start[j], group_start[j + 1]):
             inside, outline, sunk = _contained(i, g, upright, groups, low)
-            if sunk <= contact or outline < CONTAINED:
+            if sunk <= contact or outline < MIN_CONTAINED:
                 continue
-            if inside >= CONTAINED and roofed >= BENEATH:
+            if inside >= MIN_CONTAINED and roofed >= MIN_COVERED:
                 height = (low[i, 2] + high[i, 2]) / 2
-                if _walls(i, j, g, bodies, groups, height) >= WALLS_INSIDE:
+                if _walls(i, j, g, bodies, groups, height) >= MIN_WALLS_INSIDE:
                     return INSIDE
-            elif roofed < BENEATH:
+            elif roofed < MIN_COVERED:
                 height = low[i, 2] + min(contact, (high[i, 2] - low[i, 2]) / 2)
-                if _walls(i, j, g, bodies, groups, height) >= WALLS_IN:
+                if _walls(i, j, g, bodies, groups, height) >= MIN_WALLS_IN:
                     return IN
-    return ON if carried >= SUPPORT else -1
+    return ON if carried >= MIN_SUPPORT else -1
 
 
 @kernel
 def _corner_gap(a, b, center, rotation, half):
-    """Smallest distance from the corners of outline a to outline b."""
+    """Return the smallest distance from the corners of outline a to outline b."""
     best = np.inf
     for sx in (-1.0, 1.0):
         for sy in (-1.0, 1.0):
@@ -233,7 +229,7 @@ def _corner_gap(a, b, center, rotation, half):
 
 @kernel
 def _outlines_apart(a, b, center, rotation, half):
-    """Whether an edge direction of outline a separates it from outline b."""
+    """Check whether an edge direction of outline a separates it from outline b."""
     for axis in range(2):
         ux, uy = rotation[a, 0, axis], rotation[a, 1, axis]
         reach = half[a, axis]
@@ -247,7 +243,7 @@ def _outlines_apart(a, b, center, rotation, half):
 
 @kernel
 def _outline_gap(a, b, center, rotation, half):
-    """Horizontal distance of two upright boxes [m]; 0 where one is above the other."""
+    """Return the horizontal distance of two upright boxes [m], 0 if they overlap from above."""
     if not (
         _outlines_apart(a, b, center, rotation, half)
         or _outlines_apart(b, a, center, rotation, half)
@@ -257,14 +253,8 @@ def _outline_gap(a, b, center, rotation, half):
 
 
 @entry
-def _nearest(
-    center: F2,
-    rotation: F3,
-    half: F2,
-    count: int,
-    reach: float,
-) -> np.ndarray:
-    """The nearest boxes of each within reach, by gap: indices, -1 where there are fewer."""
+def _nearest(center: F2, rotation: F3, half: F2, count: int, reach: float) -> np.ndarray:
+    """Find the nearest boxes of each within reach, by gap: indices, -1 if there are fewer."""
     n = len(center)
     index = np.full((n, count), -1)
     gap = np.full((n, count), np.inf)
@@ -277,7 +267,7 @@ def _nearest(
             if i == j or rise >= limit or apart - radius[i] - radius[j] >= limit:
                 continue
             d = np.hypot(_outline_gap(i, j, center, rotation, half), rise)
-            d = np.floor(d / SAME + 0.5) * SAME
+            d = np.floor(d / GAP_STEP + 0.5) * GAP_STEP
             if d >= limit:
                 continue
             place = count - 1
@@ -289,11 +279,11 @@ def _nearest(
 
 
 def hierarchy(bodies: ObjectBodies, *, contact: float) -> Int[np.ndarray, "e 3"]:
-    """Find every on, in and inside: rows of child, parent, index into KINDS.
+    """Find the relations on, in and inside: rows of child, parent, index into KINDS.
 
     Args:
-        bodies: The scene.
-        contact: Vertical gap or overlap of two surfaces that touch [m].
+        bodies: The objects.
+        contact: Largest vertical gap or overlap of two surfaces in contact [m].
     """
     arrays = BodyArrays(
         bodies.low, bodies.high, bodies.base, bodies.articulated, bodies.hull_start,
@@ -310,12 +300,12 @@ def hierarchy(bodies: ObjectBodies, *, contact: float) -> Int[np.ndarray, "e 3"]
 
 
 def neighbors(box: Boxes, *, count: int, reach: float) -> Int[np.ndarray, "e 2"]:
-    """Pairs (smaller index first) of which one is among the other's nearest.
+    """Find pairs (smaller index first) of which one is among the other's nearest.
 
     Args:
         box: The upright boxes of the objects.
-        count: Nearest boxes of each object [-].
-        reach: Farthest gap between two boxes that are neighbors [m].
+        count: Number of nearest boxes of each object [-].
+        reach: Largest gap between two neighbors [m].
     """
     if count == 0 or len(box) < 2:
         return np.zeros((0, 2), np.int64)
@@ -326,10 +316,10 @@ def neighbors(box: Boxes, *, count: int, reach: float) -> Int[np.ndarray, "e 2"]
 
 
 def outline_gaps(box: Boxes, target: int) -> Float[np.ndarray, " n"]:
-    """Horizontal distance of every object's upright box to the target's [m]."""
+    """Compute the horizontal distance of every object's upright box to the target's [m]."""
     center, rotation, half = box.center[:, :2], box.rotation[:, :2, :2], box.half[:, :2]
     corners = center[:, None] + np.einsum("nij,nkj->nki", rotation, _CORNERS * half[:, None])
-    # The corners of each in the target's frame, and the target's in the frame of each.
+    # Corners of each box in the target's frame, and of the target in the frame of each box.
     inside = (corners - center[target]) @ rotation[target]
     around = np.einsum("nki,nij->nkj", corners[target] - center[:, None], rotation)
     apart = np.zeros(len(center), bool)

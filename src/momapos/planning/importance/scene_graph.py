@@ -1,4 +1,4 @@
-"""The scene graph: a node an object, an edge where one is on, in, inside or near another."""
+"""The scene graph: objects as nodes, and the relations on, in, inside and near as edges."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
     from scipy import sparse
 
-SMALLEST = 1e-3
-"""Sizes are at least this [m], so that a flat thing has one."""
+MIN_SIZE = 1e-3
+"""Lower bound of an object's size [m], for flat objects."""
 _SEEN_FROM_PARENT = {"on": "carries", "in": "contains", "inside": "contains", "near": "near"}
 
 
 @dataclass(frozen=True, eq=False)
 class SceneGraph:
-    """Objects, and how they lie to each other; found when it is first asked for."""
+    """Objects and their relations, computed on first use."""
 
     scene: Scene
     config: GraphConfig
@@ -39,7 +39,7 @@ class SceneGraph:
 
     @cached_property
     def categories(self) -> tuple[str, ...]:
-        """Their categories."""
+        """Categories of the objects."""
         return tuple(item.category for item in self.scene.objects)
 
     @cached_property
@@ -50,31 +50,31 @@ class SceneGraph:
     @cached_property
     def size(self) -> Float[np.ndarray, " n"]:
         """Cube root of the volume of each object's upright box [m]."""
-        return np.maximum(np.cbrt(np.prod(2 * self.upright.half, axis=1)), SMALLEST)
+        return np.maximum(np.cbrt(np.prod(2 * self.upright.half, axis=1)), MIN_SIZE)
 
     @cached_property
     def edges(self) -> Int[np.ndarray, "e 3"]:
-        """Child, parent, index into KINDS; of neighbors, the first in the scene is the child.
+        """Child, parent, index into KINDS; of two neighbors, the first in the scene is the child.
 
-        An edge that follows from two others is left out: a cup on a tray on a table is not on the
-        table. Objects that are otherwise related are not near as well.
+        An edge that follows from two others is omitted: a cup on a tray on a table is not on the
+        table. Objects with another relation are not near as well.
         """
         config, n = self.config, len(self)
         bodies = stack_bodies(self.scene, self.upright)
         above = _shortest(hierarchy(bodies, contact=config.contact), n)
-        beside = neighbors(self.upright, count=config.neighbors, reach=config.near)
+        near = neighbors(self.upright, count=config.neighbors, reach=config.near)
         known = np.sort(above[:, :2], axis=1) @ [n, 1]
-        beside = beside[~np.isin(beside @ [n, 1], known)]
-        return np.concatenate([above, np.column_stack([beside, np.full(len(beside), NEAR)])])
+        near = near[~np.isin(near @ [n, 1], known)]
+        return np.concatenate([above, np.column_stack([near, np.full(len(near), NEAR)])])
 
     @property
     def child(self) -> Int[np.ndarray, " e"]:
-        """Which is on, in or inside the parent."""
+        """The object that is on, in, inside or near the parent, for each edge."""
         return self.edges[:, 0]
 
     @property
     def parent(self) -> Int[np.ndarray, " e"]:
-        """What the child is on, in, inside or near."""
+        """The object that the child is on, in, inside or near, for each edge."""
         return self.edges[:, 1]
 
     @property
@@ -84,7 +84,7 @@ class SceneGraph:
 
     @cached_property
     def dist_xy(self) -> Float[np.ndarray, " e"]:
-        """Horizontal distance of the centers of the two boxes of each edge, floored [m]."""
+        """Horizontal distance between the two centers of each edge, at least `config.floor` [m]."""
         center = self.upright.center[:, :2]
         apart = np.linalg.norm(center[self.child] - center[self.parent], axis=1)
         return np.maximum(apart, self.config.floor)
@@ -93,10 +93,10 @@ class SceneGraph:
         return len(self.scene.objects)
 
     def index(self, name: str) -> int:
-        """Place of an object in `names`.
+        """Return the index of an object in `names`.
 
         Raises:
-            UnknownNameError: There is none; the message offers the nearest.
+            UnknownNameError: There is no such object; the message suggests the nearest name.
         """
         if name not in self.names:
             raise unknown_name("object", name, self.names, "the scene")
@@ -115,7 +115,7 @@ class SceneGraph:
         return matrix
 
     def steps(self, target: int) -> Int[np.ndarray, " n"]:
-        """Edges on the shortest way from each object to the target; -1 where there is none."""
+        """Count the edges on the shortest path from each object to the target, -1 without one."""
         ends = np.stack([np.r_[self.child, self.parent], np.r_[self.parent, self.child]])
         steps = np.full(len(self), -1)
         new = np.array([target])
@@ -128,7 +128,7 @@ class SceneGraph:
         return steps
 
     def relations(self, target: int) -> tuple[str, ...]:
-        """What each object is to the target: on, in, inside, carries, contains, near, or ""."""
+        """Return each object's relation to the target; "" for none."""
         words = [""] * len(self)
         for child, parent, kind in zip(self.child, self.parent, self.kind, strict=True):
             if parent == target:
@@ -138,28 +138,24 @@ class SceneGraph:
         return tuple(words)
 
     def gaps(self, target: int) -> Float[np.ndarray, " n"]:
-        """Horizontal gap between each object's box and the target's [m]."""
+        """Return the horizontal gap between each object's box and the target's [m]."""
         return outline_gaps(self.upright, target)
 
 
 @lru_cache(maxsize=16)
 def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
-    """Read the relations of a scene's objects from their geometry.
-
-    Args:
-        scene: The room; its joints stand as it says.
-        config: Tolerances.
+    """Build the scene graph from the geometry of the objects at their joint values.
 
     Raises:
-        SceneError: There is no object.
+        SceneError: The scene has no objects.
     """
     if not scene.objects:
-        raise SceneError(f"scene {scene.name} has no object to rank")
+        raise SceneError(f"scene {scene.name} has no objects to rank")
     return SceneGraph(scene, config or GraphConfig())
 
 
 def _shortest(edges: Int[np.ndarray, "e 3"], n: int) -> Int[np.ndarray, "f 3"]:
-    """Drop each edge to which there is a way of two edges."""
+    """Drop each edge whose ends are also connected by two other edges."""
     from scipy import sparse
 
     child, parent = edges[:, 0], edges[:, 1]

@@ -1,4 +1,4 @@
-"""The ways to score objects against a target; all have one signature."""
+"""Scorers of objects relative to a target, all with the same signature."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from .word_vectors import read_word_vectors
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-LEAST = 1e-6
-"""The lowest score there is: Lemma 1 of MoMa-Pos excludes 0 [-]."""
+MIN_SCORE = 1e-6
+"""Lowest score [-]; Lemma 1 of MoMa-Pos excludes 0."""
 KNEE = 0.05
-"""Cosines from here up are scores as they are; lower ones are squeezed in below [-]."""
+"""Cosines from this value on are scores; lower ones are compressed to [MIN_SCORE, KNEE] [-]."""
 
 Path: TypeAlias = "Float[np.ndarray, 'k 3'] | None"
 Scorer: TypeAlias = (
@@ -37,67 +37,67 @@ Scorer: TypeAlias = (
 def deepwalk(
     graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
-    """Cosine similarity of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
+    """Score by the cosine of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
 
-    Objects more than two windows away share no company with the target: their cosine is chance,
-    and they have the lowest score.
+    Objects more than two windows away share no context with the target. Their cosine is random, so
+    they get the lowest score.
     """
     del path
     steps = graph.steps(target)
     rng = np.random.default_rng(seed)
     first = np.repeat(np.arange(len(graph)), config.walks)
     rng.shuffle(first)
-    steps_on = transitions(graph, k0=config.k0, printed=config.weights == "printed")
-    walks = walk(steps_on, first, config.length, rng)
+    probabilities = transitions(graph, k0=config.k0, printed=config.weights == "printed")
+    walks = walk(probabilities, first, config.length, rng)
     vectors = embed_walks(walks, len(graph), _skip_gram(config, seed))
     scores = score_of_cosine(cosine(vectors, target))
-    return np.where((steps >= 0) & (steps <= 2 * config.window), scores, LEAST)
+    return np.where((steps >= 0) & (steps <= 2 * config.window), scores, MIN_SCORE)
 
 
 def distance(
     graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
-    """1 / (1 + d / 1 m), where d is the horizontal gap between the boxes [m]."""
+    """Score by 1 / (1 + d / 1 m), where d is the horizontal gap between the boxes [m]."""
     del config, seed, path
-    return np.maximum(1 / (1 + graph.gaps(target)), LEAST)
+    return np.maximum(1 / (1 + graph.gaps(target)), MIN_SCORE)
 
 
 def size(
     graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
-    """s / (s + d): the size s over the gap d of `distance`, r = s / d, mapped to r / (1 + r)."""
+    """Score by s / (s + d): the ratio r = s / d of size and gap, mapped to r / (1 + r)."""
     del config, seed, path
-    return np.maximum(graph.size / (graph.size + graph.gaps(target)), LEAST)
+    return np.maximum(graph.size / (graph.size + graph.gaps(target)), MIN_SCORE)
 
 
 def reach(
     graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
-    """s / (s + d) with the distance d, heights included, from a box to where the hand goes [m].
+    """Score by s / (s + d), where d is the 3D distance from a box to the hand's path [m].
 
-    What is in the way depends on where the handle goes, not on where the target stands. Without a
-    path it is the `size` scorer.
+    Which objects obstruct the task depends on the path of the handle, not on the target's position.
+    Without a path this is the scorer `size`.
     """
     if path is None:
         return size(graph, target, config, seed)
     box = graph.upright
     local = np.einsum("nji,nkj->nki", box.rotation, path[None] - box.center[:, None])
     gaps = np.linalg.norm(np.maximum(np.abs(local) - box.half[:, None], 0.0), axis=-1).min(1)
-    return np.maximum(graph.size / (graph.size + gaps), LEAST)
+    return np.maximum(graph.size / (graph.size + gaps), MIN_SCORE)
 
 
 def names(
     graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
-    """Cosine similarity of the mean vectors of the objects' words.
+    """Score by the cosine of the mean vectors of the objects' words.
 
-    The paper tried word vectors and found them inadequate. Where the configuration names no file,
-    they are learnt from which words occur in one room, over the built-in kitchens and this one;
-    geometry plays no part. What the file has no word of gets the lowest score.
+    The paper tried word vectors and found them inadequate. Without a file of vectors, they are
+    trained on the words that occur together in a room: the built-in kitchens and this scene. An
+    object without a word in the file gets the lowest score.
 
     Raises:
         FileFormatError: The file cannot be used.
-        InputError: It has no word of the target.
+        InputError: The file has none of the target's words.
     """
     del path
     own = [words(name, kind) for name, kind in zip(graph.names, graph.categories, strict=True)]
@@ -105,7 +105,7 @@ def names(
         return _by_file(config.vectors, own, target)
     rooms = [*_library_words(), tuple(dict.fromkeys(word for some in own for word in some))]
     rng = np.random.default_rng(seed)
-    # In random order, for company is the room and not the order in its file.
+    # Shuffled: the context is the room, not the order of objects in its file.
     sentences = [
         [str(word) for word in rng.permutation(room)] for room in rooms for _ in range(config.walks)
     ]
@@ -115,15 +115,15 @@ def names(
 
 
 def _by_file(file: str, own: list[tuple[str, ...]], target: int) -> Float[np.ndarray, " n"]:
-    """Scores of objects by their words, with the vectors of a file."""
+    """Score objects by their words with the vectors of a file."""
     known = read_word_vectors(FilePath(file), {word for some in own for word in some})
     if not any(word in known for word in own[target]):
-        raise InputError(f"{file}: has none of the target's words: {', '.join(own[target])}")
+        raise InputError(f"{file} has none of the target's words: {', '.join(own[target])}")
     zero = np.zeros(len(next(iter(known.values()))))
     vectors = [[known[word] for word in some if word in known] for some in own]
     mean = np.array([np.mean(some, axis=0) if some else zero for some in vectors])
     scores = score_of_cosine(cosine(mean, target))
-    return np.where([bool(some) for some in vectors], scores, LEAST)
+    return np.where([bool(some) for some in vectors], scores, MIN_SCORE)
 
 
 SCORERS: dict[str, Scorer] = {
@@ -134,15 +134,15 @@ SCORERS: dict[str, Scorer] = {
 def score_of_cosine(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Map a cosine in [-1, 1] to a score in (0, 1], in the same order.
 
-    From `KNEE` up the score is the cosine, so that the paper's alpha keeps its meaning; [-1, KNEE]
-    goes to [LEAST, KNEE]. Lemma 1 needs every object to be in S for some alpha above 0.
+    From `KNEE` on the score is the cosine, so that the paper's alpha keeps its meaning. [-1, KNEE]
+    is mapped to [MIN_SCORE, KNEE], because Lemma 1 needs every object in S for some alpha above 0.
     """
     share = (1 + value) / (1 + KNEE)
-    return np.where(value >= KNEE, value, LEAST + (KNEE - LEAST) * share)
+    return np.where(value >= KNEE, value, MIN_SCORE + (KNEE - MIN_SCORE) * share)
 
 
 def words(name: str, category: str) -> tuple[str, ...]:
-    """The words of an object's name and category in lower case, without digits."""
+    """Split an object's name and category into lower-case words without digits."""
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", f"{category} {name}")
     found = re.findall(r"[^\W\d_]+", text)
     return tuple(dict.fromkeys(word.lower() for word in found)) or (name,)
@@ -150,7 +150,6 @@ def words(name: str, category: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def _library_words() -> tuple[tuple[str, ...], ...]:
-    """The words of each built-in kitchen."""
     rooms = [load_scene(name).objects for name in builtin_names()]
     return tuple(
         tuple(dict.fromkeys(word for item in room for word in words(item.name, item.category)))

@@ -1,4 +1,4 @@
-"""Word vectors from a file of the user's, in the text format of GloVe and word2vec."""
+"""Read word vectors from a file in the text format of GloVe and word2vec."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ from momapos.core import FileFormatError, open_regular
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-LONGEST = 1 << 16
-"""Bytes of a line at most: a word and some thousand numbers."""
-SHOWN = 40
-"""Characters of a word that messages repeat."""
+MAX_LINE = 1 << 16
+"""Longest line [bytes]: a word and several thousand numbers."""
+MAX_SHOWN = 40
+"""Number of characters of a word that messages show [-]."""
 
 
 def read_word_vectors(path: Path, wanted: Collection[str]) -> dict[str, Float[np.ndarray, " d"]]:
-    """The vectors of some words; the file is passed through once and not kept.
+    """Read the vectors of some words in one pass, without loading the whole file.
 
     Args:
-        path: A word and its numbers a line, between blanks; the line before the first word may hold
-            how many words and numbers there are, as word2vec writes it.
+        path: File with a word and its numbers per line, separated by spaces. The first line may
+            hold the number of words and of dimensions, as word2vec writes it.
         wanted: Words in lower case.
 
     Returns:
-        Vectors of one length, by word; words that the file lacks are left out.
+        Vectors of one length by word, without words that are not in the file.
 
     Raises:
-        FileFormatError: It cannot be read, or a line is none of such a file; the message says
-            which.
+        FileFormatError: The file cannot be read, or a line is invalid; the message names the line.
     """
     left = {word.encode(): word for word in wanted}
     found: dict[str, Float[np.ndarray, " d"]] = {}
@@ -44,24 +43,26 @@ def read_word_vectors(path: Path, wanted: Collection[str]) -> dict[str, Float[np
             number += 1
             first, _, rest = line.rstrip().partition(b" ")
             if number == 1 and first.isdigit() and rest.isdigit():
-                continue  # the head that word2vec writes
+                continue  # the header of word2vec
             if dimensions is None:
                 dimensions = len(rest.split())
             word = left.pop(first, None)
             if word is not None:
-                found[word] = _vector(rest, dimensions, f"{path}, line {number}: {word[:SHOWN]!r}")
+                found[word] = _vector(
+                    rest, dimensions, f"{path}, line {number}: {word[:MAX_SHOWN]!r}"
+                )
     return found
 
 
 def _line(read: Callable[[int], bytes], path: Path, number: int) -> bytes:
     try:
-        line = read(LONGEST)
+        line = read(MAX_LINE)
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(line) >= LONGEST:
+    if len(line) >= MAX_LINE:
         raise FileFormatError(
-            f"{path}, line {number}: longer than {LONGEST} bytes; word vectors are text, a "
-            "word and its numbers a line"
+            f"{path}, line {number}: longer than {MAX_LINE} bytes; each line must have a word and "
+            "its numbers"
         )
     return line
 
@@ -70,10 +71,10 @@ def _vector(text: bytes, dimensions: int, where: str) -> Float[np.ndarray, " d"]
     try:
         numbers = [float(part) for part in text.split()]
     except ValueError as error:
-        raise FileFormatError(f"{where} is followed by what is no number") from error
+        raise FileFormatError(f"{where} must be followed by numbers only") from error
     if not numbers or len(numbers) != dimensions:
         raise FileFormatError(
-            f"{where} has {len(numbers)} numbers, and the file's first word {dimensions}"
+            f"{where} has {len(numbers)} numbers; the file's first word has {dimensions}"
         )
     if not all(map(math.isfinite, numbers)):
         raise FileFormatError(f"{where} has a number that is not finite")

@@ -1,4 +1,4 @@
-"""How the base drives: the cost map and driving lengths over it."""
+"""Navigation of the base: cost map, path planning, and closed-loop driving."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""How a base moves: its velocity limits, and the pose that velocities lead to."""
+"""Motion of a base: velocity limits, and integration of velocities."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 def clip_velocity(
     robot: Robot, now: Float[np.ndarray, "3"], wish: Float[np.ndarray, "3"], dt: float
 ) -> Float[np.ndarray, "3"]:
-    """The velocity that a base has after some time of heading for another one.
+    """Return the velocity that a base reaches after some time on its way to another velocity.
 
     Args:
-        robot: Its speeds and accelerations count, and that a differential base has no vy.
+        robot: The robot, with its speed and acceleration limits; a differential base has no vy.
         now: vx [m/s], vy [m/s], yaw rate [rad/s], base frame.
-        wish: Likewise.
+        wish: The commanded velocity, likewise.
         dt: Time [s].
     """
     wish = np.array(wish, float)
@@ -30,8 +30,8 @@ def clip_velocity(
     wish[:2] *= min(1.0, robot.max_speed / max(float(np.hypot(wish[0], wish[1])), 1e-12))
     wish[2] = np.clip(wish[2], -robot.max_yaw_rate, robot.max_yaw_rate)
     change = wish - now
-    most = robot.max_acceleration * dt
-    change[:2] *= min(1.0, most / max(float(np.hypot(change[0], change[1])), 1e-12))
+    step = robot.max_acceleration * dt
+    change[:2] *= min(1.0, step / max(float(np.hypot(change[0], change[1])), 1e-12))
     turn = robot.max_yaw_acceleration * dt
     change[2] = np.clip(change[2], -turn, turn)
     return now + change
@@ -40,9 +40,9 @@ def clip_velocity(
 def integrate(
     pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], dt: float
 ) -> Float[np.ndarray, "3"]:
-    """The pose after some time at a constant velocity in the base frame, exactly."""
+    """Integrate a constant velocity in the base frame exactly."""
     turn = velocity[2] * dt
-    # sin(t)/t and (1 - cos(t))/t without dividing by a turn of nothing
+    # sin(t) / t and (1 - cos(t)) / t, also for t = 0
     along = np.sinc(turn / np.pi) * dt
     across = np.sinc(turn / (2 * np.pi)) * np.sin(turn / 2) * dt
     x = along * velocity[0] - across * velocity[1]

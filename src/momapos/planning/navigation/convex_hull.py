@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 def convex_hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"]:
-    """Corners of the convex hull, counterclockwise from the one with the least x.
+    """Return the corners of the convex hull, counterclockwise from the smallest x.
 
-    A corner that stands out by less than 0.1 nm is left out.
+    A corner that protrudes by less than 0.1 nm is omitted.
 
     Args:
-        points: At least three that are not on one line.
+        points: At least three points that are not on one line.
     """
     order = np.lexsort((points[:, 1], points[:, 0]))
     return _chain(np.ascontiguousarray(points[order], float))
@@ -26,7 +26,7 @@ def convex_hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"]:
 
 @entry
 def _chain(points: F2) -> np.ndarray:
-    """Corners of the hull of points that are sorted by x, then y."""
+    """Return the corners of the hull of points that are sorted by x, then y."""
     n = len(points)
     kept = np.empty((2 * n + 1, 2))
     count = 0

@@ -1,8 +1,8 @@
-"""The robot and the room as upright prisms: convex outlines on the floor, with heights.
+"""The robot and the scene as upright prisms: convex outlines on the floor, with heights.
 
-A robot is a stack of prisms, with its arm at home; the lowest one is its footprint. So a low base
-may pass under a table that the arm does not touch, an arm over a worktop that the base does not,
-and nothing between the floor and the top of the robot is left out.
+A robot with its arm at home is a stack of prisms; the lowest one is its footprint. So a low base
+can pass under a table that the arm clears, and an arm over a countertop that the base clears.
+Everything between the floor and the top of the robot is checked.
 """
 
 from __future__ import annotations
@@ -25,29 +25,24 @@ from .convex_hull import convex_hull
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-STEP = 0.005
-"""What is no higher than this is driven over [m]."""
-PRISMS = 5
-"""A robot is so many prisms at most [-]."""
+MAX_STEP_HEIGHT = 0.005
+"""Obstacles up to this height are driven over [m]."""
+MAX_PRISMS = 5
+"""Largest number of prisms of a robot [-]."""
 
 
 class PrismArrays(NamedTuple):
-    """The prisms of a robot as kernels take them, one after the other, base frame."""
+    """The prisms of a robot for the kernels, base frame; see `RobotPrisms` and `ConvexPolygons`."""
 
     corner: F2
-    """(b, 2) [m]"""
     normal: F2
-    """(b, 2), outward, of the edge from each corner to the next."""
     level: F1
-    """The edge lies where normal . x is this [m]."""
     first: I1
-    """Index of each prism's first corner, and the number of corners."""
     radius: float
-    """Distance from the base's origin to the farthest corner [m]."""
 
 
 class PolygonArrays(NamedTuple):
-    """Convex polygons as kernels take them; see `ConvexPolygons`."""
+    """Convex polygons for the kernels, see `ConvexPolygons`."""
 
     corner: F2
     normal: F2
@@ -59,12 +54,12 @@ class PolygonArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RobotPrisms:
-    """What drives: the robot with its arm at home."""
+    """The robot with its arm at home, as a stack of prisms."""
 
     outlines: tuple[Float[np.ndarray, "_ 2"], ...]
     """From the floor up, convex and counterclockwise, in the base frame [m]."""
     heights: Float[np.ndarray, " k_plus_1"]
-    """Where each begins, and the top of the robot [m]."""
+    """Bottom of each prism, and the top of the robot [m]."""
 
     @cached_property
     def radius(self) -> float:
@@ -73,7 +68,7 @@ class RobotPrisms:
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, "k k"]:
-        """Whether the outline of the first index lies within that of the second."""
+        """Whether the outline of the first index is within that of the second."""
         within = [
             [bool((a @ n.T <= np.einsum("ki,ki->k", b, n) + 1e-9).all()) for a in self.outlines]
             for b, n in ((b, edge_normals(b)) for b in self.outlines)
@@ -82,7 +77,7 @@ class RobotPrisms:
 
     @cached_property
     def arrays(self) -> PrismArrays:
-        """All of them, as the kernels take them."""
+        """The prisms for the kernels."""
         layers = range(len(self.outlines))
         packed = pack(self.outlines, layers, ["robot"] * len(self.outlines))
         return PrismArrays(packed.corner, packed.normal, packed.level, packed.first, self.radius)
@@ -94,13 +89,13 @@ class ConvexPolygons:
 
     corner: Float[np.ndarray, "p 2"]
     normal: Float[np.ndarray, "p 2"]
-    """Outward, of the edge from each corner to the next."""
+    """Outward normal of the edge from each corner to the next."""
     level: Float[np.ndarray, " p"]
-    """The edge lies where normal . x is this [m]."""
+    """The edge is where normal . x equals this [m]."""
     first: Int[np.ndarray, " o_plus_1"]
     """Index of each polygon's first corner, and the number of corners."""
     layer: Int[np.ndarray, " o"]
-    """Which prism of the robot each is in the way of, from the floor up."""
+    """Index of the robot's prism that each polygon obstructs, from the floor up."""
     bounds: Float[np.ndarray, "o 4"]
     """Low x, low y, high x, high y [m]."""
     names: tuple[str, ...]
@@ -110,36 +105,33 @@ class ConvexPolygons:
 
     @property
     def arrays(self) -> PolygonArrays:
-        """All of it but the names, as the kernels take it."""
+        """The polygons for the kernels, without names."""
         return PolygonArrays(
             self.corner, self.normal, self.level, self.first, self.layer, self.bounds
         )
 
     def polygon(self, index: int) -> Float[np.ndarray, "k 2"]:
-        """Corners of one polygon [m]."""
+        """Return the corners of one polygon [m]."""
         return self.corner[self.first[index] : self.first[index + 1]]
 
-    def only(self, which: Bool[np.ndarray, " o"]) -> ConvexPolygons:
-        """Some of the polygons."""
+    def subset(self, which: Bool[np.ndarray, " o"]) -> ConvexPolygons:
+        """Return some of the polygons."""
         lengths = np.diff(self.first)
         corners = np.repeat(which, lengths)
+        first = np.concatenate([[0], np.cumsum(lengths[which])])
+        names = tuple(name for name, kept in zip(self.names, which, strict=True) if kept)
         return ConvexPolygons(
-            self.corner[corners],
-            self.normal[corners],
-            self.level[corners],
-            np.concatenate([[0], np.cumsum(lengths[which])]),
-            self.layer[which],
-            self.bounds[which],
-            tuple(name for name, kept in zip(self.names, which, strict=True) if kept),
-        )
+            self.corner[corners], self.normal[corners], self.level[corners], first,
+            self.layer[which], self.bounds[which], names,
+        )  # fmt: skip
 
-    def of(self, name: str) -> Bool[np.ndarray, " o"]:
-        """Which polygons are those of an object's links."""
+    def of_object(self, name: str) -> Bool[np.ndarray, " o"]:
+        """Return which polygons belong to an object's links."""
         return np.array([one.startswith(f"{name}/") for one in self.names], bool)
 
 
-def joined(parts: Sequence[ConvexPolygons]) -> ConvexPolygons:
-    """All polygons of several, in order."""
+def concatenate(parts: Sequence[ConvexPolygons]) -> ConvexPolygons:
+    """Concatenate sets of polygons."""
     lengths = np.concatenate([np.diff(part.first) for part in parts])
     return ConvexPolygons(
         np.concatenate([part.corner for part in parts]),
@@ -155,7 +147,7 @@ def joined(parts: Sequence[ConvexPolygons]) -> ConvexPolygons:
 def pack(
     polygons: Sequence[Float[np.ndarray, "_ 2"]], layers: Sequence[int], names: Sequence[str]
 ) -> ConvexPolygons:
-    """Put polygons one after the other."""
+    """Stack polygons into arrays."""
     first = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int64)
     if not len(polygons):
         none = np.zeros((0, 2))
@@ -172,10 +164,9 @@ def pack(
 
 @lru_cache(maxsize=8)
 def prisms_of(robot: Robot) -> RobotPrisms:
-    """Cut a robot at the heights where prisms hold it most tightly.
+    """Enclose a robot in prisms, cut at the heights that minimize their volume.
 
-    The lowest prism is never less than the footprint of the robot file. Cuts are added one by one,
-    each where it saves most.
+    The lowest prism contains the footprint of the robot file. Cuts are added greedily, one by one.
     """
     poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
     T_base_root = invert(poses[robot.base_link])
@@ -204,15 +195,15 @@ def prisms_of(robot: Robot) -> RobotPrisms:
     top = float(high.max(initial=0.3))
     heights = [0.0, top]
     at = np.unique(np.round(np.concatenate([low, high]), 3))
-    cuts = at[(at > STEP) & (at < top - STEP)].tolist()
-    for _ in range(min(PRISMS - 1, len(cuts))):
+    cuts = at[(at > MAX_STEP_HEIGHT) & (at < top - MAX_STEP_HEIGHT)].tolist()
+    for _ in range(min(MAX_PRISMS - 1, len(cuts))):
         heights = min((sorted({*heights, cut}) for cut in cuts), key=volume)
     outlines = tuple(outline(begin, end) for begin, end in pairwise(heights))
     return RobotPrisms(outlines, np.array(heights))
 
 
 def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
-    """Everything between the floor and the robot's top, for each prism that it is in the way of."""
+    """Project everything between the floor and the robot's top, for each prism it obstructs."""
     hulls = [
         (f"{item.name}/{link}", apply(T, hull.vertices))
         for item in scene.objects
@@ -223,8 +214,8 @@ def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
         return pack([], [], [])
     low = np.array([points[:, 2].min() for _, points in hulls])[:, None]
     high = np.array([points[:, 2].max() for _, points in hulls])[:, None]
-    met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], STEP))
-    # Within a wider prism that is met as well, a prism asks nothing more.
+    met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], MAX_STEP_HEIGHT))
+    # A prism within a wider one that is obstructed too needs no check of its own.
     index = np.arange(len(prisms.outlines))
     wider = prisms.inside & ~(prisms.inside.T & (index[:, None] <= index))
     which, layers = np.nonzero(met & ~(met[:, None] & wider).any(axis=2))
@@ -234,8 +225,10 @@ def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
     )
 
 
-def thinned(outlines: ConvexPolygons, floor: Float[np.ndarray, "k 2"] | None) -> ConvexPolygons:
-    """What suffices to plan with: no outline inside another, and the floor's edges as well."""
+def planning_outlines(
+    outlines: ConvexPolygons, floor: Float[np.ndarray, "k 2"] | None
+) -> ConvexPolygons:
+    """Drop outlines inside other ones, and add the edges of the floor."""
     kept = np.flatnonzero(~_covered(outlines))
     polygons = [outlines.polygon(int(i)) for i in kept]
     layers = outlines.layer[kept].tolist()
@@ -248,7 +241,7 @@ def thinned(outlines: ConvexPolygons, floor: Float[np.ndarray, "k 2"] | None) ->
 
 
 def _covered(outlines: ConvexPolygons) -> Bool[np.ndarray, " o"]:
-    """Which outlines lie inside another one of their layer; of equal ones the first is kept."""
+    """Find outlines inside another one of their layer; of equal ones, all but the first."""
     covered = np.zeros(len(outlines), bool)
     for i in range(len(outlines)):
         box = outlines.bounds
@@ -266,7 +259,7 @@ def _covered(outlines: ConvexPolygons) -> Bool[np.ndarray, " o"]:
 def on_floor(
     prisms: RobotPrisms, floor: Float[np.ndarray, "k 2"] | None, poses: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether the footprint lies on the floor at base poses."""
+    """Check at which base poses the footprint is on the floor."""
     if floor is None:
         return np.ones(len(poses), bool)
     return all_inside(floor, place_points(poses, prisms.outlines[0]))

@@ -1,4 +1,4 @@
-"""Driving lengths over a cost map."""
+"""A cost map of driving distances from the start."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
 
 CELL = 0.05
 """Edge of a cell [m]."""
-ROOM_MARGIN = 2.0
-"""Free border that is mapped around a room without a known floor [m]."""
+MAP_MARGIN = 2.0
+"""Width of the free border around a scene without a known floor [m]."""
 _NEIGHBORS = np.array([(dj, di) for di in (-1, 0, 1) for dj in (-1, 0, 1)])
-"""Steps (columns, rows) to a cell and those around it."""
-_TO_START = 10.0
-"""The border is wider where a start lies beyond it, at most so much [m]."""
+"""Steps (columns, rows) to a cell and its neighbors."""
+_MAX_EXTENSION = 10.0
+"""Largest extension of the map toward a start outside it [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CostMap:
-    """Geodesic distance from the start to every cell, for a disc that fits into the base."""
+    """Geodesic distance from the start to every cell, for a disc inscribed in the base."""
 
     origin: Float[np.ndarray, "2"]
     """World position of the corner of cell (0, 0) [m]."""
     distance: Float[np.ndarray, "rows columns"]
-    """Driving length to the center of each cell [m], infinite where there is no path."""
+    """Driving length to the center of each cell [m], infinite without a path."""
     free: Bool[np.ndarray, "rows columns"]
 
     def lengths(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Driving lengths to positions [m]; infinite where there is no path.
+        """Return the driving lengths to positions [m], infinite without a path.
 
-        A position is served by the best of the cells around it, since a base can stand
-        closer to furniture than the disc's cell center does.
+        The best of the neighboring cells counts, because a base can stand closer to furniture than
+        a cell center that the disc can reach.
         """
         rows, columns = self.distance.shape
         x, y = np.ascontiguousarray(xy.T, float)
@@ -50,26 +50,26 @@ class CostMap:
         i = np.floor((y - self.origin[1]) / CELL).astype(int) + _NEIGHBORS[:, 1:]
         dx = self.origin[0] + (j + 0.5) * CELL - x
         dy = self.origin[1] + (i + 0.5) * CELL - y
-        # What is off the map falls into its border.
+        # Positions off the map are clipped to its border.
         value = self._bordered[np.clip(i + 1, 0, rows + 1), np.clip(j + 1, 0, columns + 1)]
         return (value + np.sqrt(dx * dx + dy * dy)).min(axis=0)
 
     @cached_property
     def _bordered(self) -> Float[np.ndarray, "rows_and_2 columns_and_2"]:
-        """The distances, with a border of cells to which there is no path [m]."""
+        """The distances with a border of unreachable cells [m]."""
         return np.pad(self.distance, 1, constant_values=np.inf)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FloorPlan:
-    """Cells of the floor on which something stands, or which are no floor."""
+    """Cells that are occupied or not on the floor."""
 
     origin: Float[np.ndarray, "2"]
     blocked: Bool[np.ndarray, "rows columns"]
 
 
 def base_height(robot: Robot) -> float:
-    """Height up to which things are in the way of the base [m]."""
+    """Return the height of the base, up to which objects obstruct it [m]."""
     return float((robot.base.center + robot.base.half)[:, 2].max(initial=0.3))
 
 
@@ -78,17 +78,17 @@ def floor_plan(
     *,
     height: float,
     floor_polygon: Float[np.ndarray, "k 2"] | None,
-    margin: float = ROOM_MARGIN,
+    margin: float = MAP_MARGIN,
     start: Float[np.ndarray, "2"] | None = None,
 ) -> FloorPlan:
-    """Project what stands in the way of a base onto the floor.
+    """Project the obstacles of a base onto the floor.
 
     Args:
-        boxes: The room, world frame.
-        height: Height of the base; what hangs above it is no obstacle [m].
-        floor_polygon: Outline of the floor; None where it has no known end.
-        margin: Width of the free border around everything that is mapped [m].
-        start: Where a base comes from, which is mapped too where the floor has no known end [m].
+        boxes: Boxes of the scene, world frame.
+        height: Height of the base; boxes above it are no obstacles [m].
+        floor_polygon: Outline of the floor; None if unknown.
+        margin: Width of the free border around the mapped area [m].
+        start: Start position, to which the map is extended if the floor is unknown [m].
     """
     low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
     outlines = _outlines(boxes, np.flatnonzero(low_z < height))
@@ -97,8 +97,8 @@ def floor_plan(
         points = floor_polygon
     low, high = points.min(0) - margin, points.max(0) + margin
     if start is not None and floor_polygon is None:
-        low = np.minimum(low, np.maximum(start - CELL, low - _TO_START))
-        high = np.maximum(high, np.minimum(start + CELL, high + _TO_START))
+        low = np.minimum(low, np.maximum(start - CELL, low - _MAX_EXTENSION))
+        high = np.maximum(high, np.minimum(start + CELL, high + _MAX_EXTENSION))
     low = np.floor(low / CELL) * CELL
     columns, rows = (int(np.ceil(v)) for v in (high - low) / CELL)
     image = Image.new("L", (columns, rows), 0 if floor_polygon is None else 1)
@@ -115,7 +115,7 @@ def floor_plan(
 
 
 def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarray, "_ 2"]]:
-    """Projections of boxes onto the floor, as convex polygons."""
+    """Project boxes onto the floor, as convex polygons."""
     R, h, c = boxes.rotation[which], boxes.half[which], boxes.center[which, :2]
     if not len(which):
         return []
@@ -136,15 +136,15 @@ def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarr
 
 
 def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: float) -> CostMap:
-    """Measure driving lengths from a start.
+    """Compute the driving lengths from a start.
 
     Args:
-        plan: What is blocked.
-        start: Where the base is [m]; from beyond the map the way to it is straight.
-        radius: Radius of the disc that must fit: the base's inscribed circle [m].
+        plan: The blocked cells.
+        start: Position of the base [m]; from outside the map, the path to it is straight.
+        radius: Radius of the base's inscribed circle [m].
     """
     rows, columns = plan.blocked.shape
-    free = clearance(plan.blocked, most=radius / CELL + 1.0) * CELL > radius
+    free = clearance(plan.blocked, cap=radius / CELL + 1.0) * CELL > radius
     j, i = np.clip(((start - plan.origin) / CELL).astype(int), 0, [columns - 1, rows - 1])
     free[i, j] = True
     distance = path_lengths(free, np.array([i * columns + j]), CELL)

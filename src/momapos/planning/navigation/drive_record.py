@@ -1,4 +1,4 @@
-"""What came of a drive."""
+"""Records of drives."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
 
 class DriveEnding(Enum):
-    """Why a drive, or a part of one, ended before it arrived."""
+    """Why a drive, or a part of one, ended before the goal."""
 
     START_BLOCKED = "the start is in collision with"
     GOAL_BLOCKED = "the goal is in collision with"
     NO_PATH = "there is no way for the footprint"
-    NO_PATH_AS_BELIEVED = "there is no way from where it believes to be"
+    NO_PATH_FROM_ESTIMATE = "there is no way from where it believes to be"
     PATH_OCCUPIED = "a moving obstacle stands in the way"
     STUCK = "stuck"
-    BESIDE_GOAL = "it believes to stand beside the goal"
+    OFF_GOAL = "it believes to stand beside the goal"
     MISSED = "it stands"
     HIT = "it hit"
     TIMEOUT = "timeout"
@@ -29,32 +29,32 @@ class DriveEnding(Enum):
 
 @dataclass(frozen=True, eq=False)
 class DriveRecord:
-    """What came of a drive."""
+    """Result and trace of a drive."""
 
     arrived: bool
     reason: str
-    """Why it did not arrive; "" where it did."""
+    """Why it did not arrive; "" if it did."""
     goal: Float[np.ndarray, "3"]
     pose: Float[np.ndarray, "3"]
-    """Where the base really stands: x [m], y [m], yaw [rad]."""
-    believed: Float[np.ndarray, "3"]
-    """Where the controller believes it to stand."""
+    """True final pose of the base: x [m], y [m], yaw [rad]."""
+    estimated_pose: Float[np.ndarray, "3"]
+    """Final pose as the controller estimates it."""
     hit: str
-    """What the base touched, which ended the drive; "" where it touched nothing."""
+    """What the base touched, which ended the drive; "" for nothing."""
     planned: float
-    """Length of the path as first planned [m]; infinite where there was none."""
+    """Length of the first planned path [m], infinite without one."""
     length: float
-    """Meters driven."""
+    """Distance driven [m]."""
     time: float
-    """Seconds it took."""
+    """Duration [s]."""
     clearance: float
-    """Smallest distance of the true footprint to anything that stands [m], at most 0.5."""
+    """Smallest distance between the true footprint and the scene [m], at most 0.5."""
     clearance_moving: float
-    """Smallest distance to what moves [m]; infinite where nothing does."""
-    ways: int
-    """Paths that were planned [-]."""
+    """Smallest distance to moving obstacles [m], infinite without any."""
+    paths: int
+    """Number of planned paths [-]."""
     times: Float[np.ndarray, " t"]
-    """Of the trace [s]."""
+    """Times of the trace [s]."""
     poses: Float[np.ndarray, "t 3"]
     """True poses."""
     velocities: Float[np.ndarray, "t 3"]
@@ -62,4 +62,4 @@ class DriveRecord:
     step_times: Float[np.ndarray, " k"]
     """Computing time of each control step [s]."""
     ending: DriveEnding | None = None
-    """Why it did not arrive, as one of a few kinds; None where it did."""
+    """Category of `reason`; None if it arrived."""

@@ -1,8 +1,8 @@
-"""The Dynamic Window Approach: the best of the velocities that can be had within one step.
+"""The Dynamic Window Approach: choose the best velocity that is reachable within one step.
 
 Source: Fox, Burgard, Thrun, "The Dynamic Window Approach to Collision Avoidance", 1997; for omni
-bases with vx, vy and yaw rate. What differs: progress is measured along the planned path, position
-and heading alike, in place of the heading to the goal; and the clearance is that of the real
+bases with vx, vy and yaw rate. Two differences: progress is measured along the planned path, by
+position and heading, instead of by the heading to the goal; and the clearance is that of the real
 footprint.
 """
 
@@ -18,8 +18,8 @@ from momapos.model.robots import Robot
 
 from .convex_polygons import PrismArrays
 from .footprint_map import NavigationMap
-from .global_path import TURN, BasePath
-from .outline_gaps import Scratch, Surroundings, gap, gaps, scratch_for, select, wrapped
+from .global_path import METERS_PER_RADIAN, BasePath
+from .outline_gaps import OutlineArrays, Scratch, gap, gaps, scratch_for, select, wrapped
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -30,23 +30,23 @@ class WindowConfig:
     """How velocities are chosen."""
 
     horizon: float = 1.2
-    """How long a velocity is imagined to be held [s]."""
+    """Time for which a velocity is simulated [s]."""
     deviation: float = 2.5
-    """Progress that a meter beside the path is worth [-]."""
+    """Cost of deviation from the path, in progress per deviation [-]."""
     preferred_clearance: float = 0.06
-    """Gap to everything that is kept where there is room [m]."""
+    """Preferred gap to obstacles [m]."""
     crowding: float = 0.1
-    """Progress that is given up to get from touching to that gap [m]."""
+    """Cost of contact relative to the preferred gap, in progress [m]."""
     margin: float = 0.02
-    """Gap that is never gone below, but where the path itself goes closer [m]."""
+    """Smallest gap to obstacles; smaller where the path itself is closer [m]."""
     look: float = 2.5
-    """How far ahead moving obstacles are followed, at the velocity they have [s]."""
+    """Time for which moving obstacles are predicted, at constant velocity [s]."""
     distance: float = 0.15
     """Distance kept to moving obstacles [m]."""
 
 
 class PathAhead(NamedTuple):
-    """The path from where the base has come to."""
+    """The remaining part of the path."""
 
     poses: F2
     s: F1
@@ -54,16 +54,16 @@ class PathAhead(NamedTuple):
 
 
 class WindowWeights(NamedTuple):
-    """What velocities are rated by: limits of the base, and the numbers of a WindowConfig."""
+    """Weights for rating velocities: limits of the base, and the values of a WindowConfig."""
 
     dt: float
-    """Time until the next choice [s]."""
+    """Time until the next control step [s]."""
     acceleration: float
     """[m/s^2]"""
     yaw_acceleration: float
     """[rad/s^2]"""
     needed_clearance: float
-    """Gap that is never gone below [m]."""
+    """Smallest gap to obstacles [m]."""
     horizon: float
     deviation: float
     preferred_clearance: float
@@ -72,24 +72,24 @@ class WindowWeights(NamedTuple):
     distance: float
 
 
-class Hold(NamedTuple):
-    """How long a velocity is looked at, and with which gaps."""
+class HeldVelocity(NamedTuple):
+    """How long a held velocity is checked, and with which gaps."""
 
     stop: float
-    """Time after which a braking base would stand [s]."""
+    """Time after which a braking base would have stopped [s]."""
     horizon: float
-    """Time until which gaps count [s]."""
+    """Time until which gaps count for the score [s]."""
     end: float
-    """Time until which they are looked at [s]."""
+    """Time until which gaps are checked [s]."""
     speed: float
-    """Of the robot's fastest point [m/s]."""
+    """Speed of the robot's fastest point [m/s]."""
     needed_clearance: float
     """[m]"""
     dull: float
-    """Gap at which the velocity is of no more interest [m]."""
+    """Gap below which the velocity cannot become the best [m]."""
 
 
-class Moving(NamedTuple):
+class MovingDiscs(NamedTuple):
     """Moving obstacles."""
 
     discs: F2
@@ -97,13 +97,13 @@ class Moving(NamedTuple):
     keep: F1
     """Distance kept to each [m]."""
     look: float
-    """How far ahead they are followed [s]."""
+    """Time for which they are predicted [s]."""
 
 
-class Near(NamedTuple):
-    """What gaps are measured to, see `gap`."""
+class GapQuery(NamedTuple):
+    """Arguments of `gap`."""
 
-    surroundings: Surroundings
+    surroundings: OutlineArrays
     candidates: int
     cap: float
     scratch: Scratch
@@ -111,7 +111,7 @@ class Near(NamedTuple):
 
 @kernel
 def _carried(pose, v, t, out):
-    """The pose after a time at a constant velocity in the base frame."""
+    """Compute the pose after a time at a constant velocity in the base frame."""
     turn = v[2] * t
     if abs(turn) < 1e-9:
         x, y = v[0] * t, v[1] * t
@@ -126,18 +126,18 @@ def _carried(pose, v, t, out):
 
 @kernel
 def _progress(pose, path, deviation):
-    """How far along the path a pose is, less what it is beside it [m]."""
+    """Return a pose's progress along the path, minus the cost of its deviation from it [m]."""
     best = -np.inf
     for k in range(len(path.poses)):
         beside = np.hypot(pose[0] - path.poses[k, 0], pose[1] - path.poses[k, 1])
-        beside += TURN * abs(wrapped(pose[2] - path.poses[k, 2]))
+        beside += METERS_PER_RADIAN * abs(wrapped(pose[2] - path.poses[k, 2]))
         best = max(best, path.s[k] - deviation * beside)
     return best
 
 
 @entry
 def disc_separation(pose: F1, x: float, y: float, prisms: PrismArrays) -> float:
-    """Separation of a point from the nearest prism of the robot [m]; no more than the distance."""
+    """Return the separation of a point from the nearest prism [m], at most the distance."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u = c * (x - pose[0]) + s * (y - pose[1])
     v = c * (y - pose[1]) - s * (x - pose[0])
@@ -153,7 +153,7 @@ def disc_separation(pose: F1, x: float, y: float, prisms: PrismArrays) -> float:
 
 @kernel
 def _meets(pose, v, held, braking, moving, prisms, at):
-    """Time at which a robot that holds a velocity, then brakes along its arc, meets a disc [s]."""
+    """Return when a robot that holds a velocity, then brakes along its arc, meets a disc [s]."""
     discs = moving.discs
     for step in range(1, int(moving.look / 0.1) + 1):
         t = 0.1 * step
@@ -169,19 +169,13 @@ def _meets(pose, v, held, braking, moving, prisms, at):
 
 @kernel
 def _held(pose, v, hold, near, at):
-    """Smallest gap while a velocity is held [m], and when too small a gap is met [s].
+    """Return the smallest gap while a velocity is held [m], and when a gap gets too small [s].
 
-    A velocity that is of no interest meets one at once.
-
-    Args:
-        pose, v: See `rate`.
-        hold: See `Hold`.
-        near: See `gap`.
-        at: Memory (3,).
+    For a velocity that cannot become the best, this time is 0.
     """
     need, stop = hold.needed_clearance, hold.stop
     surroundings, count, cap, scratch = near
-    # Most that cannot be stopped in time would touch where they stop.
+    # Check the stopping pose first: most collisions show there.
     _carried(pose, v, stop, at)
     if gap(at[0], at[1], at[2], surroundings, count, cap, scratch) < need:
         return cap, stop
@@ -197,7 +191,7 @@ def _held(pose, v, hold, near, at):
             return least, 0.0
         if t >= hold.end:
             return least, np.inf
-        finest = 0.005 if t < stop else 0.03  # beyond the stop only the score is at stake
+        finest = 0.005 if t < stop else 0.03  # after the stop only the score depends on gaps
         ahead = t + max(g - need / 2, finest) / max(hold.speed, 1e-6)
         t = stop if t < stop < ahead else min(hold.end, ahead)
 
@@ -206,23 +200,23 @@ def _held(pose, v, hold, near, at):
 def rate(
     pose: F1,
     samples: F2,
-    surroundings: Surroundings,
+    surroundings: OutlineArrays,
     path: PathAhead,
     discs: F2,
     weights: WindowWeights,
 ) -> np.ndarray:
-    """Score velocities, minus infinity for those after which the base could not stop in time.
+    """Score velocities; minus infinity if the base could not stop in time.
 
-    They are looked at in the order of what they would be worth in an empty room, and no further
-    once they cannot become the best; those left out are minus infinity as well.
+    They are evaluated in the order of their score without obstacles, until the remaining ones
+    cannot become the best; these score minus infinity as well.
 
     Args:
-        pose: Where the base believes to be (3,).
+        pose: Estimated pose of the base (3,).
         samples: Velocities in the base frame (m, 3) [m/s, m/s, rad/s].
-        surroundings: See `Surroundings`.
-        path: See `PathAhead`.
+        surroundings: The robot and the obstacles.
+        path: The remaining path.
         discs: x, y, vx, vy, radius of moving obstacles (d, 5).
-        weights: See `WindowWeights`.
+        weights: Limits and weights.
     """
     prisms, bounds = surroundings.prisms, surroundings.obstacles.bounds
     horizon, dt, look = weights.horizon, weights.dt, weights.look
@@ -230,13 +224,13 @@ def rate(
     scratch = scratch_for(surroundings)
     out, at, keep = np.empty(len(samples)), np.empty(3), np.empty(len(discs))
     cap = max(2 * preferred, 0.15)
-    # What walks may stop at once: who follows it must be able to stop behind it.
+    # Moving obstacles may stop at once: a base that follows one must be able to stop behind it.
     halted, apart = discs.copy(), np.empty(len(discs))
     for d in range(len(discs)):
         now = disc_separation(pose, discs[d, 0], discs[d, 1], prisms) - discs[d, 4]
         keep[d], apart[d] = min(weights.distance, now), min(weights.needed_clearance, now)
         halted[d, 2] = halted[d, 3] = 0.0
-    moving, standing = Moving(discs, keep, look), Moving(halted, apart, look)
+    moving, standing = MovingDiscs(discs, keep, look), MovingDiscs(halted, apart, look)
     worth = np.zeros(len(samples))
     for m in range(len(samples)):
         out[m] = -np.inf
@@ -250,13 +244,13 @@ def rate(
         v = samples[m]
         speed = np.hypot(v[0], v[1])
         braking = max(speed / weights.acceleration, abs(v[2]) / weights.yaw_acceleration)
-        stop = dt + braking / 2  # braking along the arc, it comes this far [s at full speed]
+        stop = dt + braking / 2  # stopping distance along the arc [s at full speed]
         end = max(horizon, stop)
         points = speed + prisms.radius * abs(v[2])
         count = select(pose[0], pose[1], points * end + prisms.radius + cap, bounds, scratch.near)
         dull = -np.inf if crowding <= 0 else preferred * (1 - (worth[m] - best) / crowding)
-        hold = Hold(stop, horizon, end, points, weights.needed_clearance, dull)
-        least, met = _held(pose, v, hold, Near(surroundings, count, cap, scratch), at)
+        hold = HeldVelocity(stop, horizon, end, points, weights.needed_clearance, dull)
+        least, met = _held(pose, v, hold, GapQuery(surroundings, count, cap, scratch), at)
         most = worth[m] - crowding * max(0.0, 1 - least / preferred)
         if met <= stop:
             continue
@@ -272,7 +266,7 @@ def rate(
         for share in (0.5, 1.0):
             _carried(pose, v, min(share * horizon, met), at)
             score += 0.5 * _progress(at, path, weights.deviation)
-        # To be stopped by something is never worth more than to go on.
+        # Being stopped by an obstacle never scores more than driving on.
         out[m] = min(score - worth[m], 0.0) + most - waits
         best = max(best, out[m])
     return out
@@ -281,7 +275,7 @@ def rate(
 def velocity_window(
     robot: Robot, now: Float[np.ndarray, "3"], dt: float
 ) -> Float[np.ndarray, "m 3"]:
-    """Velocities within reach in one step; the first is braking along the present arc."""
+    """Sample the velocities reachable in one step; the first brakes along the present arc."""
     braking = max(
         float(np.hypot(now[0], now[1])) / robot.max_acceleration,
         abs(float(now[2])) / robot.max_yaw_acceleration,
@@ -289,7 +283,7 @@ def velocity_window(
     brake = now * max(0.0, 1 - dt / braking) if braking > 0 else np.zeros(3)
     step, turn = robot.max_acceleration * dt, robot.max_yaw_acceleration * dt
     share = np.linspace(-1, 1, 13 if robot.drive == "differential" else 7)
-    w = now[2] + turn * np.sign(share) * np.abs(share) ** 1.5  # finest around the present rate
+    w = now[2] + turn * np.sign(share) * np.abs(share) ** 1.5  # densest at the present rate
     w = np.append(w, np.clip(0.0, now[2] - turn, now[2] + turn))
     if robot.drive == "differential":
         vx = now[0] + step * np.append(np.linspace(-1, 1, 7), np.clip(-now[0] / step, -1, 1))
@@ -308,7 +302,7 @@ def velocity_window(
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """Chooses velocities along one path."""
+    """Chooses velocities along a path."""
 
     nav_map: NavigationMap
     path: BasePath
@@ -322,31 +316,23 @@ class Steering:
         index: int,
         discs: Float[np.ndarray, "d 5"],
     ) -> Float[np.ndarray, " m"]:
-        """Score of velocities at a believed pose that is at some index of the path; see `rate`.
+        """Score velocities at an estimated pose and its index on the path, see `rate`.
 
-        No gap smaller than the margin is allowed, but where the path itself has none; a base that
-        is nearer already may not come nearer still.
+        Gaps below the margin are allowed only where the path itself is closer. A base that is
+        already closer must not come closer still.
         """
         nav_map, c, path = self.nav_map, self.config, self.path
         robot = nav_map.robot
-        ahead = c.horizon * (robot.max_speed + TURN * robot.max_yaw_rate)
+        ahead = c.horizon * (robot.max_speed + METERS_PER_RADIAN * robot.max_yaw_rate)
         end = max(int(np.searchsorted(path.s, path.s[index] + ahead)), index + 1)
         here = float(gaps(pose[None], nav_map.prisms, nav_map.planning_obstacles, cap=0.2)[0])
         need = min(c.margin, 0.6 * float(path.gap[index : end + 1].min()), here)
-        surroundings = Surroundings(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
+        surroundings = OutlineArrays(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
         ahead_of = slice(index, end + 1)
         weights = WindowWeights(
-            self.dt,
-            robot.max_acceleration,
-            robot.max_yaw_acceleration,
-            need,
-            c.horizon,
-            c.deviation,
-            c.preferred_clearance,
-            c.crowding,
-            c.look,
-            c.distance,
-        )
+            self.dt, robot.max_acceleration, robot.max_yaw_acceleration, need, c.horizon,
+            c.deviation, c.preferred_clearance, c.crowding, c.look, c.distance,
+        )  # fmt: skip
         rest = PathAhead(path.poses[ahead_of], path.s[ahead_of] - path.s[index])
         return rate(pose, samples, surroundings, rest, discs, weights)
 
@@ -357,7 +343,7 @@ class Steering:
         index: int,
         discs: Float[np.ndarray, "d 5"],
     ) -> Float[np.ndarray, "3"]:
-        """The velocity to have next; braking where none is safe."""
+        """Return the best velocity; braking if none is safe."""
         samples = velocity_window(self.nav_map.robot, velocity, self.dt)
         scores = self.ratings(pose, samples, index, discs)
         return samples[int(np.argmax(scores))]
@@ -368,5 +354,5 @@ class Steering:
         velocity: Float[np.ndarray, "3"],
         discs: Float[np.ndarray, "d 5"],
     ) -> bool:
-        """Whether a base that follows the path exactly can have a velocity and still stop."""
+        """Check whether a base that follows the path exactly can stop from a velocity."""
         return bool(np.isfinite(self.ratings(pose, velocity[None], 0, discs)[0]))

@@ -1,7 +1,7 @@
-"""The path from a start to a goal pose: A* with headings, then as few straight legs as possible.
+"""Plan a path from a start to a goal pose: A* with headings, then as few straight legs as possible.
 
 Sources: A* (Hart, Nilsson, Raphael 1968) over the cells and headings of the footprint map; then
-any-angle shortening, for the reason that Theta* has (Daniel, Nash, Koenig, Felner 2010): the
+any-angle shortening, for the same reason as in Theta* (Daniel, Nash, Koenig, Felner 2010): the
 shortest path over a lattice is not the shortest path.
 """
 
@@ -19,14 +19,14 @@ from momapos.core.geometry import wrap_angle
 
 from .convex_polygons import on_floor
 from .cost_map import CELL
-from .footprint_map import FARTHEST, HEADINGS, MOVES, NavigationMap
+from .footprint_map import HEADINGS, MAX_GAP, MOVES, NavigationMap
 from .grid_distance import path_lengths
 from .lattice import Lattice, PathModel, astar, connections, shorten, standable
 from .outline_gaps import gaps
 from .path_ends import (
-    DEFAULT,
-    NEEDED,
-    Attached,
+    DEFAULT_CONFIG,
+    MIN_GAP,
+    LatticeEntries,
     PathConfig,
     lattice_poses,
     lattice_shape,
@@ -37,65 +37,63 @@ from .path_ends import (
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-TURN = 0.3
-"""A radian of turning counts as this much path where progress is measured [m/rad]."""
+METERS_PER_RADIAN = 0.3
+"""Path length that a radian of turning counts for in progress [m/rad]."""
 _SPACING = 0.15
-"""Straight stretches of the lattice are offered for shortening at this spacing [m]."""
-_FINER = 0.97
-"""Sixteen directions measure lengths at most 2.7 % too long; more directions need less."""
+"""Spacing of poses on straight stretches of the lattice that are offered for shortening [m]."""
+_LOWER_BOUND = 0.97
+"""Lower bound of the true length relative to that over sixteen directions, 2.7 % too long [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class BasePath:
-    """A path, pose by pose; turns in place are part of it."""
+    """A path, pose by pose, including turns on the spot."""
 
     poses: Float[np.ndarray, "n 3"]
     """x [m], y [m], heading [rad]; at most 2.5 cm or 3 degrees apart."""
     s: Float[np.ndarray, " n"]
-    """Progress at each: meters driven plus TURN times radians turned [m]."""
+    """Progress at each pose: meters driven plus METERS_PER_RADIAN times radians turned [m]."""
     gap: Float[np.ndarray, " n"]
-    """Room around the robot at each [m], at most 0.3."""
+    """Gap around the robot at each pose [m], at most 0.3."""
     length: float
-    """Meters driven."""
+    """Distance driven [m]."""
     nodes: Float[np.ndarray, "m 3"]
-    """Where the legs of the path begin and end."""
+    """Ends of the legs of the path."""
     backwards: Bool[np.ndarray, " m-1"]
     """Whether a leg is driven backwards."""
 
     def follow(self, pose: Float[np.ndarray, "3"], index: int, reach: float) -> int:
-        """Index of the pose that a base has come to, at or after an index.
+        """Return the index of the pose nearest to a base, at or after its last index.
 
         Args:
-            pose: Where the base is.
-            index: Where it was on the path.
-            reach: How far along the path it may have come since [m].
+            pose: Pose of the base.
+            index: Its last index on the path.
+            reach: Largest progress since then [m].
         """
         end = int(np.searchsorted(self.s, self.s[index] + reach)) + 1
-        away = self.poses[index:end] - pose
-        beside = np.hypot(away[:, 0], away[:, 1]) + TURN * np.abs(wrap_angle(away[:, 2]))
-        return index + int(np.argmin(beside))
+        error = self.poses[index:end] - pose
+        turn = np.abs(wrap_angle(error[:, 2]))
+        return index + int(np.argmin(np.hypot(error[:, 0], error[:, 1]) + METERS_PER_RADIAN * turn))
 
 
 def plan_path(
     nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
-    config: PathConfig = DEFAULT,
+    config: PathConfig = DEFAULT_CONFIG,
 ) -> BasePath | None:
-    """Find a short path for the whole footprint; None where there is none.
+    """Find a short path for the whole footprint; None without one.
 
     Args:
-        nav_map: Where the robot fits.
+        nav_map: Navigation map.
         start: x [m], y [m], yaw [rad].
-        goal: Likewise; the path ends in exactly this pose.
-        config: What makes one path better than another.
+        goal: Likewise; the path ends exactly at this pose.
+        config: Weights of the cost.
     """
-    needs = 0.5 * gaps(np.stack([start, goal]), nav_map.prisms, nav_map.planning_obstacles)
-    if (needs <= 0).any() or not on_floor(
-        nav_map.prisms, nav_map.floor_polygon, np.stack([start, goal])
-    ).all():
+    ends = np.stack([start, goal])
+    plan = _planner(nav_map, ends, config)
+    if plan is None or not on_floor(nav_map.prisms, nav_map.floor_polygon, ends).all():
         return None
-    plan = _Planner(nav_map, config, np.minimum(needs, NEEDED))
     for rough in plan.rough(start, goal):
         kept = shorten(rough, plan.needs, plan.model())
         if len(kept):
@@ -107,9 +105,9 @@ def direct_path(
     nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
-    config: PathConfig = DEFAULT,
+    config: PathConfig = DEFAULT_CONFIG,
 ) -> BasePath | None:
-    """The path of one leg between two poses, None where it is blocked; see `plan_path`."""
+    """Return the path of one leg between two poses, None if it is blocked; see `plan_path`."""
     nodes = np.stack([start, goal])
     plan = _direct(nav_map, nodes, config)
     return None if plan is None else plan.sampled(nodes)
@@ -118,46 +116,50 @@ def direct_path(
 def leads_straight(
     nav_map: NavigationMap, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
 ) -> bool:
-    """Whether there is a path of one leg between two poses, see `direct_path`."""
-    return _direct(nav_map, np.stack([start, goal]), DEFAULT) is not None
+    """Check whether there is a path of one leg between two poses, see `direct_path`."""
+    return _direct(nav_map, np.stack([start, goal]), DEFAULT_CONFIG) is not None
 
 
 def _direct(
     nav_map: NavigationMap, nodes: Float[np.ndarray, "2 3"], config: PathConfig
 ) -> _Planner | None:
-    """What plans the path of one leg; None where it is blocked."""
-    needs = 0.5 * gaps(nodes, nav_map.prisms, nav_map.planning_obstacles)
-    if (needs <= 0).any():
+    """Return the planner of a path of one leg, None if it is blocked."""
+    plan = _planner(nav_map, nodes, config)
+    if plan is None:
         return None
-    plan = _Planner(nav_map, config, np.minimum(needs, NEEDED))
     cost, _ = connections(nodes[:1], nodes[1:], plan.model(float(plan.needs.min())))
     return plan if np.isfinite(cost[0]) else None
 
 
-@dataclass(frozen=True)
-class _Planner:
-    """One question to the planner."""
+def _planner(
+    nav_map: NavigationMap, ends: Float[np.ndarray, "2 3"], config: PathConfig
+) -> _Planner | None:
+    """Return the planner of a path between two poses, None if one is in collision."""
+    needs = 0.5 * gaps(ends, nav_map.prisms, nav_map.planning_obstacles)
+    return None if (needs <= 0).any() else _Planner(nav_map, config, np.minimum(needs, MIN_GAP))
 
+
+@dataclass(frozen=True, eq=False)
+class _Planner:
     nav_map: NavigationMap
     config: PathConfig
     needs: Float[np.ndarray, "2"]
-    """Gaps needed at the start and at the goal [m]."""
+    """Smallest gaps at the start and at the goal [m]."""
 
     @property
     def omni(self) -> bool:
         return self.nav_map.robot.drive == "omni"
 
-    def model(self, needed_clearance: float = NEEDED) -> PathModel:
-        """What the kernels search by."""
+    def model(self, needed_clearance: float = MIN_GAP) -> PathModel:
         return path_model(self.nav_map, self.config, needed_clearance)
 
     def rough(
         self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
     ) -> Iterator[Float[np.ndarray, "n 3"]]:
-        """Poses of paths, the likeliest first; each may still touch something where it is joined.
+        """Yield poses of paths, the most probable first; their connections are not yet checked.
 
-        A path over the lattice comes first with stretches thinned out, for speed, then with all its
-        poses, for a cusp or a long turn is lost with the poses left out of it.
+        A path over the lattice comes first with fewer poses on its stretches, for speed. Then it
+        comes with all poses, because dropping poses can lose a cusp or a long turn.
         """
         direct, _ = connections(start[None], goal[None], self.model(self.needs.min()))
         simple = np.stack([start, goal])
@@ -172,19 +174,19 @@ class _Planner:
             for pose, need, is_goal in zip((start, goal), self.needs, (False, True), strict=True)
         )
         for shuffle in (False, True):
-            first, last = (e.shuffling if shuffle else e.simply for e in (begin, end))
+            first, last = (e.shuffled if shuffle else e.straight for e in (begin, end))
             states = self._over_lattice(first, last)
             if len(states):
                 before, after = first.path(int(states[0])), last.path(int(states[-1]))
                 every = lattice_poses(self.nav_map, states)
-                for between in (_thinned(every), every):
+                for between in (_reduced(every), every):
                     yield np.concatenate([start[None], before, between, after[::-1], goal[None]])
             if np.isfinite(direct[0]):
                 yield simple
                 return
 
-    def _over_lattice(self, first: Attached, last: Attached) -> Int[np.ndarray, " k"]:
-        """States of the cheapest path over the lattice, flat; empty where there is none."""
+    def _over_lattice(self, first: LatticeEntries, last: LatticeEntries) -> Int[np.ndarray, " k"]:
+        """Return the states of the cheapest path over the lattice, flat; empty without a path."""
         nav_map = self.nav_map
         rows, columns = nav_map.shape
         if not len(first.states) or not len(last.states):
@@ -193,11 +195,11 @@ class _Planner:
         for cost, end in zip(costs, (first, last), strict=True):
             cost[end.states] = end.cost
         cells = np.unique(last.states % (rows * columns))
-        ahead = _FINER * path_lengths(_standable(nav_map), cells, CELL)
+        ahead = _LOWER_BOUND * path_lengths(_standable(nav_map), cells, CELL)
         return astar(nav_map.known_gaps, ahead, *costs, _lattice(nav_map), self.model())
 
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Turn at each node from one leg to the next at once, not by way of the node's heading."""
+        """Turn at each node directly from one leg to the next, where that is not costlier."""
         nodes, model = nodes.copy(), self.model(self.needs.min())
         if self.omni:
             return nodes
@@ -215,7 +217,7 @@ class _Planner:
         return nodes
 
     def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> BasePath:
-        """Every pose of the path over nodes."""
+        """Sample all poses of the path over nodes."""
         _, backwards = connections(nodes[:-1], nodes[1:], self.model(self.needs.min()))
         poses = [nodes[0]]
         for a, b, back in zip(nodes[:-1], nodes[1:], backwards, strict=True):
@@ -231,25 +233,25 @@ class _Planner:
         path = np.array(poses)
         move = np.hypot(*np.diff(path[:, :2], axis=0).T)
         turn = np.abs(wrap_angle(np.diff(path[:, 2])))
-        s = np.concatenate([[0.0], np.cumsum(move + TURN * turn)])
-        room = gaps(path, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=0.3)
-        return BasePath(path, s, room, float(move.sum()), nodes, backwards)
+        s = np.concatenate([[0.0], np.cumsum(move + METERS_PER_RADIAN * turn)])
+        gap = gaps(path, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=0.3)
+        return BasePath(path, s, gap, float(move.sum()), nodes, backwards)
 
 
 def _lattice(nav_map: NavigationMap) -> Lattice:
-    return Lattice(nav_map.origin, CELL, MOVES, HEADINGS, FARTHEST)
+    return Lattice(nav_map.origin, CELL, MOVES, HEADINGS, MAX_GAP)
 
 
 @lru_cache(maxsize=8)
 def _standable(nav_map: NavigationMap) -> Bool[np.ndarray, "rows columns"]:
-    """Where the base can be with some heading."""
-    return standable(nav_map.inside, _lattice(nav_map), path_model(nav_map, DEFAULT))
+    """Find the cells in which the base fits with some heading."""
+    return standable(nav_map.inside, _lattice(nav_map), path_model(nav_map, DEFAULT_CONFIG))
 
 
 def _line(
     pose: Float[np.ndarray, "3"], step: Float[np.ndarray, "2"], heading: float
 ) -> list[Float[np.ndarray, "3"]]:
-    """Poses of a straight leg with an even turn, without the first one."""
+    """Sample the poses of a straight leg with an even turn, without the first one."""
     turn = float(wrap_angle(heading - pose[2]))
     count = int(np.ceil(max(np.hypot(*step) / 0.025, abs(turn) / 0.05)))
     share = np.arange(1, count + 1)[:, None] / max(count, 1)
@@ -258,8 +260,8 @@ def _line(
     return list(line)
 
 
-def _thinned(poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Poses of a lattice path: those where it turns, else one every so often."""
+def _reduced(poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Reduce a lattice path to the poses where it turns, and one per `_SPACING` in between."""
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     kept = np.ones(len(poses), bool)
     kept[1:-1] = (np.diff(poses[:-1, 2]) != 0) != (np.diff(poses[1:, 2]) != 0)

@@ -1,4 +1,4 @@
-"""Distances over the cells of a floor: to what is blocked, and along paths."""
+"""Distances over the cells of a floor: to the nearest blocked cell, and along paths."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ if TYPE_CHECKING:
 
 _QUADRANT = ((1, 0), (1, 1), (2, 1), (1, 2))
 _MOVES = np.array([m for a, b in _QUADRANT for m in ((a, b), (-b, a), (-a, -b), (b, -a))])
-"""Steps (rows, columns) to the sixteen cells around a cell: lengths are at most 2.7 % too long."""
+"""Steps (rows, columns) to sixteen neighbors of a cell: lengths are at most 2.7 % too long."""
 _LENGTHS: np.ndarray = np.hypot(_MOVES[:, 0], _MOVES[:, 1])
 
 
 def clearance(
-    blocked: Bool[np.ndarray, "rows columns"], *, most: float = np.inf
+    blocked: Bool[np.ndarray, "rows columns"], *, cap: float = np.inf
 ) -> Float[np.ndarray, "rows columns"]:
-    """Distance of each cell's center from that of the nearest blocked cell [cells].
+    """Compute the distance between the centers of each cell and the nearest blocked cell [cells].
 
     Args:
-        blocked: Which cells are blocked; where none is, distances are infinite.
-        most: Larger distances are not told apart and come out as this [cells].
+        blocked: Which cells are blocked; without any, distances are infinite.
+        cap: Upper bound of the distances [cells].
     """
-    return _clearance(np.ascontiguousarray(blocked), float(most))
+    return _clearance(np.ascontiguousarray(blocked), float(cap))
 
 
 def path_lengths(
     free: Bool[np.ndarray, "rows columns"], sources: Int[np.ndarray, " s"], cell: float
 ) -> Float[np.ndarray, "rows columns"]:
-    """Length of the shortest path to each cell from the nearest source, over free cells.
+    """Compute the length of the shortest path over free cells from the nearest source to each cell.
 
     Args:
-        free: Cells that paths can lead through.
+        free: Which cells are free.
         sources: Flat indices of free cells.
         cell: Edge of a cell [m].
 
     Returns:
-        Lengths [m], infinite where no path leads.
+        Lengths [m], infinite without a path.
     """
     sources = np.ascontiguousarray(sources, np.int64)
     return _path_lengths(np.ascontiguousarray(free), sources, _MOVES, cell * _LENGTHS)
@@ -48,7 +48,7 @@ def path_lengths(
 
 @entry
 def _clearance(blocked: B2, most: float) -> np.ndarray:
-    """The exact Euclidean distance transform: along the columns, then along the rows."""
+    """Compute the exact Euclidean distance transform: along the columns, then along the rows."""
     rows, columns = blocked.shape
     out = np.full((rows, columns), np.inf)
     for j in range(columns):
@@ -77,11 +77,11 @@ def _clearance(blocked: B2, most: float) -> np.ndarray:
 
 @entry
 def _path_lengths(free: B2, sources: I1, moves: I2, lengths: F1) -> np.ndarray:
-    """Dijkstra 1959, with the cells that come next in two heaps unsorted (Davidson et al. 2014).
+    """Run Dijkstra's algorithm (1959) with two unsorted lists as queue (Davidson et al. 2014).
 
-    Cells nearer than a bound are taken in any order, all others wait; then the bound rises by the
-    shortest step. A cell that is found to be nearer than it was is taken once more, so that the
-    lengths are those of any other order, to the last bit.
+    Cells below a bound are processed in any order, the others wait; then the bound rises by the
+    shortest step. A cell whose length decreases is processed again, so the lengths equal those of
+    a sorted queue to the last bit.
     """
     rows, columns = free.shape
     out, taken = np.full((rows, columns), np.inf), np.full((rows, columns), np.inf)

@@ -1,6 +1,6 @@
-"""Whether the robot really touches anything: outlines against outlines, in plain numpy.
+"""Check exactly whether the robot touches anything: outlines against outlines, in plain numpy.
 
-Nothing of what plans or steers is used here: no map, no thinning, no kernels.
+It is independent of planning and steering: it uses no map, no reduced obstacles and no kernels.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from .convex_polygons import ConvexPolygons, RobotPrisms, on_floor
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-FAR = 0.5
-"""Distances above this are not told apart [m]."""
-_AT_ONCE = 8
-"""Poses that are looked at together; neighbors share what is near them."""
+MAX_DISTANCE = 0.5
+"""Upper bound of the reported distances [m]."""
+_BLOCK = 8
+"""Number of poses, and of obstacles, that are checked together [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class FootprintCollisionChecker:
 
     @cached_property
     def _padded(self) -> Float[np.ndarray, "o k 2"]:
-        """Corners of all obstacles; the first one again where one has fewer than others."""
+        """Corners of all obstacles, padded by each one's first corner."""
         count = np.diff(self.obstacles.first)
         index = np.arange(count.max(initial=1))
         index = self.obstacles.first[:-1, None] + np.where(index < count[:, None], index, 0)
@@ -43,25 +43,26 @@ class FootprintCollisionChecker:
     def distance(
         self, poses: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, " n"], list[str]]:
-        """Distance to the nearest obstacle at each pose [m], at most FAR, 0 where they overlap.
+        """Compute the distance to the nearest obstacle at each pose.
 
         Returns:
-            The distances, and what is touched at each pose, "" where nothing is.
+            The distances [m], at most `MAX_DISTANCE`, 0 on overlap; and what is touched at each
+            pose, "" for nothing.
         """
-        if len(poses) > _AT_ONCE:
-            parts = [self.distance(poses[k : k + _AT_ONCE]) for k in range(0, len(poses), _AT_ONCE)]
+        if len(poses) > _BLOCK:
+            parts = [self.distance(poses[k : k + _BLOCK]) for k in range(0, len(poses), _BLOCK)]
             return np.concatenate([d for d, _ in parts]), [name for _, t in parts for name in t]
-        best = np.full(len(poses), FAR)
+        best = np.full(len(poses), MAX_DISTANCE)
         touched = [""] * len(poses)
         count = np.diff(self.obstacles.first)
         for layer, outline in enumerate(self.prisms.outlines):
             robot = place_points(poses, outline)[:, None]
             which, least = self._nearest_first(robot, layer)
-            for k in range(0, len(which), _AT_ONCE):
-                # The bounds of the rest are farther from all poses than what was found.
+            for k in range(0, len(which), _BLOCK):
+                # The bounds of all further obstacles are farther than the nearest ones so far.
                 if least[k] > best.max():
                     break
-                some = which[k : k + _AT_ONCE]
+                some = which[k : k + _BLOCK]
                 room = self._padded[some, : count[some].max()][None]
                 apart = np.minimum(
                     edge_distances(robot, room).min(-1), edge_distances(room, robot).min(-1)
@@ -77,19 +78,19 @@ class FootprintCollisionChecker:
     def _nearest_first(
         self, robot: Float[np.ndarray, "n 1 k 2"], layer: int
     ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Obstacles of a layer by how far their bounds are from those of the robot at all poses."""
+        """Sort the obstacles of a layer by the distance of their bounds from those of the robot."""
         which = np.flatnonzero(self.obstacles.layer == layer)
         low, high = robot.min((0, 1, 2)), robot.max((0, 1, 2))
         box = self.obstacles.bounds[which]
-        beside = np.maximum(np.maximum(box[:, :2] - high, low - box[:, 2:]), 0.0)
-        least = np.hypot(beside[:, 0], beside[:, 1])
+        apart = np.maximum(np.maximum(box[:, :2] - high, low - box[:, 2:]), 0.0)
+        least = np.hypot(apart[:, 0], apart[:, 1])
         order = np.argsort(least, kind="stable")
         return which[order], least[order]
 
-    def to_discs(
+    def disc_distances(
         self, pose: Float[np.ndarray, "3"], discs: Float[np.ndarray, "d 5"]
     ) -> Float[np.ndarray, " d"]:
-        """Distance between the robot and moving discs [m], negative where they overlap."""
+        """Compute the distances between the robot and discs [m], negative on overlap."""
         if not len(discs):
             return np.zeros(0)
         found = []
@@ -103,7 +104,7 @@ class FootprintCollisionChecker:
 def overlap(
     a: Float[np.ndarray, "*#batch k 2"], b: Float[np.ndarray, "*#batch m 2"]
 ) -> Bool[np.ndarray, " *batch"]:
-    """Whether convex outlines have a point in common: no edge of either separates them."""
+    """Check whether convex outlines overlap: no edge of either separates them."""
 
     def separated(p: np.ndarray, q: np.ndarray) -> np.ndarray:
         along = np.roll(p, -1, axis=-2) - p

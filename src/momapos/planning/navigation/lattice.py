@@ -1,4 +1,4 @@
-"""Cheapest paths over cells and headings (A*), and their shortening: the compiled part."""
+"""Kernels for the cheapest paths over cells and headings (A*), and for shortening them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,24 @@ import numpy as np
 
 from momapos.core.compiled import B2, F1, F2, I2, S3, entry, kernel
 
-from .outline_gaps import CostWeights, Surroundings, connect, gap, leg, scratch_for, select, wrapped
+from .outline_gaps import (
+    CostWeights,
+    OutlineArrays,
+    connect,
+    gap,
+    leg,
+    scratch_for,
+    select,
+    wrapped,
+)
 
 
 class PathModel(NamedTuple):
-    """What decides which paths there are, and what they cost."""
+    """The robot, the obstacles and the cost of paths."""
 
     omni: bool
     """Whether the base can move sideways."""
-    surroundings: Surroundings
+    surroundings: OutlineArrays
     cost_weights: CostWeights
 
 
@@ -33,12 +42,12 @@ class Lattice(NamedTuple):
     headings: F1
     """[rad]"""
     farthest: float
-    """Gaps are told apart up to this [m]."""
+    """Upper bound of gaps [m]."""
 
 
 @entry
 def connections(a: F2, b: F2, model: PathModel) -> tuple[np.ndarray, np.ndarray]:
-    """Cost of the simple path between each pair of poses (n, 3), and whether it is backwards."""
+    """Compute the cost of the simple path between pairs of poses (n, 3), and if it is backwards."""
     scratch = scratch_for(model.surroundings)
     cost, backwards = np.empty(len(a)), np.empty(len(a), np.bool_)
     for k in range(len(a)):
@@ -50,11 +59,11 @@ def connections(a: F2, b: F2, model: PathModel) -> tuple[np.ndarray, np.ndarray]
 
 @entry
 def standable(inside: B2, lattice: Lattice, model: PathModel) -> np.ndarray:
-    """Where the base can be with some heading (rows, columns), of the cells on the floor."""
+    """Find the cells on the floor in which the base fits with some heading (rows, columns)."""
     surroundings, need = model.surroundings, model.cost_weights.needed_clearance
     prisms, obstacles = surroundings.prisms, surroundings.obstacles
     origin, cell = lattice.origin, lattice.cell
-    # A circle about the origin within a prism is clear of what the prism is clear of.
+    # The base collides wherever the inscribed circle of a prism does.
     inner = np.empty(len(prisms.first) - 1)
     for layer in range(len(inner)):
         inner[layer] = np.inf
@@ -85,7 +94,7 @@ def standable(inside: B2, lattice: Lattice, model: PathModel) -> np.ndarray:
 
 @kernel
 def _within(x, y, distance, obstacles, o):
-    """Whether a point is closer to a convex polygon than a distance."""
+    """Check whether a point is closer to a convex polygon than a distance."""
     corner, first, last = obstacles.corner, obstacles.first[o], obstacles.first[o + 1]
     outside = False
     for e in range(first, last):
@@ -108,7 +117,7 @@ def _within(x, y, distance, obstacles, o):
 
 @kernel
 def _gap_at(h, i, j, known, lattice, surroundings, scratch):
-    """Gap at a state [m], computed when it is first asked for."""
+    """Return the gap at a state [m], computed on first use."""
     if np.isnan(known[h, i, j]):
         x = lattice.origin[0] + (j + 0.5) * lattice.cell
         y = lattice.origin[1] + (i + 0.5) * lattice.cell
@@ -127,16 +136,14 @@ def astar(
     """Find the cheapest path over the lattice (Hart, Nilsson, Raphael 1968).
 
     Args:
-        known: Gap at every state (headings, rows, columns) [m]; NaN where it is not known yet, and
-            then written down.
+        known: Gap at every state (headings, rows, columns) [m]; NaN until its first use.
         ahead: Lower bound of the cost from every cell to the goal (rows, columns) [m].
-        first: Cost from the start to every state it is attached to, infinite elsewhere, flat.
+        first: Cost from the start to every state connected to it, infinite elsewhere, flat.
         last: Cost from every state to the goal, likewise.
-        lattice: See `Lattice`.
-        model: See `PathModel`.
+        lattice, model: The states, and the data of the search.
 
     Returns:
-        The states of the path, from first to last, as flat indices; empty where there is none.
+        Flat indices of the path's states from start to goal; empty without a path.
     """
     origin, cell = lattice.origin, lattice.cell
     moves, headings = lattice.moves, lattice.headings
@@ -208,16 +215,16 @@ def astar(
 
 @entry
 def shorten(poses: F2, needs: F1, model: PathModel) -> np.ndarray:
-    """Leave poses out of a path where a simple path past them is cheaper.
+    """Remove poses from a path where a simple path past them is cheaper.
 
     Args:
         poses: The path (n, 3).
-        needs: Gaps needed on the path to and from the first and last two poses, where there may be
-            little room [m].
-        model: See `PathModel`.
+        needs: Smallest gaps on the legs at the first two and the last two poses, which may be close
+            to obstacles [m].
+        model: The robot, the obstacles and the cost of paths.
 
     Returns:
-        Indices of the poses that stay, in order; empty where even neighbors do not connect.
+        Indices of the remaining poses, in order; empty if consecutive poses do not connect.
     """
     n, weights = len(poses), model.cost_weights
     scratch = scratch_for(model.surroundings)

@@ -1,8 +1,8 @@
-"""How a pose off the lattice is left: poses from which the lattice can be entered, and their paths.
+"""Exits of a start or goal: poses from which the lattice can be entered, and the paths to them.
 
-A base that stands close to furniture cannot turn at once, nor go for the center of a cell. It backs
-out straight; where a wall runs along its side that gains nothing, and it shuffles: it turns by the
-little that there is room for, drives on, turns again. The goal is left likewise, in reverse.
+A base close to furniture can neither turn on the spot nor drive to the center of a cell. It backs
+out straight. If a wall runs along its side, that does not help and it shuffles: it turns as far as
+the clearance allows, drives, and turns again. The path to the goal is the same in reverse.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float, Int
 
-    Joined = Callable[
+    ConnectionCost = Callable[
         [Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], bool], Float[np.ndarray, " n"]
     ]
-    """Cost of the simple path from each pose to another [m], and whether it may keep the smaller
-    gap that the start or goal has."""
+    """Cost of the simple path from each pose to another [m]; True allows the smaller gap of the
+    start or goal."""
 
-AHEAD = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
-"""How far a pose is left straight [m]."""
-_SLIGHTLY = np.radians([0.0, 0.7, -0.7, 1.5, -1.5, 3.0, -3.0, 6.0, -6.0, 12.0, -12.0])
+STRETCHES = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
+"""Lengths of straight stretches [m]."""
+_SMALL_TURNS = np.radians([0.0, 0.7, -0.7, 1.5, -1.5, 3.0, -3.0, 6.0, -6.0, 12.0, -12.0])
 """Turns before a stretch of shuffling [rad]; the lattice's headings are 8 to 18 degrees apart."""
-_STRETCHES = 4
-"""Stretches of shuffling at most [-]."""
-_KEPT = 16
-"""Poses with the most room from which shuffling goes on after each stretch [-]."""
-_ALIKE = 0.1, np.radians(5.0)
-"""Of poses that differ by less only one is kept [m], [rad]."""
+_MAX_STRETCHES = 4
+"""Largest number of stretches of shuffling [-]."""
+_BEAM_WIDTH = 16
+"""Number of poses, those with the largest gaps, that shuffling continues from [-]."""
+_MIN_DIFFERENCE = 0.1, np.radians(5.0)
+"""Of poses that differ by less, only one is used [m], [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Exits:
-    """Poses around a start or goal, in a tree whose root is that pose itself, at index 0."""
+    """Tree of poses around a start or goal, which is the root at index 0."""
 
     poses: Float[np.ndarray, "n 3"]
     cost: Float[np.ndarray, " n"]
-    """Of the path between the root and each [m]."""
+    """Cost of the path between the root and each pose [m]."""
     parent: Int[np.ndarray, " n"]
-    """The pose before each on the path from the root; -1 for the root."""
+    """The previous pose on the path from the root; -1 for the root."""
 
     def path(self, index: int) -> Float[np.ndarray, "k 3"]:
-        """Poses from the root to one of them, without the root."""
+        """Return the poses from the root to a pose, without the root."""
         path = []
         while index > 0:
             path.append(self.poses[index])
@@ -56,20 +56,22 @@ class Exits:
         return np.array(path[::-1]).reshape(-1, 3)
 
     def near_root(self) -> np.ndarray:
-        """Which poses are the root or next to it, where the smaller gap will do."""
+        """Return which poses are the root or its children, where the smaller gap is allowed."""
         return self.parent <= 0
 
 
-def straight(pose: Float[np.ndarray, "3"], sides: int, joined: Joined) -> Exits:
-    """Leave a pose along its heading, backwards, and, with four sides, sideways.
+def straight_exits(
+    pose: Float[np.ndarray, "3"], sides: int, connection_cost: ConnectionCost
+) -> Exits:
+    """Leave a pose forwards, backwards and, with four sides, sideways.
 
     Args:
         pose: The start or goal.
         sides: 2 for a base that drives along its heading, 4 for an omni base.
-        joined: See `Joined`.
+        connection_cost: See `ConnectionCost`.
     """
     ends = _stretches(pose[None], np.zeros(1), sides)[0]
-    cost = joined(np.broadcast_to(pose, ends.shape), ends, True)
+    cost = connection_cost(np.broadcast_to(pose, ends.shape), ends, True)
     good = np.isfinite(cost)
     return Exits(
         np.concatenate([pose[None], ends[good]]),
@@ -78,32 +80,33 @@ def straight(pose: Float[np.ndarray, "3"], sides: int, joined: Joined) -> Exits:
     )
 
 
-def shuffled(
+def shuffled_exits(
     pose: Float[np.ndarray, "3"],
     sides: int,
-    joined: Joined,
-    room: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, " n"]],
+    connection_cost: ConnectionCost,
+    gap: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, " n"]],
     needed: float,
 ) -> Exits:
-    """Leave a pose by slight turns and straight stretches, toward where there is room.
+    """Leave a pose by small turns and straight stretches, toward larger gaps.
 
     Args:
-        pose, sides, joined: See `straight`.
-        room: Gap around the robot at poses [m].
-        needed: Gap that every pose needs but those next to the start or goal [m].
+        pose, sides, connection_cost: See `straight_exits`.
+        gap: Computes the gaps at poses [m].
+        needed: Smallest gap of all poses except those next to the start or goal [m].
     """
     poses, cost, parent = pose[None], np.zeros(1), np.array([-1])
     level = np.array([0])
-    for stretch in range(_STRETCHES):
-        ends = _stretches(poses[level], _SLIGHTLY, sides)
+    for stretch in range(_MAX_STRETCHES):
+        ends = _stretches(poses[level], _SMALL_TURNS, sides)
         before = np.repeat(level, ends.shape[1])
         ends = ends.reshape(-1, 3)
-        free = room(ends)
-        # Where the base does not fit no path ends; next to the root a smaller gap may do.
-        good = np.flatnonzero(free >= (0.0 if stretch == 0 else needed))
-        total = cost[before[good]] + joined(poses[before[good]], ends[good], stretch == 0)
+        gaps = gap(ends)
+        # Drop poses where the base does not fit; next to the root, a smaller gap is allowed.
+        good = np.flatnonzero(gaps >= (0.0 if stretch == 0 else needed))
+        leg = connection_cost(poses[before[good]], ends[good], stretch == 0)
+        total = cost[before[good]] + leg
         good, total = good[np.isfinite(total)], total[np.isfinite(total)]
-        best = _best(ends[good], free[good], total)
+        best = _best(ends[good], gaps[good], total)
         good, total = good[best], total[best]
         if not len(good):
             break
@@ -117,21 +120,22 @@ def shuffled(
 def _stretches(
     poses: Float[np.ndarray, "l 3"], turns: Float[np.ndarray, " t"], sides: int
 ) -> Float[np.ndarray, "l n 3"]:
-    """Poses that are a turn and then a straight stretch away from others."""
+    """Return the poses that are a turn and a straight stretch away from others."""
     side = np.arange(sides) * 2 * np.pi / sides
     heading = wrap_angle(poses[:, 2, None] + turns)[:, :, None, None]
     along = heading + side[:, None]
-    x = poses[:, 0, None, None, None] + AHEAD * np.cos(along)
-    y = poses[:, 1, None, None, None] + AHEAD * np.sin(along)
+    x = poses[:, 0, None, None, None] + STRETCHES * np.cos(along)
+    y = poses[:, 1, None, None, None] + STRETCHES * np.sin(along)
     ends = np.stack([x, y, np.broadcast_to(heading, x.shape)], -1)
     return ends.reshape(len(poses), -1, 3)
 
 
 def _best(
-    poses: Float[np.ndarray, "n 3"], room: Float[np.ndarray, " n"], cost: Float[np.ndarray, " n"]
+    poses: Float[np.ndarray, "n 3"], gaps: Float[np.ndarray, " n"], cost: Float[np.ndarray, " n"]
 ) -> Int[np.ndarray, " k"]:
-    """Indices of those with the most room, no two alike; of equal ones the cheapest."""
-    order = np.lexsort((cost, -np.round(room, 3)))
-    cell = np.floor(poses[order] / [_ALIKE[0], _ALIKE[0], _ALIKE[1]])
+    """Select distinct poses with the largest gaps, and the cheapest of equal ones."""
+    order = np.lexsort((cost, -np.round(gaps, 3)))
+    distance, angle = _MIN_DIFFERENCE
+    cell = np.floor(poses[order] / [distance, distance, angle])
     _, first = np.unique(cell, axis=0, return_index=True)
-    return np.asarray(order[np.sort(first)[:_KEPT]])
+    return np.asarray(order[np.sort(first)[:_BEAM_WIDTH]])

@@ -1,4 +1,4 @@
-"""What the controller believes of its pose: noisy fixes, and odometry to smooth them with."""
+"""Localization: the controller's pose estimate from noisy fixes and odometry."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class NoiseConfig:
-    """How wrong the robot's sensors are; all errors are Gaussian and independent."""
+    """Noise of the robot's sensors; all errors are Gaussian and independent."""
 
     position: float = 0.02
     """Standard deviation of x and of y of a fix [m]."""
     heading: float = float(np.radians(1.0))
     """Standard deviation of the heading of a fix [rad]."""
     odometry: float = 0.03
-    """Standard deviation of odometry's velocities, as a share of them, anew each step [-]."""
+    """Standard deviation of the odometry's velocities, as a share of them, drawn each step [-]."""
     fused: bool = True
-    """Whether fixes are fused with odometry; without, the last fix is what is believed."""
+    """Whether fixes are fused with odometry; otherwise the last fix is the estimate."""
 
 
-class Localiser:
+class Localizer:
     """A Kalman filter with one variance for the position and one for the heading.
 
-    Odometry carries the pose along, a fix of the whole pose corrects it; that is what every robot
-    that drives by a map has. Errors of position and heading are taken as independent, but that an
-    unsure heading makes the position unsure as the base drives.
+    Odometry predicts the pose, and a fix of the whole pose corrects it, as with any robot that
+    navigates by a map. Errors of position and heading are taken as independent, except that heading
+    uncertainty adds position uncertainty while driving.
     """
 
     def __init__(
@@ -51,11 +51,11 @@ class Localiser:
     def step(
         self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], dt: float
     ) -> None:
-        """Believe anew after a control step.
+        """Update the estimate after a control step.
 
         Args:
-            pose: The true pose, of which there is a fix.
-            velocity: Mean true velocity in the step, as odometry measures it, base frame.
+            pose: The true pose, which the fix measures.
+            velocity: Mean true velocity in the step, which odometry measures, base frame.
             dt: Length of the step [s].
         """
         fix = self._fix(pose)

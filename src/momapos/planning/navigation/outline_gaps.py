@@ -1,10 +1,9 @@
-"""How far the robot's outlines are from the room's, and whether it can move without touching.
+"""Gaps between the outlines of robot and scene, and collision checks of motions.
 
-The gap of two convex outlines is their largest separation along the normals of their edges: it is
-positive just where they do not overlap, and never more than their distance. So a motion that moves
-no point of the robot by more than the gap cannot touch, and long motions are checked in steps as
-large as the room allows (conservative advancement), without a resolution that a corner could slip
-through.
+The gap of two convex outlines is their largest separation along the normals of their edges. It is
+positive exactly if they do not overlap, and at most their distance. So a motion that moves no point
+of the robot by more than the gap is free of collision. Long motions are checked in steps as large
+as the gap (conservative advancement), so no corner can slip through a fixed resolution.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from .convex_polygons import ConvexPolygons, PolygonArrays, PrismArrays, RobotPr
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-DEEP = -0.1
-"""Where the robot overlaps something by this much, no more is looked at [m]."""
+DEEP_GAP = -0.1
+"""The search for the smallest gap stops below this [m]."""
 
 
-class Surroundings(NamedTuple):
-    """What moves, and in what."""
+class OutlineArrays(NamedTuple):
+    """The robot and the obstacles for the kernels."""
 
     prisms: PrismArrays
     obstacles: PolygonArrays
@@ -37,20 +36,20 @@ class Scratch(NamedTuple):
     near: Int[np.ndarray, " o"]
     """Indices of the obstacles that `select` lists."""
     edges: Float[np.ndarray, "b 5"]
-    """Of the robot's prisms at a pose: corner x, y, normal x, y, level."""
+    """Edges of the prisms at the present pose: corner x, y, normal x, y, level."""
     placed: Bool[np.ndarray, " k"]
-    """Of which prisms `edges` holds those at that pose."""
+    """Prisms whose `edges` are up to date."""
 
 
 class CostWeights(NamedTuple):
-    """What makes one path better than another of the same length."""
+    """Weights of the cost of a path."""
 
     needed_clearance: float
-    """Gap that is kept all along [m]."""
+    """Smallest gap [m]."""
     preferred_clearance: float
-    """Gap that is kept where there is room [m]."""
+    """Gap above which proximity costs nothing [m]."""
     proximity: float
-    """By which a meter along obstacles costs more than one with room [-]."""
+    """Additional cost of a meter in contact with obstacles [-]."""
     turning: float
     """Cost of turning [m/rad]."""
     reversing: float
@@ -59,7 +58,7 @@ class CostWeights(NamedTuple):
 
 @kernel
 def scratch_for(surroundings):
-    """Memory for the kernels below."""
+    """Allocate memory for the kernels."""
     near = np.empty(len(surroundings.obstacles.layer), np.int64)
     edges = np.empty((len(surroundings.prisms.corner), 5))
     return Scratch(near, edges, np.empty(len(surroundings.prisms.first) - 1, np.bool_))
@@ -67,7 +66,7 @@ def scratch_for(surroundings):
 
 @kernel
 def gap(x, y, yaw, surroundings, count, cap, scratch):
-    """Smallest gap to the first `count` obstacles listed in the scratch [m], at most `cap`."""
+    """Return the smallest gap to the first `count` obstacles in the scratch [m], at most `cap`."""
     prisms, obstacles = surroundings.prisms, surroundings.obstacles
     corner, first, box = obstacles.corner, obstacles.first, obstacles.bounds
     side, edges = obstacles.normal, scratch.edges
@@ -113,9 +112,9 @@ def gap(x, y, yaw, surroundings, count, cap, scratch):
                 break
         if widest < best:
             best, closest = widest, k
-        if best < DEEP:
+        if best < DEEP_GAP:
             break
-    # What is closest here is so at the next pose too, most likely: looked at first, it spares more.
+    # Move the closest obstacle to the front: it is probably the closest at the next pose, too.
     if count:
         scratch.near[0], scratch.near[closest] = scratch.near[closest], scratch.near[0]
     return best
@@ -123,7 +122,7 @@ def gap(x, y, yaw, surroundings, count, cap, scratch):
 
 @kernel
 def select(x, y, reach, box, near):
-    """List the outlines whose bounds come within `reach` of a point; returns how many."""
+    """List the outlines whose bounds are within `reach` of a point; return their number."""
     count = 0
     for o in range(len(box)):
         dx = max(box[o, 0] - x, x - box[o, 2], 0.0)
@@ -135,7 +134,7 @@ def select(x, y, reach, box, near):
 
 
 @entry
-def _gaps(poses: F2, surroundings: Surroundings, cap: float) -> np.ndarray:
+def _gaps(poses: F2, surroundings: OutlineArrays, cap: float) -> np.ndarray:
     scratch = scratch_for(surroundings)
     reach, bounds = surroundings.prisms.radius + cap, surroundings.obstacles.bounds
     out = np.empty(len(poses))
@@ -153,27 +152,22 @@ def gaps(
     *,
     cap: float = 1.0,
 ) -> Float[np.ndarray, " n"]:
-    """Gap between the robot and the room at base poses [m], at most `cap`; negative: overlap."""
-    surroundings = Surroundings(prisms.arrays, obstacles.arrays)
+    """Compute the gaps at base poses [m], at most `cap`, negative on overlap."""
+    surroundings = OutlineArrays(prisms.arrays, obstacles.arrays)
     return _gaps(np.ascontiguousarray(poses, float), surroundings, cap)
 
 
 @kernel
 def wrapped(angle):
-    """An angle in (-pi, pi]."""
+    """Wrap an angle to (-pi, pi]."""
     return np.pi - (np.pi - angle) % (2 * np.pi)
 
 
 @kernel
 def leg(a, b, turn, surroundings, weights, scratch):
-    """Cost of a straight leg between poses with an even turn [m], infinite where it touches.
+    """Return the cost of a straight leg from a to b with an even turn [m], infinite on collision.
 
-    Args:
-        a, b: Poses; the heading of `b` is not looked at.
-        turn: How far the leg turns [rad].
-        surroundings: See `Surroundings`.
-        weights: See `CostWeights`.
-        scratch: See `Scratch`.
+    The heading of b is ignored.
     """
     need, preferred = weights.needed_clearance, weights.preferred_clearance
     radius, bounds = surroundings.prisms.radius, surroundings.obstacles.bounds
@@ -200,16 +194,11 @@ def leg(a, b, turn, surroundings, weights, scratch):
 
 @kernel
 def connect(a, b, omni, surroundings, weights, limit, scratch):
-    """Cheapest simple path between two poses: turn, straight, turn; omni bases turn as they go.
-
-    Args:
-        a, b: Poses.
-        omni: Whether the base can move sideways.
-        surroundings, weights, scratch: See `leg`.
-        limit: Costs above this are of no interest [m].
+    """Find the cheapest simple path between two poses: turn, straight, turn; an omni base turns
+    while driving. Paths that cost more than the limit are ignored.
 
     Returns:
-        The cost [m], infinite where there is none, and whether it is driven backwards.
+        The cost [m], infinite without a path, and whether it is driven backwards.
     """
     if omni:
         turn = wrapped(b[2] - a[2])

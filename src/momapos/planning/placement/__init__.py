@@ -1,4 +1,4 @@
-"""Where the base may stand: free area, potential, candidates, their order, and the search."""
+"""Search base poses: free area, potential, candidates, their order and their checks."""
 
 import lazy_loader
 

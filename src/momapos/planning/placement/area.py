@@ -1,4 +1,7 @@
-"""The free area A: where the base stands clear and every waypoint is within the arm's length."""
+"""Compute the free area A: the base is collision-free and the arm is long enough for all waypoints.
+
+Source: MoMa-Pos, section III-C.
+"""
 
 from __future__ import annotations
 
@@ -27,50 +30,44 @@ class BaseStatus(IntEnum):
     BEYOND_ARM = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlacementGeometry:
-    """What placement knows of the room and the task: no objects, no joints, only geometry."""
+    """The geometry of a scene and a task, without objects and joints."""
 
     robot: Robot
     Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     """Tool poses of every grasp at every waypoint."""
     static: Boxes
-    """Boxes that stand still."""
+    """Boxes of everything that does not move."""
     sweep: Boxes
-    """The moving part at every opening."""
+    """Boxes of the moving part at every opening value."""
     floor_polygon: Float[np.ndarray, "k 2"] | None
     clearance: float
-    """Distance that the base keeps from everything [m]."""
+    """Minimum distance of the base to all boxes [m]."""
 
     @cached_property
     def boxes(self) -> Boxes:
-        """All boxes, those that stand still first."""
-        static, sweep = self.static, self.sweep
-        return Boxes(
-            np.concatenate([static.center, sweep.center]),
-            np.concatenate([static.rotation, sweep.rotation]),
-            np.concatenate([static.half, sweep.half]),
-        )
+        """All boxes, the static ones first."""
+        return Boxes.join([self.static, self.sweep])
 
     @property
     def shoulder(self) -> Float[np.ndarray, "3"]:
-        """Where the arm's first turning axis meets its height range's middle, base frame [m]."""
+        """The arm's first revolute axis at mid-height of its range, base frame [m]."""
         chain = self.robot.chain
         first = chain.first_turn
         return chain.d[: first + 1].sum(0) + chain.middle[:first] @ chain.h[:first]
 
     @property
     def lift(self) -> float:
-        """Half the travel of a torso before that axis [m]."""
+        """Half the vertical travel (torso) before that axis [m]."""
         return self._travel(upright=True)
 
     @property
     def telescope(self) -> float:
-        """Half the travel of what slides along the floor before that axis [m]."""
+        """Half the horizontal travel before that axis [m]."""
         return self._travel(upright=False)
 
     def _travel(self, *, upright: bool) -> float:
-        """Half the travel of what slides upwards, or along the floor, before that axis [m]."""
         chain = self.robot.chain
         first = chain.first_turn
         along = (np.abs(chain.h[:first, 2]) > 0.5) == upright
@@ -78,9 +75,9 @@ class PlacementGeometry:
 
 
 def arm_radius(geometry: PlacementGeometry) -> Float[np.ndarray, " w"]:
-    """Horizontal reach Delta_r at the height of each waypoint, NaN where it is out of reach.
+    """Return the horizontal reach Delta_r at each waypoint's height; NaN if it is out of reach [m].
 
-    Source: MoMa-Pos, section III-C, `sqrt(r_l^2 - dz^2)`; the family of grasps widens it.
+    Source: MoMa-Pos, section III-C, `sqrt(r_l^2 - dz^2)`, plus the spread of the grasps.
     """
     plain = geometry.Ts_world_tool[0, :, :3, 3]
     spread = np.linalg.norm(geometry.Ts_world_tool[..., :3, 3] - plain, axis=-1).max(0)
@@ -91,19 +88,19 @@ def arm_radius(geometry: PlacementGeometry) -> Float[np.ndarray, " w"]:
 
 
 def task_frame(geometry: PlacementGeometry) -> Float[np.ndarray, "3"]:
-    """A frame on the floor at the first waypoint, x along the approach: x [m], y [m], yaw [rad].
+    """Return a floor frame at the grasp, x along the approach: x [m], y [m], yaw [rad].
 
-    Samples and grids are laid out in it, so that an answer moves with the room.
+    Samples and grids are laid out in this frame, so that results move with the scene.
     """
     T = geometry.Ts_world_tool[0, 1]
     along = T[:2, :3] @ geometry.robot.approach_axis
-    if np.hypot(*along) < 0.1:  # from straight above: take how the fingers close
+    if np.hypot(*along) < 0.1:  # the hand comes from above: use the closing direction
         along = T[:2, :3] @ geometry.robot.closing_axis
     return np.array([T[0, 3], T[1, 3], np.arctan2(along[1], along[0])])
 
 
 def sampling_box(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None:
-    """Corners of the rectangle in the task's frame that holds A; None where A is empty [m]."""
+    """Return corners of a rectangle in the task frame that contains A [m]; None if A is empty."""
     radius = arm_radius(geometry)
     if np.isnan(radius).any():
         return None
@@ -115,24 +112,24 @@ def sampling_box(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None
 
 
 def reachable_rectangle(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None:
-    """The floor rectangle that holds every base within the arm's length of all waypoints [m]."""
+    """Return the world rectangle that contains all bases within reach of all waypoints [m]."""
     reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[:, None]
     targets = geometry.Ts_world_tool[0, :, :2, 3]
     low, high = (targets - reach).max(0), (targets + reach).min(0)
-    # NaN where a waypoint is out of reach at any distance: the comparison is then False.
+    # If a waypoint is out of reach at any distance, its radius is NaN and the comparison False.
     return np.stack([low, high]) if (low < high).all() else None
 
 
 def within_reach(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether every waypoint is within the arm's length of its axis (dist_xy <= Delta_r)."""
+    """Check that all waypoints are within reach of the arm's axis (dist_xy <= Delta_r)."""
     x, y = geometry.shoulder[:2]
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     axis_x, axis_y = poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y
     targets, radius = geometry.Ts_world_tool[0, :, :2, 3], arm_radius(geometry)
     left = np.arange(len(poses))
-    # The ends of the motion rule most poses out. Waypoints go along the rows: few, and long.
+    # The first and last waypoint exclude most poses. Waypoints are rows: few and long.
     for some in ([0], [-1], slice(1, -1)):
         away_x = axis_x[left] - targets[some, :1]
         away_y = axis_y[left] - targets[some, 1:]
@@ -142,25 +139,23 @@ def within_reach(
         left = left[(away_x <= radius[some, None] ** 2).all(0)]
     within = np.zeros(len(poses), bool)
     within[left] = True
-    return within  # where a waypoint is out of reach at any distance, its radius is NaN
+    return within
 
 
-def clear_of_sweep(
-    geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"], room: float
+def clears_sweep(
+    geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"], clearance: float
 ) -> Bool[np.ndarray, " n"]:
-    """Whether the part passes by the base with so much room [m], at every opening."""
-    robot = geometry.robot
-    return base_hits(poses, robot.base, geometry.sweep, clearance=room) == FREE
+    """Check that the moving part keeps a clearance [m] to the base at every opening value."""
+    return base_hits(poses, geometry.robot.base, geometry.sweep, clearance=clearance) == FREE
 
 
 def base_pose_status(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Say whether the base can stand at each pose while the part moves.
+    """Check whether the base can stand at each pose while the part moves.
 
     Returns:
-        A `BaseStatus`, and the box that blocks (static boxes first, then the sweep), FREE where
-        none does.
+        A `BaseStatus`, and the index of the blocking box in `geometry.boxes`, or FREE.
     """
     outcome = np.where(within_reach(geometry, poses), BaseStatus.CLEAR, BaseStatus.BEYOND_ARM)
     if geometry.floor_polygon is not None:

@@ -1,4 +1,4 @@
-"""How base poses are searched; nothing heavy is imported, so that commands can show it at once."""
+"""Configure the search for base poses. Imports nothing heavy: the command line shows it as help."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Method = Literal[
     "paper", "habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen",
 ]  # fmt: skip
 OURS: tuple[Method, ...] = ("ours", "exhaustive")
-"""Methods of the pipeline, which end with a grid; the others are baselines, which give up."""
+"""Methods of the pipeline, which end with a grid. The others are baselines without one."""
 
 
 @dataclass(frozen=True)
@@ -21,58 +21,57 @@ class PlaceConfig:
     """How base poses are sampled, ordered and checked."""
 
     method: Method = "ours"
-    """ours: by expected cost; exhaustive: a grid; paper: MoMa-Pos as printed; the others: as their
-    authors choose base poses, see docs/baselines.md."""
+    """Search method: ours (by expected cost), exhaustive (a grid), paper (MoMa-Pos as printed), or
+    another baseline, see docs/baselines.md."""
     count: int = 512
-    """Latin Hypercube samples in the first round [-]; each further round has twice as many."""
+    """Latin Hypercube samples in the first round [-]; each further round doubles it."""
     rounds: int = 3
-    """Rounds before the grid decides [-]."""
+    """Rounds of samples before the grid [-]."""
     grasps: int = 24
-    """Grasps tried at one base pose, best reached first [-]."""
+    """Maximum number of grasps tried at one base pose, best reached first [-]."""
     together: int = 2
-    """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
+    """Number of base poses whose arm paths are planned together (ours); the cheapest wins [-]."""
     improve: int = 16
-    """Most steps from the base pose that is chosen to cheaper ones beside it (ours) [-]."""
+    """Maximum number of improvement steps to cheaper base poses nearby (ours) [-]."""
     margin: float = 0.03
-    """How far off the base may end in x and in y, from where a motion should still be found (ours)
-    [m]."""
+    """Base position error in x and y from which an arm path should still exist (ours) [m]."""
     margin_turn: float = 1.0
-    """The same of its yaw [deg]."""
+    """Base yaw error from which an arm path should still exist (ours) [deg]."""
     looks: int = 3
-    """Base poses whose margin is looked at, until one has all of it; the one with most of it is
-    taken (ours); 0: the first that works [-]."""
+    """Maximum number of base poses whose robustness is tested; the most robust is taken (ours).
+    0: the first that works [-]."""
     robust_radius: float = 0.0
-    """Radius of a disc around the base pose from all of which the motion has to be found [m]."""
+    """Radius of the disc around the base pose in which replanning must succeed [m]."""
     robust_turn: float = 0.0
-    """How far the base may be turned there, to either side [deg]."""
+    """Maximum yaw error in that disc, to either side [deg]."""
     weight_driving: float = 1.0
-    """What each meter of driving adds to a base pose's cost (ours, exhaustive) [1/m]."""
+    """Cost of one meter of driving (ours, exhaustive) [1/m]."""
     weight_room: float = math.inf
-    """What no room to be off by --margin adds to it, a part of the room in proportion; inf: room
-    is compared first, among --looks poses, then the cost [-]."""
+    """Cost of a base pose of no robustness; scales with the missing share. inf: the search compares
+    the robustness of `looks` poses first, then the cost [-]."""
     weight_clearance: float = 0.0
-    """What each meter adds by which the base is nearer than 20 cm to anything [1/m]."""
+    """Cost of each meter that the base's clearance falls short of 20 cm [1/m]."""
     weight_manipulability: float = 0.0
-    """What an arm adds that comes to a singular state, any other in proportion [-]."""
+    """Cost of a singular arm configuration; others in proportion [-]."""
     weight_effort: float = 0.0
-    """What each radian adds by which the arm's joints turn, in sum [1/rad]."""
+    """Cost of each radian of total joint travel [1/rad]."""
     way_on: bool = True
-    """Whether base poses from which the robot can drive on after the task come first (ours)."""
+    """Prefer base poses from which the robot can drive on after the task (ours)."""
     sweep_room: float = 0.1
-    """What the moving part should pass the base by, where it can: joints are not quite where they
-    are modeled (ours) [m]."""
+    """Preferred clearance between the moving part and the base, for errors of the modeled joint
+    (ours) [m]."""
     miss: float = 2.0
-    """Driving length that a certain miss is worth [m]."""
+    """Cost of a certain miss, as a driving length [m]."""
     grid_cell: float = 0.05
-    """Cell of the exhaustive grid [m]."""
+    """Cell size of the exhaustive grid [m]."""
     grid_turn: float = 10.0
-    """Turn between yaws of the exhaustive grid [deg]."""
+    """Yaw step of the exhaustive grid [deg]."""
     grid: bool = True
-    """Whether the grid decides where no sample works [-]."""
+    """Search the grid if no sample works."""
     whole_grid: bool = False
-    """Whether the grid is screened to its end, even after the cheapest pose is found."""
+    """Screen the whole grid, even after the cheapest pose is found."""
     clearance: float = 0.01
-    """Distance that the base keeps from everything [m]."""
+    """Minimum distance of the base to everything [m]."""
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "count", "grasps", "together")
@@ -81,6 +80,6 @@ class PlaceConfig:
         refuse_below(self, 0, "weight_driving", "weight_clearance")
         refuse_below(self, 0, "weight_manipulability", "weight_effort")
         if not self.weight_room >= 0:
-            raise InputError(f"--weight-room must be at least 0, or inf, not {self.weight_room:g}")
+            raise InputError(f"weight_room must be at least 0, or inf, not {self.weight_room:g}")
         refuse_below(self, 0.005, "grid_cell")
         refuse_below(self, 0.5, "grid_turn")

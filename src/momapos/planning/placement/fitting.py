@@ -1,4 +1,4 @@
-"""Base poses for arms of few joints, which follow a motion from places of no size."""
+"""Fit base poses to arms of few joints, which follow a motion only from isolated base poses."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ if TYPE_CHECKING:
 FitPoses: TypeAlias = (
     "Callable[[Float[np.ndarray, 'n 3']], tuple[Float[np.ndarray, 'n 3'], Int[np.ndarray, ' n']]]"
 )
-"""Move base poses to some beside them, and tell by which way of holding the task can be done from
-each; -1: none was found."""
+"""Move base poses to feasible ones nearby; return them and the grasp mode of each, or -1."""
 _BLOCK = 512
-"""Poses that are fitted together [-]."""
+"""Poses fitted between two checks of the time limit [-]."""
 
 
 def fitted(
@@ -27,11 +26,11 @@ def fitted(
     poses: Float[np.ndarray, "n 3"],
     out_of_time: Callable[[], bool],
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"] | None] | None:
-    """Fit the base poses from which the arm is long enough; leave them where it needs no fit.
+    """Fit the base poses within the arm's reach; return them unchanged if `fit` is None.
 
     Returns:
-        Where each has come to, and its way of holding, or -1, where they are fitted; None: out of
-        time.
+        The fitted poses and the grasp mode of each (-1: none found; None: not fitted), or None if
+        out of time.
     """
     if fit is None:
         return poses, None

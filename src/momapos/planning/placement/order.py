@@ -1,4 +1,4 @@
-"""In which order candidates are tried."""
+"""Order base poses by expected cost."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 def by_expected_cost(
     known: Float[np.ndarray, " n"], odds: Float[np.ndarray, " n"], *, miss: float
 ) -> Int[np.ndarray, " m"]:
-    """Ours: what is known of the cost plus what a likely miss costs, cheapest first.
+    """Return the order by known cost plus expected cost of a miss, cheapest first.
 
     Args:
-        known: What each candidate costs before it has a path; those at infinity are left out.
-        odds: Chance that it works, in [0, 1].
-        miss: What a certain miss costs, in meters of driving of weight 1 [m].
+        known: Cost of each pose before it has a path; poses of infinite cost are left out.
+        odds: Estimated probability that it works, in [0, 1].
+        miss: Cost of a certain miss, in meters of driving of weight 1 [m].
     """
     key = known + miss * (1.0 - odds)
     order = np.argsort(key, kind="stable")

@@ -1,4 +1,4 @@
-"""What a base pose costs: driving, room beside it, clearance, and the arm's motion from there."""
+"""Compute the cost of base poses: driving, robustness, clearance and the arm's motion."""
 
 from __future__ import annotations
 
@@ -20,45 +20,36 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _LEVELS = np.arange(1, 11) * 0.02
-"""Clearances that are asked about; beyond the last, more is worth nothing [m]."""
+"""Clearances that are tested; more than the last one costs nothing [m]."""
 
 
 @dataclass(frozen=True)
 class PoseCosts:
-    """Costs of base poses for one task; a cost is a sum of terms, each times its weight."""
+    """Costs of base poses for one task: weighted sums of terms."""
 
     geometry: PlacementGeometry
     config: PlaceConfig
-    takes_hold: int
-    """Index of the state of an arm path in which the hand takes hold [-]."""
+    grasp_step: int
+    """Index of the arm path's state in which the hand grasps [-]."""
 
     @property
-    def room_first(self) -> bool:
-        """Whether room beside a base pose counts before all that has a finite weight."""
+    def robustness_first(self) -> bool:
+        """Whether robustness is compared before all terms of finite weight."""
         return math.isinf(self.config.weight_room)
 
     def before_path(
         self, poses: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
-        """What base poses cost at least, known before the arm has a path.
-
-        Args:
-            poses: x [m], y [m], yaw [rad].
-            travel: Driving length to each [m].
-        """
+        """Return the known part of the cost before the arm has a path, from driving lengths [m]."""
         cost = self.config.weight_driving * travel
         if self.config.weight_clearance:
             cost = cost + self.config.weight_clearance * missing_clearance(self.geometry, poses)
         return cost
 
     def of_path(self, q: Float[np.ndarray, "m n"]) -> float:
-        """What the arm's path adds from where the hand takes hold.
-
-        Args:
-            q: Its degrees of freedom at each state.
-        """
+        """Return the cost of an arm path (its states) from the grasp on."""
         robot, config = self.geometry.robot, self.config
-        cost, q = 0.0, q[self.takes_hold :]
+        cost, q = 0.0, q[self.grasp_step :]
         if config.weight_manipulability:
             worst = least_dexterity(robot.chain, q, robot.reach)
             cost += config.weight_manipulability * (1.0 - worst)
@@ -66,9 +57,9 @@ class PoseCosts:
             cost += config.weight_effort * travel_of_arm(robot.chain, q, robot.reach)
         return cost
 
-    def of_room(self, margin: float) -> float:
-        """What a share of poses beside it that work adds; nothing where room comes first."""
-        return 0.0 if self.room_first else self.config.weight_room * (1.0 - margin)
+    def of_robustness(self, robustness: float) -> float:
+        """Return the cost of missing robustness; 0 where robustness is compared first."""
+        return 0.0 if self.robustness_first else self.config.weight_room * (1.0 - robustness)
 
 
 def cost_terms(
@@ -78,22 +69,22 @@ def cost_terms(
     q: Float[np.ndarray, "m n"],
     *,
     travel: float,
-    margin: float | None,
+    robustness: float | None,
 ) -> Mapping[str, CostTerm]:
-    """The terms of an answer's cost by name, those of no weight too.
+    """Return the terms of a plan's cost by name, including those of weight 0.
 
     Args:
-        geometry: The room and the task.
+        geometry: Scene and task.
         config: The weights.
         base: x [m], y [m], yaw [rad].
-        q: The arm's degrees of freedom at each state in which it holds the object.
+        q: Arm states in which the hand holds the object.
         travel: Driving length [m].
-        margin: Share of poses beside it that work; None where nobody has looked.
+        robustness: Share of neighbors that work; None if it was not measured.
     """
     robot = geometry.robot
     values = {
         "driving": travel,
-        "room": None if margin is None else 1.0 - margin,
+        "room": None if robustness is None else 1.0 - robustness,
         "clearance": float(missing_clearance(geometry, base[None])[0]),
         "manipulability": 1.0 - least_dexterity(robot.chain, q, robot.reach),
         "effort": travel_of_arm(robot.chain, q, robot.reach),
@@ -108,10 +99,10 @@ def cost_terms(
 def missing_clearance(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, " n"]:
-    """How much base poses lack of 20 cm to the room and to the moving part, to 2 cm [m]."""
+    """Return how far each base pose's clearance falls short of 20 cm, in steps of 2 cm [m]."""
     robot, boxes = geometry.robot, geometry.boxes
-    kept, left = np.zeros(len(poses)), np.arange(len(poses))
+    clearance, left = np.zeros(len(poses)), np.arange(len(poses))
     for level in _LEVELS:
         left = left[base_hits(poses[left], robot.base, boxes, clearance=level) == FREE]
-        kept[left] = level
-    return _LEVELS[-1] - kept
+        clearance[left] = level
+    return _LEVELS[-1] - clearance

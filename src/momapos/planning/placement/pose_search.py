@@ -1,4 +1,4 @@
-"""The search: samples in A, most promising first, checked until nothing cheaper can remain."""
+"""Search base poses: sample the free area A and check poses by expected cost."""
 
 from __future__ import annotations
 
@@ -12,91 +12,92 @@ import numpy as np
 from momapos.core.geometry import compose, latin_hypercube
 from momapos.model.records import PoseOutcome, PoseStatus
 
-from .area import PlacementGeometry, arm_radius, clear_of_sweep, sampling_box, task_frame
+from .area import PlacementGeometry, arm_radius, clears_sweep, sampling_box, task_frame
 from .config import PlaceConfig
-from .grasp_scores import ScoreWays
-from .nearer import nearer
+from .grasp_scores import GraspModeScorer
+from .nearer import cheaper_poses
 from .order import by_expected_cost
 from .pose_cost import PoseCosts
 from .potential import attraction
 from .problem import Problem, Search
-from .shortlist import Candidate, Shortlist, complete, cull, hopeless, near_poses, screen
+from .shortlist import Candidate, Shortlist, clear_poses, complete, cull, is_dominated, screen
 from .waiting import Waiting
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _BLOCK = 512
-"""Poses of the grid that are screened together [-]."""
+"""Grid poses screened together [-]."""
 _TOGETHER = 16
-"""Poses that are screened together where every one that works is asked for [-]."""
-_CHUNK = 32
-"""Most poses whose reachability is looked up together where they come in a given order [-]."""
-_CLOSE = 0.85
-"""Odds of a base pose that the moving part passes closely by, of those that it has else [-]."""
+"""Poses screened together when all poses that work are wanted [-]."""
+_MAX_CHUNK = 32
+"""Maximum number of poses looked up together when their order is given [-]."""
+_CLOSE_PASS_ODDS = 0.85
+"""Factor on the odds of a base pose that the moving part passes closely [-]."""
 
 
 def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
     """Find the cheapest base pose that works.
 
     Args:
-        problem: Room, task, and the checks.
+        problem: Scene, task and checks.
         config: How to search.
         rng: Source of the samples.
 
     Returns:
-        The best pose found, if any, and what became of all others. One that shuts the robot in is a
-        spare, see `Search.settle`.
+        The best pose, if any, and the outcomes of all. A pose that blocks the robot in is only a
+        fallback, see `Search.accept_fallback`.
     """
     corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
-        return known_no(problem)
+        return infeasible_search(problem)
     found = Search()
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
-        near = near_poses(problem, compose(frame, local), found)
-        if near is None:
+        clear = clear_poses(problem, compose(frame, local), found)
+        if clear is None:
             found.timed_out = True
             return found
-        for score in problem.ways:
-            reached = near.reached(problem, score, on_grid=on_grid)
+        for score in problem.mode_scorers:
+            reached = clear.reached(problem, score, on_grid=on_grid)
             for shortlist in _home_first(problem, reached, config):
                 waiting = Waiting.of(
-                    problem, score, PoseCosts(problem.geometry, config, problem.takes_hold)
+                    problem, score, PoseCosts(problem.geometry, config, problem.grasp_step)
                 )
                 if on_grid:
                     _check_grid(problem, shortlist, found, waiting)
                 else:
                     _check_samples(problem, score, shortlist, rng, found, waiting)
-                found.margin = None if found.base is None else waiting.known_margin(found.base)
+                base = found.base
+                found.robustness = None if base is None else waiting.known_robustness(base)
                 if found.motion is not None or found.timed_out:
                     return found
     return found
 
 
 def _home_first(problem: Problem, left: Shortlist, config: PlaceConfig) -> tuple[Shortlist, ...]:
-    """The poses from which the arm can be brought home after the task, then the others."""
-    if problem.goes_home is None or config.method != "ours":
+    """Return the poses from which the arm can return home after the task, then the others."""
+    if problem.home_is_free is None or config.method != "ours":
         return (left,)
-    home = problem.goes_home(left.poses)
+    home = problem.home_is_free(left.poses)
     return (left,) if home.all() else (left.only(home), left.only(~home))
 
 
 def search_in_order(
     problem: Problem, proposals: Iterator[Float[np.ndarray, "n 3"]], config: PlaceConfig
 ) -> Search:
-    """Check base poses one after the other, in the order in which another method proposes them.
+    """Check base poses in a given order.
 
     Args:
-        problem: Room, task, and the checks.
-        proposals: Base poses, some at a time.
-        config: How many grasps are tried at each.
+        problem: Scene, task and checks.
+        proposals: Batches of base poses.
+        config: Limits the grasps tried at each.
 
     Returns:
-        The first pose that works, if any, and what became of those before it.
+        The first pose that works, if any, and the outcomes of those before it.
     """
     if problem.infeasible_reason or sampling_box(problem.geometry) is None:
-        return known_no(problem)
+        return infeasible_search(problem)
     found, size = Search(), 1
     for poses in proposals:
         first = 0
@@ -104,49 +105,46 @@ def search_in_order(
             _check_in_order(problem, poses[first : first + size], config, found)
             if found.motion is not None or found.timed_out:
                 return found
-            first, size = first + size, min(2 * size, _CHUNK)
+            first, size = first + size, min(2 * size, _MAX_CHUNK)
         if problem.out_of_time():
             found.timed_out = True
             return found
     return found
 
 
-def search_every(
+def iter_searches(
     problem: Problem, config: PlaceConfig, rng: np.random.Generator
 ) -> Iterator[Search]:
-    """Find base poses that work, one after the other, until no samples and no grid are left.
+    """Yield all base poses that work, in order of cost within each round and within the grid.
 
-    Every round of samples is in the order of cost, and so is the grid after the last; where room
-    comes first it does not count here.
+    Robustness does not count here where it is compared first.
 
     Args:
-        problem: Room, task, and the checks.
+        problem: Scene, task and checks.
         config: How to search.
         rng: Source of the samples.
 
     Yields:
-        A search that found one base pose, its motion and its cost, and what became of the round's
-        others so far.
+        A search with one base pose, its motion and its cost, and the outcomes of the round so far.
     """
     corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
         return
-    problem = replace(problem, leads_on=None)
-    frame, costs = (
-        task_frame(problem.geometry),
-        PoseCosts(problem.geometry, config, problem.takes_hold),
-    )
+    problem = replace(problem, departure=None)
+    frame = task_frame(problem.geometry)
+    costs = PoseCosts(problem.geometry, config, problem.grasp_step)
     for local, on_grid in _rounds(corners, config, rng):
         found = Search()
-        near = near_poses(problem, compose(frame, local), found)
-        if near is None:
+        clear = clear_poses(problem, compose(frame, local), found)
+        if clear is None:
             return
-        ways = [
-            (near.reached(problem, score, on_grid=on_grid), Waiting.of(problem, score, costs))
-            for score in problem.ways
+        modes = [
+            (clear.reached(problem, score, on_grid=on_grid), Waiting.of(problem, score, costs))
+            for score in problem.mode_scorers
         ]
-        for one, waiting in _in_order_of_cost(problem, near.clear, ways, costs, found):
-            found.base, found.motion, found.margin = None, None, waiting.known_margin(one.pose)
+        for one, waiting in _in_order_of_cost(problem, clear.poses, modes, costs, found):
+            found.base, found.motion = None, None
+            found.robustness = waiting.known_robustness(one.pose)
             complete(problem, one.left, {one.index: one.path}, config.grasps, found)
             if found.motion is not None:
                 yield found
@@ -157,20 +155,20 @@ def search_every(
 def _in_order_of_cost(
     problem: Problem,
     clear: Shortlist,
-    ways: list[tuple[Shortlist, Waiting]],
+    modes: list[tuple[Shortlist, Waiting]],
     costs: PoseCosts,
     found: Search,
 ) -> Iterator[tuple[Candidate, Waiting]]:
-    """Poses of a round with an arm path, each in the first way of holding that has one.
+    """Yield poses with an arm path, each in its first grasp mode that has one.
 
-    A pose waits until none that is left can cost less.
+    A pose waits until no remaining one can cost less.
     """
     known = dict(zip(clear.row.tolist(), costs.before_path(clear.poses, clear.travel), strict=True))
     rows = np.array(sorted(known, key=known.__getitem__), int)
     waits: list[tuple[float, int, Candidate, Waiting]] = []
     for first in range(0, len(rows), _TOGETHER):
         block, rest = rows[first : first + _TOGETHER], rows[first + _TOGETHER :]
-        for left, waiting in ways:
+        for left, waiting in modes:
             which = np.flatnonzero(np.isin(left.row, block))
             some = screen(problem, left, which, costs.config.grasps, found)
             for i, path in some.items():
@@ -190,11 +188,11 @@ def _in_order_of_cost(
 def _check_in_order(
     problem: Problem, poses: Float[np.ndarray, "n 3"], config: PlaceConfig, found: Search
 ) -> None:
-    """Check base poses until one works; all ways of holding at one before the next."""
+    """Check base poses until one works; all grasp modes at one before the next."""
     clear = cull(problem, poses, found)
-    ways = [clear.reached(score(problem.reach, clear.poses)) for score in problem.ways]
+    modes = [clear.reached(score(problem.reach, clear.poses)) for score in problem.mode_scorers]
     for row in clear.row:
-        for left in ways:
+        for left in modes:
             which = np.flatnonzero(left.row == row)
             if not len(which):
                 continue
@@ -204,8 +202,8 @@ def _check_in_order(
                 return
 
 
-def known_no(problem: Problem) -> Search:
-    """The search of a task that no base pose can help, with the reason."""
+def infeasible_search(problem: Problem) -> Search:
+    """Return the result for a task that no base pose can solve, with the reason."""
     found = Search()
     outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE, _too_high(problem.geometry))
     if problem.infeasible_reason:
@@ -215,7 +213,7 @@ def known_no(problem: Problem) -> Search:
 
 
 def _too_high(geometry: PlacementGeometry) -> str:
-    """What is wrong with a task that no arm length can reach, however near the base stands."""
+    """Say which waypoint is too high or too low for any base pose."""
     off = np.isnan(arm_radius(geometry))
     if not off.any():
         return ""
@@ -227,7 +225,7 @@ def _too_high(geometry: PlacementGeometry) -> str:
 def _rounds(
     corners: Float[np.ndarray, "2 2"], config: PlaceConfig, rng: np.random.Generator
 ) -> Iterator[tuple[Float[np.ndarray, "n 3"], bool]]:
-    """Samples of every round, in the task's frame; the grid last (True), for its "no"."""
+    """Yield the samples of each round, in the task frame, and whether they are the grid (last)."""
     if config.method != "exhaustive":
         for r in range(config.rounds):
             unit = latin_hypercube(rng, config.count * 2**r, 3)
@@ -246,13 +244,13 @@ def _rounds(
 
 def _check_samples(
     problem: Problem,
-    score: ScoreWays,
+    score: GraspModeScorer,
     left: Shortlist,
     rng: np.random.Generator,
     found: Search,
     waiting: Waiting,
 ) -> None:
-    """Check a round's samples in order; from the one that is chosen cheaper ones are stepped to."""
+    """Check a round's samples in order of expected cost, and improve the chosen one."""
     costs, config = waiting.costs, waiting.costs.config
     known = costs.before_path(left.poses, left.travel)
     rest = _order(problem, left, known, config)
@@ -264,22 +262,19 @@ def _check_samples(
         chosen = [
             Candidate(left, i, path, float(known[i]))
             for i, path in waiting.choose(left.poses, last=last).items()
-            if not hopeless(problem, left.poses[i], found)
+            if not is_dominated(problem, left.poses[i], found)
         ]
         if not chosen:
             continue
-        better, others = nearer(problem, score, waiting, rng, found, chosen[0])
-        # A pose that has less room is better than no answer.
+        better, others = cheaper_poses(problem, score, waiting, rng, found, chosen[0])
+        # A less robust pose is better than none.
         for one in (*better, *chosen, *others):
             if found.motion is None:
                 complete(problem, one.left, {one.index: one.path}, config.grasps, found)
 
 
 def _check_grid(problem: Problem, left: Shortlist, found: Search, waiting: Waiting) -> None:
-    """Complete a pose of the grid, the cheapest where no margin is asked for.
-
-    Poses are checked in blocks, cheapest first; with `whole_grid` all are looked at.
-    """
+    """Check the grid in blocks, cheapest first; `whole_grid` screens all of it."""
     costs = waiting.costs
     known = costs.before_path(left.poses, left.travel)
     order = np.argsort(known, kind="stable")
@@ -288,7 +283,7 @@ def _check_grid(problem: Problem, left: Shortlist, found: Search, waiting: Waiti
         passed = screen(problem, left, block, None, found)
         if found.motion is None:
             waiting.take(passed, left.poses, known)
-            last = costs.room_first or not (known[rest] < waiting.bound).any()
+            last = costs.robustness_first or not (known[rest] < waiting.bound).any()
             complete(problem, left, waiting.choose(left.poses, last=last), None, found)
         if found.timed_out or (found.motion is not None and not costs.config.whole_grid):
             return
@@ -297,17 +292,15 @@ def _check_grid(problem: Problem, left: Shortlist, found: Search, waiting: Waiti
 def _order(
     problem: Problem, left: Shortlist, known: Float[np.ndarray, " n"], config: PlaceConfig
 ) -> Int[np.ndarray, " n"]:
-    """The order of some poses by what they cost before they have a path, and what a miss costs."""
+    """Order poses by known cost and the estimated odds that they work."""
     if not len(left.poses):
         return np.zeros(0, int)
     geometry, xy = problem.geometry, left.poses[:, :2]
-    best, field_value = (
-        left.scores.max(1),
-        attraction(geometry, xy, np.array([geometry.shoulder[2]])),
-    )
-    # A pose that many grasps reach is worth more than one that a single grasp reaches well.
-    assert left.held is not None
-    share = np.clip((left.scores > 0).sum(1) / left.held.asked * 4, 0.0, 1.0)
+    best = left.scores.max(1)
+    field_value = attraction(geometry, xy, np.array([geometry.shoulder[2]]))
+    # A pose that many grasps reach is better than one that a single grasp reaches well.
+    assert left.mode_scores is not None
+    share = np.clip((left.scores > 0).sum(1) / left.mode_scores.scored * 4, 0.0, 1.0)
     odds = np.clip(0.4 * best + 0.4 * share + 0.2 * np.sqrt(field_value), 0.0, 1.0)
-    odds[~clear_of_sweep(geometry, left.poses, config.sweep_room)] *= _CLOSE
+    odds[~clears_sweep(geometry, left.poses, config.sweep_room)] *= _CLOSE_PASS_ODDS
     return by_expected_cost(known, odds, miss=config.miss)

@@ -1,8 +1,8 @@
-"""The potential of a base position: reachability plus attraction, as the weakest waypoint has it.
+"""Compute the attraction of base positions: near the waypoints, with a line of sight.
 
 Source: MoMa-Pos, section III-C. The paper sums over waypoints and tests the line of sight
-against whole boxes; here the weakest waypoint counts, both terms lie in [0, 1], and the boxes
-are the parts as they stand, without the part that moves.
+against whole boxes. Here the weakest waypoint counts, the value lies in [0, 1], and the boxes
+are those of the static parts.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from .area import PlacementGeometry
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-NEAREST = 0.3
-"""Distance at which the attraction is 1 [m]; 1 / distance has no bound of its own."""
+FULL_ATTRACTION_DISTANCE = 0.3
+"""Distance up to which the attraction is 1 [m]; bounds 1 / distance."""
 _SKIN = 0.03
-"""A target this close to a box is not hidden by it: handles sit on doors [m]."""
+"""A box this close to a target does not hide it: handles are mounted on doors [m]."""
 
 
 @entry
@@ -33,7 +33,7 @@ def _sees(
     rotation: F3,
     half: F2,
 ) -> np.ndarray:
-    """Whether the segment from each source to each target misses all boxes."""
+    """Check that the segment from each source to each target misses all boxes."""
     out = np.empty((len(sources), len(targets)), np.bool_)
     for n in range(len(sources)):
         for w in range(len(targets)):
@@ -66,7 +66,7 @@ def _sees(
 def sees(
     sources: Float[np.ndarray, "n 3"], targets: Float[np.ndarray, "w 3"], boxes: Boxes
 ) -> Bool[np.ndarray, "n w"]:
-    """Whether nothing stands between each source and each target."""
+    """Check that no box lies between each source and each target."""
     return _sees(sources, targets, boxes.center, boxes.rotation, boxes.half)
 
 
@@ -77,20 +77,20 @@ def attraction(
     *,
     waypoints: int = 4,
 ) -> Float[np.ndarray, " n"]:
-    """The field F of each position: 1 / distance where the target is seen, else 0, in [0, 1].
+    """Return the field F in [0, 1]: bounded 1 / distance if the target is visible, else 0.
 
     Args:
-        geometry: Room and task.
-        positions: Where the base stands [m].
-        heights: Heights from which it looks [m]; the best counts.
-        waypoints: How many waypoints, evenly chosen, must be seen [-]; the weakest counts.
+        geometry: Scene and task.
+        positions: Base positions [m].
+        heights: Heights of the viewpoint [m]; the best counts.
+        waypoints: Number of waypoints, evenly chosen, that must be visible [-]; the weakest counts.
     """
     plain = geometry.Ts_world_tool[0, :, :3, 3]
     targets = np.ascontiguousarray(
         plain[np.linspace(0, len(plain) - 1, waypoints).round().astype(int)]
     )
     distance = np.linalg.norm(positions[:, None] - targets[None, :, :2], axis=-1)
-    field = np.minimum(1.0, NEAREST / np.maximum(distance, 1e-9))
+    field = np.minimum(1.0, FULL_ATTRACTION_DISTANCE / np.maximum(distance, 1e-9))
     seen = np.zeros(distance.shape, bool)
     for z in heights:
         sources = np.column_stack([positions, np.full(len(positions), z)])

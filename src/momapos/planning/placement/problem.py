@@ -1,4 +1,4 @@
-"""What the search is given, and what it has found."""
+"""Records of the search: the problem and the result."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from momapos.model.records import (
 
 from .area import PlacementGeometry
 from .fitting import FitPoses
-from .grasp_scores import ScoreWays
-from .region import Rule
+from .grasp_scores import GraspModeScorer
+from .region import BasePoseRule
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -37,88 +37,86 @@ ScreenPoses: TypeAlias = (
     "Callable[[Float[np.ndarray, 'n 3'], Float[np.ndarray, 'n g'], int | None], "
     "list[ArmPathResult] | None]"
 )
-"""Look for an arm path at each of many base poses, from the scores of all grasps and the number
-of grasps to be tried; None: out of time."""
+"""Search an arm path at each of many base poses, given the scores of all grasp modes and the
+maximum number to try; return None if out of time."""
 PoseMask: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
-"""Which of some base poses have a property."""
-PoseFilter: TypeAlias = PoseMask
-"""Which of some base poses are no candidates, for reasons that this stage does not know."""
+"""Return which base poses have a property."""
 AttemptPose: TypeAlias = (
     "Callable[[Float[np.ndarray, '3'], ArmPathResult, Int[np.ndarray, ' k']], Attempt]"
 )
-"""Complete the arm path found at a base pose, or else one with the other grasps, best first."""
+"""Complete the arm path found at a base pose, or else one in another grasp mode, best first."""
 
 
-class LeadsOn(Protocol):
-    """Whether a robot can drive on from base poses once its task is done."""
+class DepartureCheck(Protocol):
+    """Checks that the robot can drive on from a base pose after the task."""
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
-        """Look at a base pose that was completed: x [m], y [m], yaw [rad]."""
+        """Check a completed base pose: x [m], y [m], yaw [rad]."""
         ...
 
-    def hopeless(self, base: Float[np.ndarray, "3"]) -> bool:
-        """Whether it is known beforehand that it cannot, from those that were looked at."""
+    def is_known_blocked(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Check whether earlier results show that the robot cannot drive on from a base pose."""
         ...
 
 
-@dataclass
+@dataclass(eq=False)
 class Search:
-    """What has been looked at so far, and the best of it."""
+    """The base poses examined so far and the best one."""
 
     poses: list[Float[np.ndarray, "n 3"]] = field(default_factory=list)
     outcomes: list[np.ndarray] = field(default_factory=list)
-    """A `PoseOutcome` of each."""
+    """A `PoseOutcome` of each pose."""
     checked: int = 0
+    """Number of poses checked for an arm path [-]."""
     base: Float[np.ndarray, "3"] | None = None
     motion: Motion | None = None
     cost: float = np.inf
-    """Driving length to it [m]."""
-    margin: float | None = None
-    """Share of the poses beside it that work; None where nobody has looked."""
+    """Driving length to `base` [m]."""
+    robustness: float | None = None
+    """Share of the neighbors of `base` that work; None if it was not measured."""
     timed_out: bool = False
-    shut_in: bool = False
-    """Whether the robot cannot drive on from there when the task is done."""
-    spare: tuple[Float[np.ndarray, "3"], Motion, float] | None = None
-    """Base pose, motion and cost [m] of the first that shuts the robot in."""
+    blocked_in: bool = False
+    """Whether the robot cannot drive on from `base` after the task."""
+    fallback: tuple[Float[np.ndarray, "3"], Motion, float] | None = None
+    """Base pose, motion and cost [m] of the first that blocks the robot in."""
 
     def note(self, poses: Float[np.ndarray, "n 3"], outcomes: np.ndarray) -> None:
-        """Remember a round; what becomes of its poses is written into `outcomes` later."""
+        """Add a round; the caller writes into `outcomes` later."""
         self.poses.append(poses)
         self.outcomes.append(outcomes)
 
-    def settle(self) -> None:
-        """Be content with a base pose that shuts the robot in, where no other was found."""
-        if self.motion is None and self.spare is not None:
-            self.base, self.motion, self.cost = self.spare
-            self.shut_in, self.timed_out = True, False
+    def accept_fallback(self) -> None:
+        """Accept a base pose that blocks the robot in, if no other was found."""
+        if self.motion is None and self.fallback is not None:
+            self.base, self.motion, self.cost = self.fallback
+            self.blocked_in, self.timed_out = True, False
 
     @property
     def is_no(self) -> bool:
-        """Whether all was looked at, and nothing found."""
+        """Whether the search is complete and found nothing."""
         return self.motion is None and not self.timed_out
 
     def without_path(self) -> Float[np.ndarray, "n 3"]:
-        """Base poses of the last round within reach from which no arm path was found."""
+        """Return base poses of the last round that are within reach but have no arm path."""
         if not self.poses:
             return np.zeros((0, 3))
         return self.poses[-1][[one.status in NO_PATH for one in self.outcomes[-1]]]
 
-    def join(self, other: Search) -> None:
-        """Add what another search of the same poses has found; why it found nothing does not
-        count beside why this one did not."""
+    def merge(self, other: Search) -> None:
+        """Add the result of another search of the same poses, without its reasons for failures."""
         self.checked += other.checked
-        self.timed_out, self.spare = other.timed_out, self.spare or other.spare
+        self.timed_out, self.fallback = other.timed_out, self.fallback or other.fallback
         if other.motion is not None:
             self.base, self.motion = other.base, other.motion
-            self.cost, self.margin = other.cost, other.margin
+            self.cost, self.robustness = other.cost, other.robustness
             assert other.base is not None
             feasible = PoseOutcome(PoseStatus.FEASIBLE)
             self.note(other.base[None], np.array([feasible], object))
 
     def candidates(self) -> Candidates:
-        """Counts for the plan."""
+        """Count the outcomes for the plan."""
         every = np.concatenate([np.zeros(0, object), *self.outcomes]).tolist()
-        # Most poses share an outcome: told apart by identity first, which needs no hashing of text.
+        # Most poses share an outcome object: counting by identity avoids hashing text.
         shared = dict(zip(map(id, every), every, strict=True))
         counts: Counter[PoseOutcome] = Counter()
         for key, count in Counter(map(id, every)).items():
@@ -128,41 +126,40 @@ class Search:
         return Candidates(len(every), self.checked, words)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """What the search is given; the stages behind the functions are not its business."""
+    """A search problem; functions stand for the stages behind it."""
 
     geometry: PlacementGeometry
     reach: ReachScorer
     """The robot's reachability map."""
     grid_reach: ReachScorer
-    """The same for the grid, whose "no" counts: it rules out only what is surely out of reach."""
-    ways: tuple[ScoreWays, ...]
-    """Ways of holding, each of which is tried where those before fail."""
+    """The map for the grid: it excludes only what is certainly out of reach."""
+    mode_scorers: tuple[GraspModeScorer, ...]
+    """Scorers of grasp modes; each is tried if those before fail."""
     travel_cost: TravelCost
     attempt: AttemptPose
     """Checks one base pose completely."""
     screen: ScreenPoses
-    """Checks many base poses for an arm path alone; the grid needs it."""
+    """Checks many base poses for an arm path only."""
     start: Float[np.ndarray, "3"]
-    """Where the robot is: x [m], y [m], yaw [rad]."""
+    """Start pose of the base: x [m], y [m], yaw [rad]."""
     out_of_time: Callable[[], bool]
-    """Asked between candidates."""
-    takes_hold: int = 0
-    """Index of the state of an arm path in which the hand takes hold [-]."""
+    """Called between candidates."""
+    grasp_step: int = 0
+    """Index of the arm path's state in which the hand grasps [-]."""
     infeasible_reason: str = ""
-    """Why no base pose can help, where that is known beforehand."""
-    pose_filter: PoseFilter | None = None
-    """Rules base poses out."""
-    goes_home: PoseMask | None = None
-    """From which base poses the arm can be brought home once the task is done; others are answers
-    where none of these is one. None: from all."""
-    leads_on: LeadsOn | None = None
-    """Whether the robot can drive on from a base pose once the task is done; others are answers
-    where no search finds one. None: nobody asks."""
+    """Why no base pose can solve the task, if known beforehand."""
+    keep_poses: PoseMask | None = None
+    """Returns which base poses may be tried; None for all."""
+    home_is_free: PoseMask | None = None
+    """Whether the arm can return home after the task; such base poses come first. None: always."""
+    departure: DepartureCheck | None = None
+    """Whether the robot can drive on after the task; other base poses are fallbacks. None: not
+    checked."""
     region: BaseRegion = ANYWHERE
-    """Where the base is allowed to stand."""
-    rules: tuple[Rule, ...] = ()
+    """Where the base may stand."""
+    rules: tuple[BasePoseRule, ...] = ()
     """Further conditions on base poses."""
     fit: FitPoses | None = None
-    """Finds base poses beside given ones from which an arm of few joints can do the task."""
+    """Moves base poses to feasible ones nearby, for arms of few joints."""

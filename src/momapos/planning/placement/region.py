@@ -1,4 +1,4 @@
-"""Where the base is allowed to stand: areas, facing, length of the drive."""
+"""Restrict base poses: areas, facing direction, driving length."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 
-class Rule(NamedTuple):
+class BasePoseRule(NamedTuple):
     """One condition on base poses."""
 
     keeps: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
-    """Which base poses keep it, by the poses and the driving length to each [m]."""
+    """Return which base poses satisfy it, given the driving length to each [m]."""
     otherwise: PoseOutcome
-    """What becomes of the others."""
+    """Outcome of the others."""
 
 
-def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[Rule]:
-    """The conditions of a region, for a robot and where its hand takes hold."""
+def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[BasePoseRule]:
+    """Return the conditions of a region; the base faces the first grasp."""
 
     def inside(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
         outlines = place_points(poses, geometry.robot.footprint)
@@ -52,4 +52,4 @@ def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[Rule]:
         (region.facing is not None, faces, PoseStatus.NOT_FACING),
         (region.most_driving is not None, is_near, PoseStatus.TOO_LONG_A_DRIVE),
     )
-    return [Rule(keeps, PoseOutcome(otherwise)) for asked, keeps, otherwise in every if asked]
+    return [BasePoseRule(keeps, PoseOutcome(status)) for applies, keeps, status in every if applies]

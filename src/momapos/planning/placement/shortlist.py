@@ -1,4 +1,4 @@
-"""The poses of one round: culled, looked at for an arm path, completed."""
+"""Handle the poses of one round: cull them, screen them for an arm path, complete one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from momapos.model.records import ArmPathResult, PoseOutcome, PoseStatus
 
 from .area import BaseStatus, base_pose_status
 from .fitting import fitted
-from .grasp_scores import ScoreWays, WayScores
+from .grasp_scores import GraspModeScorer, GraspModeScores
 from .problem import Problem, Search
 from .region import rules
 
@@ -26,55 +26,57 @@ BASE_OUTCOMES = {
 NOT_TRIED = PoseOutcome(PoseStatus.NOT_TRIED)
 
 
-@dataclass
+@dataclass(eq=False)
 class Shortlist:
-    """The poses of one round that are left after culling; `outcomes` covers the whole round."""
+    """The poses of one round that remain after culling."""
 
     poses: Float[np.ndarray, "n 3"]
     row: Int[np.ndarray, " n"]
-    """Index of each into the round."""
+    """Index of each pose in the round."""
     travel: Float[np.ndarray, " n"]
+    """Driving length to each pose [m]."""
     outcomes: np.ndarray
+    """Outcomes of the whole round, shared by all its shortlists."""
     tried: Bool[np.ndarray, " m"]
-    """Of the whole round: those at which an arm path was looked for."""
-    held: WayScores | None = None
-    """Of the ways of holding; None before they are known."""
+    """Which poses of the whole round were screened for an arm path."""
+    mode_scores: GraspModeScores | None = None
+    """Scores of the grasp modes; None before they are known."""
 
     @property
     def scores(self) -> Float[np.ndarray, "n h"]:
-        """Of the ways of holding."""
-        assert self.held is not None
-        return self.held.scores
+        """Scores of the grasp modes."""
+        assert self.mode_scores is not None
+        return self.mode_scores.scores
 
     def keep(self, which: Bool[np.ndarray, " n"], otherwise: PoseOutcome) -> None:
-        """Drop the others, and say what became of them."""
+        """Drop the other poses and record their outcome."""
         self.outcomes[self.row[~which]] = otherwise
         self.poses, self.row = self.poses[which], self.row[which]
         self.travel = self.travel[which]
 
-    def reached(self, ways: WayScores) -> Shortlist:
-        """Those from which some way of holding is within reach."""
-        which = ways.scores.max(1, initial=0.0) > 0
+    def reached(self, modes: GraspModeScores) -> Shortlist:
+        """Return the poses from which some grasp mode is within reach."""
+        which = modes.scores.max(1, initial=0.0) > 0
         beyond = self.row[~which]
         self.outcomes[beyond[~self.tried[beyond]]] = PoseOutcome(PoseStatus.OUT_OF_REACH)
-        return replace(self, held=ways).only(which)
+        return replace(self, mode_scores=modes).only(which)
 
     def only(self, which: Bool[np.ndarray, " n"]) -> Shortlist:
-        """Some of them, whose outcomes are written where those of all are."""
-        assert self.held is not None
+        """Return a subset that shares the outcomes of the round."""
+        assert self.mode_scores is not None
         return Shortlist(
             self.poses[which], self.row[which], self.travel[which], self.outcomes, self.tried,
-            WayScores(self.held.scores[which], self.held.asked),
+            GraspModeScores(self.scores[which], self.mode_scores.scored),
         )  # fmt: skip
 
-    def ways(self, i: int) -> Int[np.ndarray, " k"]:
-        """Ways of holding within reach of pose i, the best reached first."""
+    def modes(self, i: int) -> Int[np.ndarray, " k"]:
+        """Return the grasp modes within reach of pose i, the best reached first."""
         order = np.argsort(-self.scores[i], kind="stable")
         return order[self.scores[i, order] > 0]
 
 
 def cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> Shortlist:
-    """Footprint first, then the way there."""
+    """Drop poses by base collision, driving path, region and filters."""
     status, _ = base_pose_status(problem.geometry, poses)
     outcomes = np.full(len(poses), NOT_TRIED, object)
     for code, outcome in BASE_OUTCOMES.items():
@@ -85,8 +87,8 @@ def cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> Sh
     left.keep(np.isfinite(travel), PoseOutcome(PoseStatus.NO_ROUTE))
     for rule in (*rules(problem.region, problem.geometry), *problem.rules):
         left.keep(rule.keeps(left.poses, left.travel), rule.otherwise)
-    if problem.pose_filter is not None:
-        left.keep(~problem.pose_filter(left.poses), PoseOutcome(PoseStatus.FILTERED))
+    if problem.keep_poses is not None:
+        left.keep(problem.keep_poses(left.poses), PoseOutcome(PoseStatus.FILTERED))
     found.note(poses, outcomes)
     return left
 
@@ -97,10 +99,10 @@ class Candidate:
 
     left: Shortlist
     index: int
-    """Of the pose in its shortlist."""
+    """Index of the pose in its shortlist."""
     path: ArmPathResult
     known: float
-    """What it costs before it has a path."""
+    """Its cost before it has a path."""
 
     @property
     def pose(self) -> Float[np.ndarray, "3"]:
@@ -108,31 +110,33 @@ class Candidate:
         return self.left.poses[self.index]
 
 
-@dataclass(frozen=True)
-class Near:
-    """The poses of one round where the base stands clear."""
+@dataclass(frozen=True, eq=False)
+class ClearPoses:
+    """The poses of one round at which the base stands clear."""
 
-    clear: Shortlist
+    poses: Shortlist
     own: Int[np.ndarray, " m"] | None
-    """The one way of holding of each pose of the round, where they are fitted to it."""
+    """The only grasp mode of each pose of the round, if they are fitted to one."""
 
-    def reached(self, problem: Problem, score: ScoreWays, *, on_grid: bool) -> Shortlist:
-        """Those from which one of the ways of holding that are scored is within reach."""
-        scores = score(problem.grid_reach if on_grid else problem.reach, self.clear.poses)
+    def reached(self, problem: Problem, score: GraspModeScorer, *, on_grid: bool) -> Shortlist:
+        """Return the poses from which a scored grasp mode is within reach."""
+        scores = score(problem.grid_reach if on_grid else problem.reach, self.poses.poses)
         own = self.own
-        return self.clear.reached(scores if own is None else scores.of_way(own[self.clear.row]))
+        return self.poses.reached(scores if own is None else scores.of_mode(own[self.poses.row]))
 
 
-def near_poses(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> Near | None:
-    """Fit and cull the poses of a round; None: out of time."""
-    near = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
-    if near is None:
+def clear_poses(
+    problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search
+) -> ClearPoses | None:
+    """Fit and cull the poses of a round; return None if out of time."""
+    moved = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
+    if moved is None:
         return None
-    poses, own = near
+    poses, own = moved
     clear = cull(problem, poses, found)
     if own is not None:
         clear.keep(own[clear.row] >= 0, PoseOutcome(PoseStatus.TOO_FEW_JOINTS))
-    return Near(clear, own)
+    return ClearPoses(clear, own)
 
 
 def screen(
@@ -142,7 +146,7 @@ def screen(
     most: int | None,
     found: Search,
 ) -> dict[int, ArmPathResult]:
-    """Arm paths at some poses of a shortlist, by index; all get their outcomes."""
+    """Return the arm paths at some poses of a shortlist by index; record all outcomes."""
     screened = problem.screen(left.poses[block], left.scores[block], most)
     if screened is None:
         found.timed_out = found.motion is None
@@ -153,11 +157,11 @@ def screen(
     return {i: one for i, one in zip(block.tolist(), screened, strict=True) if one.q is not None}
 
 
-def hopeless(problem: Problem, pose: Float[np.ndarray, "3"], found: Search) -> bool:
-    """Whether a base pose is known to be no better than the spare."""
-    if found.spare is None or problem.leads_on is None:
+def is_dominated(problem: Problem, pose: Float[np.ndarray, "3"], found: Search) -> bool:
+    """Check whether a base pose is known to be no better than the fallback."""
+    if found.fallback is None or problem.departure is None:
         return False
-    return problem.leads_on.hopeless(pose)
+    return problem.departure.is_known_blocked(pose)
 
 
 def complete(
@@ -167,20 +171,19 @@ def complete(
     most: int | None,
     found: Search,
 ) -> None:
-    """Complete the first of some arm paths that can be completed; one after which the robot cannot
-    drive on is a spare."""
+    """Complete the first arm path that can be; one that blocks the robot in is the fallback."""
     for i in passed:
         if problem.out_of_time():
             found.timed_out = True
             return
         pose, travel = left.poses[i], float(left.travel[i])
-        if hopeless(problem, pose, found):
+        if is_dominated(problem, pose, found):
             continue
-        result = problem.attempt(pose, passed[i], left.ways(i)[:most])
+        result = problem.attempt(pose, passed[i], left.modes(i)[:most])
         left.outcomes[left.row[i]] = result.outcome
         if result.motion is None:
             continue
-        if problem.leads_on is None or problem.leads_on(pose):
+        if problem.departure is None or problem.departure(pose):
             found.base, found.motion, found.cost = pose, result.motion, travel
             return
-        found.spare = found.spare or (pose, result.motion, travel)
+        found.fallback = found.fallback or (pose, result.motion, travel)

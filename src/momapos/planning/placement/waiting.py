@@ -1,4 +1,4 @@
-"""Base poses with an arm path that wait until the best of them is known."""
+"""Hold back base poses with an arm path until the best of them is known."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from momapos.model.records import ArmPathResult
 
-from .grasp_scores import ScoreWays
-from .margin import Margin, margin_of
+from .grasp_scores import GraspModeScorer
+from .margin import Robustness, robustness_of
 from .pose_cost import PoseCosts
 from .problem import Problem
 from .shortlist import Candidate
@@ -22,37 +22,37 @@ if TYPE_CHECKING:
 
 @dataclass
 class Waiting:
-    """Base poses of one round with an arm path, by index, of which the best is chosen.
+    """Base poses of one round with an arm path, by index.
 
-    Where room comes first, the margin of some is looked at, and the one with most of it is the
-    best; else the one that costs least, and none is chosen while one that is left may cost less.
+    If robustness is compared first, the best is the most robust of some; otherwise it is the
+    cheapest, chosen as soon as no remaining pose may cost less.
     """
 
     costs: PoseCosts
-    margin: Margin
+    robustness: Robustness
     looks: float
-    """Poses whose margin is looked at, at most; 0: it does not count [-]."""
+    """Maximum number of poses whose robustness is measured; 0: it does not count [-]."""
     paths: dict[int, ArmPathResult] = field(default_factory=dict)
     cost: dict[int, float] = field(default_factory=dict)
-    """Of each pose with a path."""
-    margins: dict[bytes, float] = field(default_factory=dict)
-    """By base pose."""
+    """Cost of each pose with a path."""
+    measured: dict[bytes, float] = field(default_factory=dict)
+    """Robustness by base pose."""
     looked: int = 0
-    """Poses whose margin was looked at to choose [-]."""
+    """Number of poses whose robustness was measured to choose [-]."""
     bound: float = math.inf
-    """A pose that costs as much before it has a path is not better than the best that waits."""
+    """A pose of this known cost cannot be better than the best that waits."""
 
     @classmethod
-    def of(cls, problem: Problem, score: ScoreWays, costs: PoseCosts) -> Waiting:
-        """None waits yet; how many margins are looked at is as configured."""
+    def of(cls, problem: Problem, score: GraspModeScorer, costs: PoseCosts) -> Waiting:
+        """Start with no poses, as the costs are configured."""
         config = costs.config
-        if problem.fit is not None:  # beside a fitted pose an arm of few joints does nothing
+        if problem.fit is not None:  # an arm of few joints has no path next to a fitted pose
             looks = 0.0
-        elif costs.room_first:
+        elif costs.robustness_first:
             looks = float(config.looks) if config.method == "ours" else 0.0
         else:
             looks = math.inf if config.weight_room > 0.0 else 0.0
-        return cls(costs, margin_of(problem, score, config), looks)
+        return cls(costs, robustness_of(problem, score, config), looks)
 
     def take(
         self,
@@ -60,68 +60,59 @@ class Waiting:
         poses: Float[np.ndarray, "n 3"],
         known: Float[np.ndarray, " n"],
     ) -> None:
-        """Let more poses wait.
-
-        Args:
-            passed: Those with a path.
-            poses: All base poses of the round.
-            known: What each costs before it has a path.
-        """
+        """Add the poses with a path; `poses` and `known` costs cover the whole round."""
         for i, path in passed.items():
             self.paths[i] = path
             self.cost[i] = self.full_cost(poses[i], path, float(known[i]))
-            if not self.costs.room_first:
+            if not self.costs.robustness_first:
                 self.bound = min(self.bound, self.cost[i])
 
     def full_cost(self, pose: Float[np.ndarray, "3"], path: ArmPathResult, known: float) -> float:
-        """What a pose costs with its path; its room counts where no other is better already."""
+        """Return a pose's cost with its path, and with its robustness unless another is better."""
         assert path.q is not None
         cost = known + self.costs.of_path(path.q)
-        if self.costs.room_first or not self.looks or cost >= self.bound:
+        if self.costs.robustness_first or not self.looks or cost >= self.bound:
             return cost
-        return cost + self.costs.of_room(self.margin_at(pose, path.grasp))
+        return cost + self.costs.of_robustness(self.robustness_at(pose, path.grasp))
 
     def choose(self, poses: Float[np.ndarray, "n 3"], *, last: bool) -> dict[int, ArmPathResult]:
-        """Give all that wait, in the order to be completed, as soon as the best is known.
+        """Return all waiting poses, best first, as soon as the best is known; nothing before.
 
         Args:
             poses: All base poses of the round.
-            last: Whether no others come.
+            last: Whether no more poses follow.
         """
         by_cost = sorted(self.paths, key=lambda i: self.cost[i])
-        if self.costs.room_first:
+        if self.costs.robustness_first:
             full = False
             for i in by_cost:
                 if full or self.looked >= self.looks:
                     break
-                self.looked += poses[i].tobytes() not in self.margins
-                full = self.margin_at(poses[i], self.paths[i].grasp) == 1.0
+                self.looked += poses[i].tobytes() not in self.measured
+                full = self.robustness_at(poses[i], self.paths[i].grasp) == 1.0
             if not (full or last or self.looked >= self.looks):
                 return {}
-            by_cost.sort(key=lambda i: -self.margins.get(poses[i].tobytes(), 0.0))
+            by_cost.sort(key=lambda i: -self.measured.get(poses[i].tobytes(), 0.0))
         elif not last:
             return {}
         paths, self.paths, self.bound = self.paths, {}, math.inf
         return {i: paths[i] for i in by_cost}
 
     def prefers(self, step: Candidate, to: Candidate) -> bool:
-        """Whether a base pose is better than another: it has no less room, or costs less.
-
-        It was stepped to because it costs less before it has a path.
-        """
-        if not self.costs.room_first:
+        """Check that a step of lower known cost improves: it costs less, or is as robust."""
+        if not self.costs.robustness_first:
             cost, before = (self.full_cost(one.pose, one.path, one.known) for one in (step, to))
             return cost < before
-        least = self.margins.get(to.pose.tobytes(), 0.0)
-        return not self.looks or self.margin_at(step.pose, step.path.grasp) >= least
+        least = self.measured.get(to.pose.tobytes(), 0.0)
+        return not self.looks or self.robustness_at(step.pose, step.path.grasp) >= least
 
-    def known_margin(self, pose: Float[np.ndarray, "3"]) -> float | None:
-        """The margin of a base pose where it was looked at."""
-        return self.margins.get(pose.tobytes())
+    def known_robustness(self, pose: Float[np.ndarray, "3"]) -> float | None:
+        """Return the robustness of a base pose if it was measured."""
+        return self.measured.get(pose.tobytes())
 
-    def margin_at(self, pose: Float[np.ndarray, "3"], grasp: int) -> float:
-        """The margin of a base pose; looked at once."""
+    def robustness_at(self, pose: Float[np.ndarray, "3"], grasp: int) -> float:
+        """Measure the robustness of a base pose, once."""
         key = pose.tobytes()
-        if key not in self.margins:
-            self.margins[key] = self.margin(pose, grasp)
-        return self.margins[key]
+        if key not in self.measured:
+            self.measured[key] = self.robustness(pose, grasp)
+        return self.measured[key]

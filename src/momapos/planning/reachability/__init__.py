@@ -1,4 +1,4 @@
-"""How well the arm reaches a tool pose from a base pose: a map per robot, built once."""
+"""Reachability maps: how well an arm reaches a tool pose from a base pose."""
 
 import lazy_loader
 

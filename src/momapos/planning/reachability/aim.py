@@ -1,8 +1,7 @@
-"""One line of the last axis at a time: bring an arm onto it from a state near by, and tell which
-turns of the tool about it are free.
+"""Kernels that move an arm onto a line from a nearby state, and find the free tool turns about it.
 
-The last joint turns the tool about the line and moves nothing else of it, so that one state serves
-an arc of turns: a word of `TURNS` bits.
+The last joint only turns the tool about the line. So one state serves an arc of turns, a word of
+`TURNS` bits.
 """
 
 from __future__ import annotations
@@ -33,40 +32,40 @@ from momapos.model.kinematics import (
 from .grid import TURNS, oct_decode, relative_line, turns_of
 
 SPAN = 8
-"""Turns that one check for collision stands for [-]."""
+"""Number of turns that one collision check covers [-]."""
 ALL = np.uint64((1 << TURNS) - 1)
 STEPS, ENOUGH = 8, 1e-6
-"""Newton steps from a neighbor's state, and the squared residual that will do [m^2 + rad^2]."""
+"""Newton steps from a neighbor's state, and the squared residual that suffices [m^2 + rad^2]."""
 EARLY, SLOW = 3, 0.5
-"""After so many steps one is given up that does not leave at most this share of the squared
-residual [-]: of those that arrive hardly one in a hundred is so slow."""
+"""From step `EARLY` on, stop if a step leaves more than this share of the squared residual [-].
+Hardly one in a hundred converging starts is that slow."""
 
 
 class LineTool(NamedTuple):
-    """Where the line is on the last segment."""
+    """The line in the frame of the last segment."""
 
     direction: F1
     across: F1
-    """A unit vector across it, whose angle about the line is the tool's turn."""
+    """Unit vector across the line; its angle about the line is the tool turn."""
     point: F1
 
 
 class AimedArm(NamedTuple):
-    """An arm, its line and what it may touch: itself and the floor."""
+    """An arm, its line, and its spheres for collisions with itself and the floor."""
 
     chain: ChainArrays
     limits: JointLimits
     line: LineTool
     turns: bool
-    """Whether the last joint turns about the line; else the tool's turn is that of the state."""
+    """Whether the last joint turns about the line; else each state has one tool turn."""
     still: SphereArrays
-    """What the last joint does not move, to be held against each other."""
+    """Spheres with the pairs that the last joint does not move."""
     turned: SphereArrays
-    """What it moves, to be held against all."""
+    """Spheres with the pairs that the last joint moves."""
     own: I1
-    """The groups of spheres that it moves."""
+    """Groups of spheres that the last joint moves."""
     foot: F1
-    """Foot of the axis that the grid stands around, in the base frame [m]."""
+    """Foot of the vertical axis that the grid is centered on, in the base frame [m]."""
 
 
 class LineGrid(NamedTuple):
@@ -80,10 +79,10 @@ class LineGrid(NamedTuple):
 
 @kernel
 def line_at(place, grid):
-    """Point relative to the foot, and direction, of a line in the base frame.
+    """Return the point relative to the foot, and the direction, of a line in the base frame.
 
     Args:
-        place: z, r, u, v and azimuth in steps of the grid; fractions lie between its points.
+        place: z, r, u, v and azimuth in grid steps; fractions lie between grid points.
         grid: `LineGrid`.
     """
     half = 0.5 * (grid.directions - 1)
@@ -97,16 +96,16 @@ def line_at(place, grid):
 
 @kernel
 def horizontal_across(d):
-    """Unit vector across a direction and level, from which the tool's turn is counted."""
+    """Return the horizontal unit vector across a direction: the zero of the tool turn."""
     n = math.hypot(d[0], d[1])
     return (-d[1] / n, d[0] / n, 0.0) if n > 1e-6 else (0.0, 1.0, 0.0)
 
 
 @kernel
 def _aim(q, active, point, direction, arm, scratch):
-    """Bring the line of the arm onto a line; True where it gets there within the limits.
+    """Move the arm's line onto a line within the limits, in place; return whether it converges.
 
-    R and p of the scratch memory are then as `forward` leaves them at q.
+    R and p of the scratch memory then hold the segment poses at q.
     """
     chain, limits = arm.chain, arm.limits
     R, p, J, A, e, column = scratch
@@ -137,7 +136,7 @@ def _aim(q, active, point, direction, arm, scratch):
         before = residual
         jacobian(chain, R, p, tool, column, m, J)
         for a in range(m):
-            # Turns about the line change nothing.
+            # Remove rotation about the line, which is free.
             about = J[3, a] * d[0] + J[4, a] * d[1] + J[5, a] * d[2]
             for k in range(3):
                 J[k + 3, a] -= about * d[k]
@@ -148,10 +147,10 @@ def _aim(q, active, point, direction, arm, scratch):
 
 @kernel
 def _hold_at_limits(q, active, limits, J, e):
-    """Leave out the joints that stand at a limit and would go beyond it, by their columns of J.
+    """Zero the columns of J of joints that are at a limit and would move beyond it.
 
-    A step that counts on them falls short of the line by what their limit cuts off, again and
-    again: of the lines beside a reached one it finds two thirds of those that it finds without.
+    With them, every step would fall short of the line by the clipped part, and a third fewer
+    neighboring lines would be found.
     """
     for a in range(len(active)):
         j = active[a]
@@ -168,7 +167,7 @@ def _hold_at_limits(q, active, limits, J, e):
 
 @kernel
 def _turn_of(R, direction, arm):
-    """The tool's turn about its line [turns], in [0, 1)."""
+    """Return the tool's turn about its line [turns], in [0, 1)."""
     a = mul(R, (arm.line.across[0], arm.line.across[1], arm.line.across[2]))
     e = horizontal_across(direction)
     f = cross(direction, e)
@@ -178,15 +177,10 @@ def _turn_of(R, direction, arm):
 
 @kernel
 def _free_turns(held, known, direction, arm, R, p, bounds):
-    """Turns that this state serves beyond the known ones: a word.
+    """Return the word of turns that a state on the line serves, without the known ones.
 
-    Args:
-        held: Value of the last joint of a state on the line, at which R and p are.
-        known: The turns that are known.
-        direction: Of the line.
-        arm: `AimedArm`.
-        R, p: As `forward` leaves them; the last segment is turned.
-        bounds: Memory.
+    `held` is the state's value of the last joint. R and p are its segment poses; the last segment
+    is turned in place.
     """
     chain, spheres = arm.chain, arm.turned
     last, n = len(chain.slides), len(arm.limits.lower) - 1
@@ -212,19 +206,19 @@ def _free_turns(held, known, direction, arm, R, p, bounds):
                 if value > upper:
                     continue
             wanted |= bit
-            # Any one of them will do; the last that is wanted stands for all.
+            # One turn is checked for the whole group: the last one that is wanted.
             middle = value
             count += 1
         if count:
             if arm.turns:
-                # It moves no other segment, nor the origin of its own.
+                # The last joint moves no other segment, nor the origin of its own.
                 turned = chain.ratio[last - 1] * middle
                 rotate_by(R[last - 1], chain.h[last - 1], turned, R[last])
                 for g in arm.own:
                     bounds[g, 0], bounds[g, 1], bounds[g, 2] = moved(
                         R, p, last, spheres.bound_center[g]
                     )
-            # What the turn does not move touches at each of them or at none.
+            # Contact of the parts that the turn does not move is the same at all turns.
             if not looked and _hit(R, p, bounds, arm.still):
                 break
             looked = True
@@ -235,25 +229,24 @@ def _free_turns(held, known, direction, arm, R, p, bounds):
 
 @kernel
 def _hit(R, p, bounds, spheres):
-    """Whether the arm touches the floor or itself."""
     return hit_floor(R, p, bounds, spheres) != FREE or hit_self(R, p, bounds, spheres) != FREE
 
 
 class Memory(NamedTuple):
-    """What one aim after another needs; see `memory`."""
+    """Memory of `aim_from`."""
 
     newton: NewtonScratch
     bounds: F2
-    """Where the spheres of each link are."""
+    """Centers of the bounding spheres."""
     active: I1
-    """The joints that are moved toward a line: the last one only where it does more than turn."""
+    """Joints that are moved toward a line; the last one only if it does more than turn the tool."""
     q: F1
-    """The state that the last aim came to."""
+    """The state that the last aim reached."""
 
 
 @kernel
 def memory(arm):
-    """Memory for `aim_from`."""
+    """Allocate the memory for `aim_from`."""
     n = len(arm.limits.lower)
     return Memory(
         newton_scratch(arm.chain, n),
@@ -265,15 +258,15 @@ def memory(arm):
 
 @kernel
 def aim_from(place, start, known, arm, grid, own):
-    """Bring an arm onto a line from a state near it: the turns beyond the known ones, a word.
+    """Move an arm onto a line from a nearby state; return the word of new turns that it serves.
 
     Args:
-        place: z, r, u, v, azimuth of the line in steps of the grid.
-        start: The state to begin at (n,).
-        known: Turns that need no look.
+        place: z, r, u, v, azimuth of the line in grid steps.
+        start: The start state (n,).
+        known: Word of turns to skip.
         arm: `AimedArm`.
         grid: `LineGrid`.
-        own: `Memory`; its q is the state on the line then, where the word is not 0.
+        own: `Memory`; if the word is not 0, its q is the state on the line.
     """
     for k in range(len(start)):
         own.q[k] = start[k]
@@ -287,24 +280,16 @@ def aim_from(place, start, known, arm, grid, own):
 
 @entry
 def aim_all(
-    places: F2,
-    starts: S2,
-    known: U1,
-    arm: AimedArm,
-    grid: LineGrid,
-    words: U1,
-    states: S2,
+    places: F2, starts: S2, known: U1, arm: AimedArm, grid: LineGrid, words: U1, states: S2
 ) -> None:
-    """Bring an arm onto lines, each from one state.
+    """Move an arm onto lines, each from one state.
 
     Args:
-        places: Lines (k, 5): z, r, u, v, azimuth in steps of the grid.
-        starts: The state of each to begin at (k, n).
-        known: Turns of each that need no look (k,).
-        arm: The arm.
-        grid: The grid.
-        words: New turns of each, to be filled (k,).
-        states: The state on each line, to be filled (k, n).
+        places: Lines (k, 5): z, r, u, v, azimuth in grid steps.
+        starts: The start state of each (k, n).
+        known: Words of turns to skip (k,).
+        words: Output: words of new turns (k,).
+        states: Output: the state on each line (k, n).
     """
     own = memory(arm)
     for i in range(len(places)):
@@ -314,13 +299,8 @@ def aim_all(
 
 
 @entry
-def lines_of(
-    q: F2,
-    arm: AimedArm,
-    grid: LineGrid,
-    places: F2,
-) -> None:
-    """The lines of states (k, n), as places (k, 5) of the grid; see `line_at`."""
+def lines_of(q: F2, arm: AimedArm, grid: LineGrid, places: F2) -> None:
+    """Compute the lines of states (k, n), as places (k, 5) in grid steps; see `line_at`."""
     last = len(arm.chain.slides)
     R, p = np.empty((last + 1, 3, 3)), np.empty((last + 1, 3))
     stand_at_origin(R, p)

@@ -1,4 +1,4 @@
-"""Where the first and the last axis of an arm are: what a reachability map is aligned with."""
+"""Find the first and the last axis of an arm, with which its reachability map is aligned."""
 
 from __future__ import annotations
 
@@ -16,46 +16,47 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 FULL_TURN = 0.95 * 2 * np.pi
-"""A last joint with this range counts as turning fully [rad]."""
+"""A last joint with at least this range counts as turning fully [rad]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmAxes:
-    """Where the first and the last axis of an arm are."""
+    """The first and the last axis of an arm."""
 
     first: int
-    """The first joint that turns."""
+    """Index of the first joint that turns."""
     turns_alike: bool
-    """Whether turning it turns all that the arm reaches about a vertical axis, and turning the last
-    joint changes nothing."""
+    """Whether the first joint turns the whole reachable set about a vertical axis, and the last
+    joint does not change it."""
     turn: float
-    """1 where the first joint turns counterclockwise seen from above, else -1."""
+    """1 if the first joint turns counterclockwise seen from above, else -1."""
     limits: tuple[float, float]
-    """Of the first joint [rad]."""
+    """Limits of the first joint [rad]."""
     axis: Float[np.ndarray, "3"]
     """Foot of the first axis in the base frame [m]."""
     tool: Float[np.ndarray, "4 3"]
     """Direction of the last axis, two vectors across it and a point on it, in the tool frame."""
     full_roll: bool
-    """Whether the last joint turns fully, and moves no other."""
+    """Whether the last joint turns fully and moves only the tool."""
 
 
 def no_map(robot: Robot) -> str:
-    """Why an arm can have no reachability map; empty where it can."""
+    """Return why an arm cannot have a reachability map; empty if it can."""
     if robot.chain.size < MAP_JOINTS:
         return (
-            f"its arm has {robot.chain.size} degrees of freedom, so that it reaches few tool poses "
+            f"its arm has {robot.chain.size} degrees of freedom, so it reaches few tool poses "
             "exactly"
         )
     return ""
 
 
 def is_flooded(robot: Robot, frame: ArmAxes) -> bool:
-    """Whether a map is flooded from arm states, and not asked of inverse kinematics line by line.
+    """Check whether a map is flooded from arm states instead of built by IK line by line.
 
-    That takes a first joint whose turn turns all else, and all branches of a solution: steps from
-    seeds find some. It looks contact with what that joint does not turn up in a table of spheres,
-    which is too coarse where hulls decide about a link and a torso, a head or another arm.
+    Building by IK needs a first joint that turns the whole arm, a last joint that turns fully, and
+    all IK branches: numeric IK finds only some. It also looks up contact with the parts that do not
+    turn in a table of spheres, which is too coarse if a pair of a link and a torso, a head or
+    another arm is checked by hulls.
     """
     spheres = robot.spheres
     stands = spheres.segment[spheres.pairs] <= frame.first
@@ -67,12 +68,12 @@ def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:
     """Find the first and the last axis of an arm.
 
     Raises:
-        RobotError: No joint of the arm turns.
+        RobotError: The arm has no revolute joint.
     """
     origin = np.cumsum(chain.d, axis=0)
     first = chain.first_turn
     if first == chain.last:
-        raise RobotError("no joint of the arm turns; a reachability map needs one that does")
+        raise RobotError("the arm has no revolute joint; a reachability map needs at least one")
     last = chain.last - 1
     p_tool = origin[last] + chain.tool_offset
     axis, point, full = chain.h[last], origin[last], False
@@ -91,7 +92,7 @@ def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:
 
 
 def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """Point of the line (o, h) that is nearest to the line (other, k)."""
+    """Return the point of the line (o, h) that is nearest to the line (other, k)."""
     w, c = o - other, float(h @ k)
     if 1 - c * c < 1e-4:
         return o

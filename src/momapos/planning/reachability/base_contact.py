@@ -1,9 +1,9 @@
 """Contact between the arm and the parts that do not turn with its first joint, for every azimuth.
 
-The base (and a torso, which only rises) stands still while the arm turns about a vertical axis.
-So a table over height and distance from that axis tells, in one word of bits, at which azimuths
-a sphere of a given radius touches; where the sphere is at azimuth 0 says by how much to rotate
-the word. One look-up per sphere replaces a collision check per azimuth.
+The base (and a torso, which only rises) stays still while the arm turns about a vertical axis. So a
+table over height and distance from that axis stores, as a word of bits, the azimuths at which a
+sphere of a given radius touches. The word is rotated by the sphere's own azimuth. One lookup per
+sphere replaces a collision check per azimuth.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from momapos.model.collision import Spheres
 
 from .grid import turns_of
 
-BEARINGS = 64
-"""Bits of a word."""
+AZIMUTHS = 64
+"""Number of azimuths, the bits of a word [-]."""
 PHASES = 4
-"""Words per turn and cell: azimuths are told apart to 1/256 of a turn."""
+"""Words per cell, shifted by fractions of a bit: azimuths have a resolution of 1/256 turn."""
 CELL = 0.02
 """Edge of a cell of the table [m]."""
 RADIUS_STEP = 0.002
 """Radii are rounded to this, so that spheres share tables [m]."""
-COARSE = 0.02
-"""So far spheres of an arm may stick out of its links: where hulls decide about a pair of links,
-spheres touch when they would without it [m]."""
+SPHERE_EXCESS = 0.02
+"""Largest protrusion of an arm's spheres from its links [m]. It is subtracted from the gap of pairs
+that are checked by hulls."""
 
 
 class StandingTable(NamedTuple):
-    """What `touched` reads, see `standing_table`."""
+    """The contact table that `touched` reads, see `standing_table`."""
 
     words: U4
     low: float
@@ -41,26 +41,20 @@ class StandingTable(NamedTuple):
 
 @entry
 def fill_words(
-    center: F2,
-    rotation: F3,
-    half: F2,
-    radius: F1,
-    reach: float,
-    low: float,
-    words: U3,
+    center: F2, rotation: F3, half: F2, radius: F1, reach: float, low: float, words: U3
 ) -> None:
-    """Set the bits where a sphere touches rounded boxes.
+    """Set the bits of the azimuths at which a sphere touches rounded boxes.
 
     Args:
         center, rotation, half, radius: Boxes (b, 3), (b, 3, 3), (b, 3) grown by (b,), relative to
-            the first axis; a sphere is a box of no size.
+            the first axis; a sphere is a box of size 0.
         reach: Radius of the moving sphere [m].
         low: Height of the first row [m].
-        words: (heights, distances, PHASES) to be filled.
+        words: Output (heights, distances, PHASES).
     """
     for r in range(words.shape[1]):
-        for a in range(BEARINGS * PHASES):
-            angle = 2.0 * math.pi * a / (BEARINGS * PHASES)
+        for a in range(AZIMUTHS * PHASES):
+            angle = 2.0 * math.pi * a / (AZIMUTHS * PHASES)
             px, py = r * CELL * math.cos(angle), r * CELL * math.sin(angle)
             bit = np.uint64(1) << np.uint64(a // PHASES)
             for b in range(len(center)):
@@ -87,7 +81,7 @@ def fill_words(
 
 @kernel
 def touched(wanted, R, p, spheres, first, axis, table):
-    """Those of the wanted azimuths at which the arm touches a part that does not turn.
+    """Return the wanted azimuths at which the arm touches a part that does not turn.
 
     Args:
         wanted: Mask of azimuths.
@@ -123,11 +117,11 @@ def touched(wanted, R, p, spheres, first, axis, table):
                 ir = int(math.sqrt(x * x + y * y) / CELL + 0.5)
                 if iz < 0 or iz >= heights or ir >= distances:
                     continue
-                a = int(turns_of(y, x) * (BEARINGS * PHASES) + 0.5) % (BEARINGS * PHASES)
+                a = int(turns_of(y, x) * (AZIMUTHS * PHASES) + 0.5) % (AZIMUTHS * PHASES)
                 word = words[c, iz, ir, a % PHASES]
                 shift = np.uint64(a // PHASES)
                 if shift > np.uint64(0):
-                    word = (word >> shift) | (word << (np.uint64(BEARINGS) - shift))
+                    word = (word >> shift) | (word << (np.uint64(AZIMUTHS) - shift))
                 hit |= word
                 if wanted & ~hit == np.uint64(0):
                     return wanted
@@ -136,7 +130,7 @@ def touched(wanted, R, p, spheres, first, axis, table):
 
 @kernel
 def _point(R, p, m, local, axis):
-    """A point of segment m relative to the foot of the first axis."""
+    """Return a point of segment m relative to the foot of the first axis."""
     return (
         p[m, 0] + R[m, 0, 0] * local[0] + R[m, 0, 1] * local[1] + R[m, 0, 2] * local[2] - axis[0],
         p[m, 1] + R[m, 1, 0] * local[0] + R[m, 1, 1] * local[1] + R[m, 1, 2] * local[2] - axis[1],
@@ -147,8 +141,8 @@ def _point(R, p, m, local, axis):
 def standing_table(spheres: Spheres, d: np.ndarray, first: int) -> StandingTable:
     """Build the table that `touched` reads.
 
-    Body 0 is the base; body i moves with joint i, all of which rise only, up to the first that
-    turns. A class is a body, the parts of it that count for a link, and a radius.
+    Body 0 is the base. Body i moves with joint i, a lift below the first turning joint. A class is
+    a body, the parts of it that count for a link, and a radius.
 
     Args:
         spheres: The robot's spheres.
@@ -157,7 +151,7 @@ def standing_table(spheres: Spheres, d: np.ndarray, first: int) -> StandingTable
 
     Returns:
         Words (classes, heights, distances, PHASES), height of the first row [m], and the class of
-        each sphere against each body (bodies, spheres), -1 where nothing counts.
+        each sphere against each body (bodies, spheres), -1 if no part counts.
     """
     group = np.repeat(np.arange(len(spheres.segment)), np.diff(spheres.start))
     radii = RADIUS_STEP * np.round(spheres.radius / RADIUS_STEP)
@@ -175,7 +169,7 @@ def standing_table(spheres: Spheres, d: np.ndarray, first: int) -> StandingTable
                     classes[name] = len(shapes)
                     keep = np.flatnonzero(matters[g])
                     center, rotation, half, grown = (part[keep] for part in parts)
-                    grown = np.maximum(grown - COARSE * exact[g, keep], -radius)
+                    grown = np.maximum(grown - SPHERE_EXCESS * exact[g, keep], -radius)
                     shapes.append(((center, rotation, half, grown), radius))
                 kind[body, s] = classes[name]
     if not shapes:
@@ -196,10 +190,10 @@ def standing_table(spheres: Spheres, d: np.ndarray, first: int) -> StandingTable
 def _body(
     spheres: Spheres, body: int, xy: np.ndarray
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """A body as rounded boxes, which of them count for each group, and for which of these hulls
-    decide (groups, boxes).
+    """Return a body as rounded boxes, which of them count for each group, and which of these pairs
+    are checked by hulls (groups, boxes).
 
-    For the base its boxes; for others their spheres, with the joint at height 0.
+    The base has boxes; other bodies have spheres, with their joint at height 0.
     """
     if body == 0:
         base = spheres.base

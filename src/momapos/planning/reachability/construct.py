@@ -1,4 +1,4 @@
-"""Put a map together for a robot: frame, grid, answers, signed distances."""
+"""Build the map of a robot: frame, grid, reachability masks, signed distances."""
 
 from __future__ import annotations
 
@@ -23,45 +23,42 @@ from momapos.model.robots import Robot
 from momapos.model.urdf import Boxes
 
 from .arm_axes import ArmAxes, arm_frame, is_flooded
-from .base_contact import BEARINGS, standing_table
+from .base_contact import AZIMUTHS, standing_table
 from .general_map import flooded_map
-from .grid import TOLD_APART, grid_points, pack_shape
+from .grid import STORED_TURNS, grid_points, pack_shape
 from .locked_values import Samples, locked_samples
-from .map_kernels import EVERY, Arm, Tool, line_masks
+from .map_kernels import EVERY, FirstJointArm, Tool, line_masks
 from .reach_map import MAX_VALUES, ReachConfig, ReachMap
 from .signed_distance import close_seam, deepen, near_signed_distances, nearby, uneven_edges
 from .threads import Progress, in_threads, silent
 
 log = logging.getLogger(__name__)
 BLOCK = 1024
-"""Lines a thread takes at once."""
-UNEVEN = 6
-"""Azimuths of 64 in which the ends of an edge must differ for the edge to be looked at."""
-SPREAD = 3
-"""Azimuths of 64 to both sides at which a finer look is taken."""
-FEW = 0.005
-"""Share of lines that may depend on the azimuth while it counts as making no difference [-]."""
-ROLLS = 8
-"""Rolls of the tool that must all be reachable where the last joint does not turn fully."""
-
-MANY = 8
-"""An arm of more degrees of freedom has several to spare [-]."""
+"""Lines per block of work of a thread [-]."""
+MIN_DIFFERING_AZIMUTHS = 6
+"""An edge is refined if its ends differ in at least this many of the 64 azimuths [-]."""
+AZIMUTH_SPREAD = 3
+"""Azimuths (of 64) to both sides of reachable ones that are retried with all samples [-]."""
+MAX_AZIMUTH_DEPENDENT = 0.005
+"""Largest share of lines that depend on the azimuth if the map omits the azimuth [-]."""
+MANY_JOINTS = 8
+"""Arms with more degrees of freedom get coarser flooded maps [-]."""
 
 
 def default_config(robot: Robot) -> ReachConfig:
-    """Resolution at which a map is true enough and quickly built.
+    """Return the resolution that balances accuracy and build time for a robot.
 
-    Longer arms cost thirty times more per line, and direction matters less to them. Their set is
-    rounded outwards as well, where either of two spins and half a step of the first joint count.
-    A map that is flooded errs on the side of what is reached: a line that is missed costs an
-    answer, one that is invented costs time. Where the last joint turns fully, half of all turns of
-    the tool must be free, which rounds its set inwards. The more joints an arm has to spare, the
-    more lines it reaches, and the smoother is their boundary.
-    An arm of several meters has larger cells, so that the map keeps within `MAX_VALUES`.
+    A redundant arm takes thirty times longer per line and depends less on the direction. Its
+    reachable set is rounded outwards too: one of two spins suffices, and the first joint has half a
+    step of tolerance. The threshold of a flooded map prefers false positives: a missed line can
+    cost a solution, a false one only costs time. If the last joint turns fully, half of all tool
+    turns must be free, which rounds the set inwards. An arm with many redundant joints reaches more
+    lines, with a smoother boundary. An arm of several meters gets larger cells, to stay within
+    `MAX_VALUES`.
     """
     frame = arm_frame(robot.chain, robot.approach_axis)
     if is_flooded(robot, frame):
-        many = robot.chain.size > MANY
+        many = robot.chain.size > MANY_JOINTS
         config = ReachConfig(
             cell=0.06 if many else 0.05,
             directions=13,
@@ -85,15 +82,21 @@ def build_map(
     """Build the map of a robot.
 
     Args:
-        robot: The robot; self-collision and the floor count, other things do not.
-        config: How finely.
-        progress: Called with the share that is done, in [0, 1].
-        key: Content key to be kept in the map.
+        robot: The robot; only collisions with itself and the floor count.
+        config: Resolution; None for the default.
+        progress: Called with the completed share, in [0, 1].
+        key: Content key to store in the map.
+
+    Raises:
+        RobotError: The configuration is invalid, or the map would be too large.
     """
     config = config or default_config(robot)
     began = time.perf_counter()
-    if config.azimuths < 1 or BEARINGS % config.azimuths or config.directions % 2 == 0:
-        raise RobotError("reach: azimuths must divide 64 and directions must be odd")
+    if config.azimuths < 1 or AZIMUTHS % config.azimuths or config.directions % 2 == 0:
+        raise RobotError(
+            f"reach: azimuths must divide {AZIMUTHS}, not {config.azimuths}, and directions must "
+            f"be odd, not {config.directions}"
+        )
     chain = robot.chain
     frame = arm_frame(chain, robot.approach_axis)
     low, shape = _grid(_extent(chain, frame), config)
@@ -101,7 +104,7 @@ def build_map(
     count = _value_count(shape, floods)
     if count > MAX_VALUES:
         raise RobotError(
-            f"reach: cells of {config.cell:g} m make a map of {count:,} values, more than "
+            f"reach: cells of {config.cell:g} m give a map of {count:,} values, more than "
             f"{MAX_VALUES:,}; choose larger cells or fewer directions"
         )
     if floods:
@@ -110,51 +113,39 @@ def build_map(
     zs, rs, us, vs = grid_points(shape, low, config.cell)
     points = np.stack(np.meshgrid(zs, rs, us, vs, indexing="ij"), -1).reshape(-1, 4)
     every = np.full(len(points), EVERY)
-    if evaluate.waypoint_steps is None:
+    if evaluate.coarse is None:
         masks = evaluate(points, every, 0.0, 0.5)
     else:
-        masks = evaluate(points, every, 0.0, 0.25, evaluate.waypoint_steps)
-        _look_closer(masks, points, shape, evaluate)
-    if shape[4] > 1 and _bearing_free(masks):
+        masks = evaluate(points, every, 0.0, 0.25, evaluate.coarse)
+        _retry_with_all_samples(masks, points, shape, evaluate)
+    if shape[4] > 1 and _azimuth_free(masks):
         shape = (*shape[:4], 1)
     if shape[4] == 1:
-        masks = np.where(np.bitwise_count(masks) * 2 > BEARINGS, EVERY, np.uint64(0))
-    t1 = time.perf_counter()
-    rows, interior = _look_between(masks, points, shape, config, evaluate)
-    t2 = time.perf_counter()
-    values = np.empty((len(points), shape[4]), np.int8)
-    in_threads(
-        lambda lo, hi: near_signed_distances(
-            lo, hi, masks, pack_shape(shape), rows, interior, values
-        ),
-        len(points),
-        8 * BLOCK,
-    )
-    values = values.reshape(shape)
-    close_seam(values)
-    deepen(values.reshape(-1), pack_shape(shape))
+        masks = np.where(np.bitwise_count(masks) * 2 > AZIMUTHS, EVERY, np.uint64(0))
+    rows, interior = _refine_edges(masks, points, shape, config, evaluate)
+    values, packed = np.empty((len(points), shape[4]), np.int8), pack_shape(shape)
+
+    def distances(lo: int, hi: int) -> None:
+        near_signed_distances(lo, hi, masks, packed, rows, interior, values)
+
+    in_threads(distances, len(points), 8 * BLOCK)
+    grid = values.reshape(shape)
+    close_seam(grid)
+    deepen(grid.reshape(-1), packed)
     evaluate.progress(1.0)
     seconds = time.perf_counter() - began
-    log.debug(
-        "%s: %d lines in %.1f s, %d answers between in %.1f s, all in %.1f s",
-        robot.name,
-        len(points),
-        t1 - began,
-        interior.size,
-        t2 - t1,
-        seconds,
-    )
+    log.debug("%s: %d lines, %d edges in %.1f s", robot.name, len(points), len(interior), seconds)
     line = np.stack([frame.tool[0], frame.tool[3]])
     axis = frame.axis[:2]
-    return ReachMap(values, low, config.cell, axis, line, config.threshold, key, seconds)
+    return ReachMap(grid, low, config.cell, axis, line, config.threshold, key, seconds)
 
 
 Extent = tuple[float, float, float]
-"""Lowest and highest point of what an arm can reach, and its distance from the axis [m]."""
+"""Lowest and highest reachable point, and the largest distance from the first axis [m]."""
 
 
 def _extent(chain: Chain, frame: ArmAxes) -> Extent:
-    """Where the points are that an arm can bring its last axis to, by random arm states."""
+    """Estimate the extent of the reachable points of the last axis from random arm states."""
     rng = np.random.default_rng(0)
     T = chain.tool_poses(rng.uniform(*bounded(chain), (100_000, chain.size)))
     points = T[:, :3, :3] @ frame.tool[3] + T[:, :3, 3] - frame.axis
@@ -163,9 +154,9 @@ def _extent(chain: Chain, frame: ArmAxes) -> Extent:
 
 
 def _grid(extent: Extent, config: ReachConfig) -> tuple[float, tuple[int, int, int, int, int]]:
-    """Lowest height and shape of a grid that holds every line."""
+    """Return the lowest height [m] and the shape of a grid that contains every line."""
     bottom, top, r = extent
-    # Random states stop a little short of a stretched arm.
+    # Random states do not quite reach the stretched arm.
     slack = 0.03 * r + config.cell
     low = max(bottom - slack, -config.cell)
     nz, nr = int(np.ceil((top + slack - low) / config.cell)) + 1, int((r + slack) / config.cell) + 2
@@ -173,17 +164,17 @@ def _grid(extent: Extent, config: ReachConfig) -> tuple[float, tuple[int, int, i
 
 
 def _value_count(shape: tuple[int, ...], floods: bool) -> int:
-    """Values of a map; of one that is flooded, those of all turns of the tool."""
-    return math.prod(shape) * (TOLD_APART if floods else 1)
+    """Count the values of a map; those of a flooded map include all tool turns."""
+    return math.prod(shape) * (STORED_TURNS if floods else 1)
 
 
 def _within_memory(robot: Robot, frame: ArmAxes, config: ReachConfig) -> ReachConfig:
-    """The same resolution with cells so large that the map has no more than `MAX_VALUES`."""
+    """Enlarge the cells until the map has at most `MAX_VALUES` values."""
     chain, first, floods = robot.chain, frame.first, is_flooded(robot, frame)
     below = chain.middle[:first] @ chain.h[:first], chain.half_travel[:first].sum()
     far = robot.reach + float(np.linalg.norm(frame.tool[3]) + np.linalg.norm(below[0]) + below[1])
     height = float(chain.d[: first + 1, 2].sum())
-    # The sum of all lengths is no less than the extent, which takes many states to tell.
+    # The sum of all lengths bounds the extent from above; the extent itself takes long to sample.
     if _value_count(_grid((height - far, height + far, far), config)[1], floods) <= MAX_VALUES:
         return config
     extent = _extent(chain, frame)
@@ -193,7 +184,7 @@ def _within_memory(robot: Robot, frame: ArmAxes, config: ReachConfig) -> ReachCo
 
 
 class _Evaluator:
-    """Answers for lines, on two threads."""
+    """Computes the reachable azimuths of lines, on two threads."""
 
     def __init__(
         self, robot: Robot, frame: ArmAxes, config: ReachConfig, progress: Progress
@@ -205,29 +196,22 @@ class _Evaluator:
             upper=np.where(np.arange(chain.size) == first, np.inf, chain.upper),
         )
         self.fine = locked_samples(free, frame, config.samples, config.heights)
-        self.waypoint_steps: Samples | None = None
+        self.coarse: Samples | None = None
         if self.fine[1][0].any():
-            # A first joint locked at few values shows where it is worth trying many.
+            # Few values of the locked first joint show where many are worth trying.
             heights = (config.heights + 1) // 2
-            self.waypoint_steps = locked_samples(free, frame, config.samples // 2, heights)
+            self.coarse = locked_samples(free, frame, config.samples // 2, heights)
         self.progress = progress
-        # A tool whose last joint turns fully reaches all rolls or none, but for what it touches.
-        rolls = np.zeros(1) if frame.full_roll else 2 * np.pi / ROLLS * np.arange(ROLLS)
-        # Every second one is turned by half a turn more: spread evenly for any tool, and for one
-        # that looks the same after half a turn, as grippers do.
-        k = np.arange(config.spins if frame.full_roll else 1)
+        # Every second spin gets half a turn more. That spreads them evenly for any tool, and also
+        # for one that looks the same after half a turn, as grippers do.
+        k = np.arange(config.spins)
         spins = np.pi * (k / len(k) + k % 2)
-        arm = Arm(
-            first,
-            float(frame.turn),
-            float(frame.limits[0]),
-            float(frame.limits[1]),
-            frame.axis,
-            _turning(robot.spheres, first),
-            standing_table(robot.spheres, chain.d, first),
-        )
-        self.arm, self.chain, self.limits = arm, chain_arrays(free), chain_limits(free)
-        self.tool = Tool(np.ascontiguousarray(frame.tool), rolls, spins)
+        lower, upper = map(float, frame.limits)
+        table = standing_table(robot.spheres, chain.d, first)
+        turning = _turning(robot.spheres, first)
+        self.arm = FirstJointArm(first, float(frame.turn), lower, upper, frame.axis, turning, table)
+        self.chain, self.limits = chain_arrays(free), chain_limits(free)
+        self.tool = Tool(np.ascontiguousarray(frame.tool), spins)
 
     def __call__(
         self,
@@ -237,7 +221,7 @@ class _Evaluator:
         end: float,
         samples: Samples | None = None,
     ) -> np.ndarray:
-        """Which of the wanted azimuths (m,) lines (m, 4) serve; progress goes from begin to end."""
+        """Return masks of the wanted azimuths (m,) at which lines (m, 4) can be reached."""
         ik, shoulder_samples = samples or self.fine
         fixed = self.tool, self.arm, ArmArrays(self.chain, self.limits, ik), shoulder_samples
         masks = np.empty(len(lines), np.uint64)
@@ -252,7 +236,7 @@ class _Evaluator:
 
 
 def _turning(spheres: Spheres, first: int) -> SphereArrays:
-    """The spheres with only those pairs that both turn with the first joint, and no base."""
+    """Keep only pairs of spheres that both turn with the first joint, and drop the base."""
     stays = spheres.segment <= first
     kept = ~stays[spheres.pairs].any(1)
     nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
@@ -267,38 +251,41 @@ def _turning(spheres: Spheres, first: int) -> SphereArrays:
     ).arrays
 
 
-def _bearing_free(masks: np.ndarray) -> bool:
-    """Whether the azimuth makes no difference: neither first joint nor base are in the way."""
+def _azimuth_free(masks: np.ndarray) -> bool:
+    """Check whether the azimuth makes no difference: neither first joint nor base limits it."""
     count = np.bitwise_count(masks)
-    return bool(((count > 0) & (count < BEARINGS)).sum() <= FEW * max(1, (count > 0).sum()))
+    some = (count > 0) & (count < AZIMUTHS)
+    return bool(some.sum() <= MAX_AZIMUTH_DEPENDENT * max(1, (count > 0).sum()))
 
 
-def _look_closer(
+def _retry_with_all_samples(
     masks: np.ndarray, points: np.ndarray, shape: tuple[int, ...], evaluate: _Evaluator
 ) -> None:
-    """Try many samples for the azimuths next to those that a point or a neighbor has, in place.
+    """Retry azimuths near those that a point or a neighbor has with all samples, in place.
 
-    Thin parts of the reachable set fall between few samples, but nearly always next to a point
-    that has some of them.
+    Few samples miss thin parts of the reachable set, but nearly always find a neighboring point.
     """
-    wanted = nearby(masks.reshape(shape[:4]), SPREAD).reshape(-1) & ~masks
+    wanted = nearby(masks.reshape(shape[:4]), AZIMUTH_SPREAD).reshape(-1) & ~masks
     odd = np.flatnonzero(wanted)
     masks[odd] |= evaluate(points[odd], wanted[odd], 0.25, 0.5)
 
 
-def _look_between(
+def _refine_edges(
     masks: np.ndarray,
     points: np.ndarray,
     shape: tuple[int, ...],
     config: ReachConfig,
     evaluate: _Evaluator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Answers on the edges whose ends disagree, and for each edge its row among them.
+    """Evaluate points on the edges whose ends disagree.
 
-    The middle first, then the quarters on the side where the answer changes; only for the azimuths
-    in which it does.
+    The middle comes first, then the quarter on the side where the mask changes. Only the azimuths
+    that change are evaluated.
+
+    Returns:
+        For each axis and point the row of its edge, -1 for none; and the masks on each edge.
     """
-    least = 1 if shape[4] == 1 else UNEVEN
+    least = 1 if shape[4] == 1 else MIN_DIFFERING_AZIMUTHS
     edges = uneven_edges(masks.reshape(shape[:4]), least)
     step = np.diag([config.cell, config.cell, 2 / (shape[2] - 1), 2 / (shape[3] - 1)])
     strides = np.array([np.prod(shape[a + 1 : 4], dtype=int) for a in range(4)])

@@ -1,4 +1,4 @@
-"""How true a map is, against exact inverse kinematics."""
+"""Measure the accuracy of a map against exact inverse kinematics."""
 
 from __future__ import annotations
 
@@ -16,21 +16,20 @@ from .reach_map import ReachMap
 
 @dataclass(frozen=True)
 class ReachEvaluation:
-    """A map against exact inverse kinematics on random tool poses."""
+    """Agreement of a map with exact inverse kinematics on random tool poses."""
 
     count: int
     accuracy: float
     """Share of poses on which both agree [-]."""
     false_positives: float
-    """Share of what the map calls reachable that is not [-]."""
+    """Share of the poses that the map accepts that are unreachable [-]."""
     misses: float
-    """Share of what is reachable that the map denies [-]."""
+    """Share of the reachable poses that the map rejects [-]."""
     reachable: float
     """Share of the poses that are reachable [-]."""
     bytes: int
     """Size of the map's file."""
     build_seconds: float
-    """What building it took."""
 
 
 def evaluate(
@@ -49,18 +48,15 @@ def evaluate(
         robot: The robot.
         rng: Draws the poses.
         count: Number of poses [-].
-        ik: What counts as exact; the robot's own IK where None.
-        near: Whether the poses are those near reach, not all in the ball around the shoulder.
+        ik: The reference IK; None for the robot's own.
+        near: Draw poses near the reach instead of from the whole ball around the shoulder.
     """
     Ts = (poses_near_reach if near else random_poses)(robot, rng, count)
-    truth, told = reachable(robot, Ts, ik), reach_map.score(Ts) > 0
-    both = float((truth & told).sum())
+    truth, accepted = reachable(robot, Ts, ik), reach_map.score(Ts) > 0
+    both = float((truth & accepted).sum())
+    accuracy = float((truth == accepted).mean())
+    false_positives = 1 - both / max(float(accepted.sum()), 1.0)
+    misses, size = 1 - both / max(float(truth.sum()), 1.0), len(encode(reach_map))
     return ReachEvaluation(
-        count,
-        float((truth == told).mean()),
-        1 - both / max(float(told.sum()), 1.0),
-        1 - both / max(float(truth.sum()), 1.0),
-        float(truth.mean()),
-        len(encode(reach_map)),
-        reach_map.build_seconds,
+        count, accuracy, false_positives, misses, float(truth.mean()), size, reach_map.build_seconds
     )

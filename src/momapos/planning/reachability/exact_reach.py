@@ -1,4 +1,4 @@
-"""Which tool poses an arm reaches, by inverse kinematics, and poses to ask that of."""
+"""Check reachability by inverse kinematics, and draw tool poses for such checks."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from momapos.model.robots import Robot
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-NEAR, NEAR_TURN = 0.17, 0.3
-"""How far poses near reach are off those that the arm takes, along each axis [m], [rad]."""
+NEAR_OFFSET, NEAR_TURN = 0.17, 0.3
+"""Largest offset of poses near the reach from reached ones, along each axis [m], [rad]."""
 
 
 def reachable(
     robot: Robot, Ts_base_tool: Float[np.ndarray, "m 4 4"], ik: IkModel | None = None
 ) -> Bool[np.ndarray, " m"]:
-    """Whether any IK solution is free of the robot itself and of the floor."""
+    """Check which tool poses have an IK solution without collision with the robot or the floor."""
     ik = ik or robot.ik
     out = np.zeros(len(Ts_base_tool), bool)
     boxes = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool))
@@ -46,7 +46,7 @@ def reachable(
 def random_poses(
     robot: Robot, rng: np.random.Generator, count: int
 ) -> Float[np.ndarray, "count 4 4"]:
-    """Tool poses uniform in the ball around the shoulder that the tool can reach, any direction."""
+    """Draw tool poses of any direction uniformly from the ball around the shoulder."""
     from scipy.spatial.transform import Rotation
 
     chain = robot.chain
@@ -67,16 +67,15 @@ def random_poses(
 def poses_near_reach(
     robot: Robot, rng: np.random.Generator, count: int
 ) -> Float[np.ndarray, "count 4 4"]:
-    """Tool poses beside those that the arm takes: up to 30 cm and half a radian off.
+    """Draw tool poses near reached ones: up to 30 cm and half a radian off.
 
-    About half of them can be reached, so that a map that is wrong at the boundary cannot hide
-    behind poses that are far from it.
+    About half of them are reachable, so errors at the boundary of a map show.
     """
     from scipy.spatial.transform import Rotation
 
     lower, upper = bounded(robot.chain)
     Ts = robot.chain.tool_poses(rng.uniform(lower, upper, (count, robot.chain.size)))
-    Ts[:, :3, 3] += rng.uniform(-NEAR, NEAR, (count, 3))
+    Ts[:, :3, 3] += rng.uniform(-NEAR_OFFSET, NEAR_OFFSET, (count, 3))
     turn = Rotation.from_rotvec(rng.uniform(-NEAR_TURN, NEAR_TURN, (count, 3)))
     Ts[:, :3, :3] = turn.as_matrix() @ Ts[:, :3, :3]
     return Ts

@@ -1,9 +1,9 @@
-"""Which lines of the last axis an arm of any kind reaches: states spread over the grid of lines.
+"""Find the reachable lines of the last axis of any arm, by flooding the grid of lines with states.
 
-Random arm states give the first lines; from there every line is tried from the states on the lines
-beside it, a few Newton steps away, until nothing new is found. No first axis needs to be vertical
-and no inverse in closed form to exist. Source of the idea: Zacharias et al., Capturing robot
-workspace structure (IROS 2007), with neighbors' states in place of inverse kinematics.
+Random arm states give the first lines. From there, every line is tried from the states on
+neighboring lines, a few Newton steps away, until nothing new is found. The first axis need not be
+vertical, and no closed-form IK is needed. The idea is from Zacharias et al., Capturing robot
+workspace structure (IROS 2007), with neighbors' states instead of inverse kinematics.
 """
 
 from __future__ import annotations
@@ -19,79 +19,77 @@ from momapos.model.kinematics import Chain, bounded
 
 from .aim import AimedArm, LineGrid, aim_all, lines_of
 from .grid import GridShape
-from .spread import AZIMUTH, GROUPS, Lines, add, aim_beside, aim_between
+from .spread import AZIMUTH, GROUPS, LineStates, add, aim_beside, aim_between
 from .threads import Progress, in_threads
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt64
 
-WAY = 4
-"""Counts the ways in which maps have been flooded: a map of another one is not this one's."""
-DRAW = 300_000
-"""Random states that are drawn at a time [-]."""
-AT_LIMITS = 0.125
-"""Share of its range by which a joint is drawn beyond each limit, and put there [-]: what needs a
-joint at its limit, such as a torso at its height, is found from no state between the limits."""
-WAVES = 16
-"""How often what is new is carried on to the lines beside it, at most [-]."""
-_PARTS, _LEAST = 32, 500
-"""In how many parts work is divided, so that no thread waits long for another, and the fewest lines
-of a part."""
+FLOOD_VERSION = 4
+"""Version of the flooding method, part of the map's key."""
+STATES_PER_DRAW = 300_000
+"""Random states that are drawn together [-]."""
+LIMIT_OVERSHOOT = 0.125
+"""Share of its range by which a joint is sampled beyond each limit, then clipped to it [-]. States
+strictly between the limits would miss lines that need a joint at its limit, such as a raised
+torso."""
+MAX_WAVES = 16
+"""Largest number of times that new lines are spread to their neighbors [-]."""
+_PARTS, _MIN_PART = 32, 500
+"""Number of parts that work is divided into, so that no thread waits long, and the fewest lines of
+a part [-]."""
 
 
 @dataclass(frozen=True)
 class Flood:
-    """What is known of the lines of a grid, and what it takes to know more."""
+    """The reached lines of a grid, with the grid and the arm."""
 
-    lines: Lines
+    lines: LineStates
     grid: LineGrid
     arm: AimedArm
 
 
 def flood(
-    chain: Chain,
-    arm: AimedArm,
-    grid: LineGrid,
-    shape: GridShape,
-    count: int,
-    progress: Progress,
+    chain: Chain, arm: AimedArm, grid: LineGrid, shape: GridShape, count: int, progress: Progress
 ) -> Flood:
     """Find the lines that an arm reaches.
 
     Args:
         chain: The arm.
-        arm: The arm as the kernels take it.
-        grid, shape: The lines.
-        count: Random states to begin with [-].
-        progress: Called with the share that is done, in [0, 1].
+        arm: The same arm for the kernels.
+        grid, shape: The grid of lines.
+        count: Number of random start states [-].
+        progress: Called with the completed share, in [0, 1].
     """
     size = int(np.prod(shape))
     states = np.zeros((size, GROUPS, chain.size), np.float32)
-    found = Flood(Lines(shape, np.zeros(size, np.uint64), states), grid, arm)
+    found = Flood(LineStates(shape, np.zeros(size, np.uint64), states), grid, arm)
     rng = np.random.default_rng(0)
     lower, upper = bounded(chain)
     gained = np.zeros(size, np.uint64)
-    beyond = AT_LIMITS * (upper - lower)
-    for done in range(0, count, DRAW):
-        q = rng.uniform(lower - beyond, upper + beyond, (min(DRAW, count - done), chain.size))
+    beyond = LIMIT_OVERSHOOT * (upper - lower)
+    for done in range(0, count, STATES_PER_DRAW):
+        drawn = min(STATES_PER_DRAW, count - done)
+        q = rng.uniform(lower - beyond, upper + beyond, (drawn, chain.size))
         q = np.clip(q, lower, upper)
-        _draw(found, q, gained)
+        _add_states(found, q, gained)
         progress(0.05 * (done + len(q)) / count)
-    for k in range(WAVES):
+    for k in range(MAX_WAVES):
         if not gained.any():
             break
-        gained = _carry_on(found, gained, partial(_tell_wave, progress, k))
+        gained = _spread(found, gained, partial(_wave_progress, progress, k))
     return found
 
 
-def _tell_wave(progress: Progress, k: int, share: float) -> None:
-    """Tell how far all is when wave k is so far."""
-    # Each wave takes about two thirds of the one before.
+def _wave_progress(progress: Progress, k: int, share: float) -> None:
+    # Each wave takes about two thirds of the time of the one before.
     progress(1.0 - 0.95 * 0.65 ** (k + share))
 
 
-def _draw(found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, " lines"]) -> None:
-    """Bring random states onto the grid lines nearest to theirs, and add what these gain."""
+def _add_states(
+    found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, " lines"]
+) -> None:
+    """Move random states onto their nearest grid lines, and add the turns that they reach."""
     lines, arm, grid = found.lines, found.arm, found.grid
     places = np.empty((len(q), 5))
     _in_parts(lambda lo, hi: lines_of(q[lo:hi], arm, grid, places[lo:hi]), len(q))
@@ -110,10 +108,10 @@ def _draw(found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, 
     add(line, words, states[:, None].repeat(GROUPS, 1), lines, gained)
 
 
-def _carry_on(
+def _spread(
     found: Flood, fresh: UInt64[np.ndarray, " lines"], progress: Progress
 ) -> UInt64[np.ndarray, " lines"]:
-    """Try the lines beside those that have gained, from their states; returns what gains now."""
+    """Try the neighbors of lines with new turns, from their states; return the turns gained."""
     gained = np.zeros(len(fresh), np.uint64)
     rows = np.flatnonzero(fresh)
     lines, words = np.empty_like(rows), np.empty(len(rows), np.uint64)
@@ -139,21 +137,21 @@ def _carry_on(
 
 
 def between(
-    found: Flood, axis: int, asked: np.uint64
+    found: Flood, axis: int, wanted: np.uint64
 ) -> tuple[Int[np.ndarray, " e"], UInt64[np.ndarray, " e"]]:
-    """Turns reached half-way to the next line along an axis, where the two differ.
+    """Find the turns reached half-way between neighboring lines that differ.
 
     Args:
-        found: What is known of the lines.
-        axis: Along which.
-        asked: The turns that matter, as a word; of the others the answer says nothing.
+        found: The reached lines.
+        axis: Axis along which the lines are neighbors.
+        wanted: Word of the turns that matter; the other bits of the result are undefined.
 
     Returns:
         The lines at the lower ends, and the words.
     """
-    grown = (found.lines.words & asked).reshape(found.lines.shape)
-    near = np.moveaxis(grown, axis, 0)
-    differ = np.moveaxis(np.zeros(grown.shape, bool), axis, 0)
+    reached = (found.lines.words & wanted).reshape(found.lines.shape)
+    near = np.moveaxis(reached, axis, 0)
+    differ = np.moveaxis(np.zeros(reached.shape, bool), axis, 0)
     differ[:-1] = near[1:] != near[:-1]
     if axis == AZIMUTH:
         differ[-1] = near[0] != near[-1]
@@ -161,7 +159,7 @@ def between(
     words = np.empty(len(low), np.uint64)
     _in_parts(
         lambda lo, hi: aim_between(
-            low[lo:hi], axis, asked, found.lines, found.arm, found.grid, words[lo:hi]
+            low[lo:hi], axis, wanted, found.lines, found.arm, found.grid, words[lo:hi]
         ),
         len(low),
     )
@@ -169,5 +167,4 @@ def between(
 
 
 def _in_parts(work: Callable[[int, int], None], count: int) -> None:
-    """Work over rows on all threads, none of which waits long for another."""
-    in_threads(work, count, max(_LEAST, count // _PARTS))
+    in_threads(work, count, max(_MIN_PART, count // _PARTS))

@@ -1,8 +1,8 @@
-"""S2 of bases on a grid of the floor, each at its best yaw.
+"""Kernels that score base positions on a floor grid, each at its best yaw.
 
-Where the arm's first axis does not stand over the base's origin, every yaw puts it elsewhere. So
-the map is looked up once, for axes on a lattice around the tool's line, with all azimuths of a
-lattice point together; a base at some yaw then reads where its axis stands between the points.
+If the arm's first axis is not above the base's origin, its position depends on the yaw. So the map
+is looked up once for axes on a lattice around the tool's line, with all azimuths of a lattice point
+together. A base at some yaw then interpolates between the lattice points around its axis.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from momapos.core.compiled import F1, F2, I1, S2, entry, kernel
 from .grid import LOW, ONE, OUTSIDE, MapArrays, Point, relative_line, scored, turns_of
 
 SPACING = 0.06
-"""Spacing of the lattice [m], or the map's cell where that is wider."""
+"""Spacing of the lattice [m]; the map's cell if that is larger."""
 
 
 class FloorGrid(NamedTuple):
-    """Bases on a grid of the floor, each at some yaws."""
+    """Base positions on a grid of the floor, and their yaws."""
 
     xs: F1
     ys: F1
@@ -31,7 +31,7 @@ class FloorGrid(NamedTuple):
 
 @kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _axis_lattice(line, yaws, grid, rims, step, table):
-    """Values of a line for first axes on a square lattice around its point.
+    """Look up a line for first axes on a square lattice around its point.
 
     Interpolates over the simplex of height, distance and direction, then linearly over the azimuth.
 
@@ -40,11 +40,11 @@ def _axis_lattice(line, yaws, grid, rims, step, table):
         yaws: Yaws of the base (k, 3): cosine, sine, and in [0, 1] [turns].
         grid, rims: See `floor_scores`.
         step: Spacing of the lattice [cells].
-        table: (n, k, n) to be filled: at [n // 2 + i, k, n // 2 + j] the axis stands j steps in x
+        table: Output (n, k, n): at [n // 2 + i, k, n // 2 + j] the value for an axis j steps in x
             and i steps in y before the line's point. `OUTSIDE` beyond reach.
 
     Returns:
-        How many steps from the line's point all is `OUTSIDE`.
+        Number of steps from the line's point beyond which all values are `OUTSIDE`.
     """
     nz, nr, nu, nv, nb = grid.shape
     half = len(table) // 2
@@ -64,7 +64,7 @@ def _axis_lattice(line, yaws, grid, rims, step, table):
             fu, fv = (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
             ir, iu, iv = min(int(fr), nr - 2), min(int(fu), nu - 2), min(int(fv), nv - 2)
             at = ((iz * nr + ir) * nu + iu) * nv + iv
-            _all_bearings(at, (fz - iz, fr - ir, fu - iu, fv - iv), grid, row)
+            _all_azimuths(at, (fz - iz, fr - ir, fu - iu, fv - iv), grid, row)
             ahead = turns_of(float(i), float(j)) + 1.0
             for k in range(len(yaws)):
                 fb = np.float32((ahead - yaws[k, 2]) * nb)
@@ -75,14 +75,11 @@ def _axis_lattice(line, yaws, grid, rims, step, table):
 
 
 @kernel(error_model="numpy", fastmath=True)
-def _all_bearings(at, fractions, grid, row):
-    """Values at all azimuths of two turns and a little more, into row (2 azimuths + 2,).
+def _all_azimuths(at, fractions, grid, row):
+    """Interpolate the values at all azimuths of two turns into `row` (2 azimuths + 2,).
 
-    Args:
-        at: Index of the lowest corner among the points.
-        fractions: Of a cell, along z, r, u and v.
-        grid: `MapArrays`.
-        row: To be filled.
+    `at` is the index of the cell's lowest corner, `fractions` the position in the cell along z, r,
+    u and v.
     """
     fz, fr, fu, fv = fractions
     values = grid.values
@@ -115,22 +112,16 @@ def _all_bearings(at, fractions, grid, row):
 
 @entry(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def floor_scores(
-    line: F1,
-    floor: FloorGrid,
-    axis: Point,
-    grid: MapArrays,
-    rims: I1,
-    out: S2,
+    line: F1, floor: FloorGrid, axis: Point, grid: MapArrays, rims: I1, out: S2
 ) -> None:
-    """Best score over the yaws for bases on a grid of the floor, linear between lattice points.
+    """Score base positions on a floor grid at their best yaw, linearly between lattice points.
 
     Args:
         line: Point over the floor and unit direction (6,).
-        floor: The bases.
+        floor: The base positions and yaws.
         axis: The first axis in the base frame.
-        grid: The map.
-        rims: For each height, the first r from which on all is `OUTSIDE` [cells].
-        out: (len(ys), len(xs)) to be filled.
+        rims: For each height, the smallest r beyond which all values are `OUTSIDE` [cells].
+        out: Output (len(ys), len(xs)).
     """
     xs, ys, yaws = floor
     shape, frame = grid.shape, grid.frame

@@ -1,8 +1,9 @@
-"""Put a map together for an arm of any kind, from the lines that its states flood."""
+"""Build a map for any arm by flooding the grid of lines, see `flood`."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from momapos.model.robots import Robot
 from .aim import ALL, AimedArm, LineGrid, LineTool
 from .arm_axes import FULL_TURN, ArmAxes
 from .flood import Flood, between, flood
-from .grid import FIRST_TURN, TOLD_APART, TURNS, pack_shape
+from .grid import FIRST_TURN, STORED_TURNS, TURNS, pack_shape
 from .reach_map import ReachConfig, ReachMap
 from .signed_distance import close_seam, deepen, flood_signed_distances
 from .threads import Progress
@@ -22,9 +23,9 @@ from .threads import Progress
 if TYPE_CHECKING:
     from jaxtyping import Bool, Int8, UInt64
 
-_EACH = TURNS // TOLD_APART
-TOLD = np.bitwise_or.reduce(np.uint64(1) << np.arange(FIRST_TURN, TURNS, _EACH, dtype=np.uint64))
-"""The turns that are told apart, as a word."""
+_EACH = TURNS // STORED_TURNS
+STORED = np.bitwise_or.reduce(np.uint64(1) << np.arange(FIRST_TURN, TURNS, _EACH, dtype=np.uint64))
+"""Word of the turns that a map stores."""
 
 
 def flooded_map(
@@ -38,12 +39,11 @@ def flooded_map(
     """Build the map of any arm, see `build_map`.
 
     Args:
-        robot: The robot.
-        frame: Its last axis, and what the grid stands around.
-        extent: Lowest height and shape of the grid.
-        config: How finely.
-        progress: Called with the share that is done.
-        key: Content key to be kept in the map.
+        frame: Its first and last axis.
+        extent: Lowest height [m] and shape of the grid.
+        config: Resolution.
+        progress: Called with the completed share, in [0, 1].
+        key: Content key to store in the map.
     """
     began = time.perf_counter()
     low, shape = extent
@@ -53,29 +53,24 @@ def flooded_map(
         lambda share: progress(0.9 * share),
     )  # fmt: skip
     _close_poles(found)
-    asked = ALL if frame.full_roll else TOLD
+    wanted = ALL if frame.full_roll else STORED
     edges = []
     for axis in range(5):
-        edges.append(between(found, axis, asked))
+        edges.append(between(found, axis, wanted))
         progress(0.9 + 0.015 * (axis + 1))
     if frame.full_roll:
         turned = _values(found, edges, None)[None]
     else:
-        turned = np.stack([_values(found, edges, k) for k in range(TOLD_APART)])
+        turned = np.stack([_values(found, edges, k) for k in range(STORED_TURNS)])
     progress(1.0)
     line = np.stack([frame.tool[0], frame.tool[3]])
-    return ReachMap(
-        values=turned.max(0),
-        low=low,
-        cell=config.cell,
-        axis_xy=frame.axis[:2],
-        line_tool=line,
-        threshold=config.threshold,
-        key=key,
-        build_seconds=time.perf_counter() - began,
-        turned=None if frame.full_roll else turned,
-        across_tool=None if frame.full_roll else frame.tool[1],
+    seconds = time.perf_counter() - began
+    reach_map = ReachMap(
+        turned.max(0), low, config.cell, frame.axis[:2], line, config.threshold, key, seconds
     )
+    if frame.full_roll:
+        return reach_map
+    return replace(reach_map, turned=turned, across_tool=frame.tool[1])
 
 
 def _aimed(robot: Robot, frame: ArmAxes) -> AimedArm:
@@ -100,7 +95,7 @@ def _aimed(robot: Robot, frame: ArmAxes) -> AimedArm:
 def _parted(
     spheres: SphereArrays, own: Bool[np.ndarray, " groups"]
 ) -> tuple[SphereArrays, SphereArrays]:
-    """Checks among what does not move with the last segment, and those of what does."""
+    """Split the collision checks into those unaffected by the last segment and the others."""
     pairs = own[spheres.pairs].any(1)
     still, turned = (
         spheres._replace(
@@ -108,7 +103,7 @@ def _parted(
             exact=spheres.exact[pick],
             base_pairs=spheres.base_pairs & mine[:, None],
             against_base=np.flatnonzero(mine & spheres.base_pairs.any(1)),
-            # The floor is asked of each link once.
+            # Each link is checked against the floor in one of the two halves only.
             gripper=np.where(mine, spheres.gripper, KNOWN),
         )
         for pick, mine in ((~pairs, ~own), (pairs, own))
@@ -117,9 +112,10 @@ def _parted(
 
 
 def _close_poles(found: Flood) -> None:
-    """Let a vertical line that is reached with some turn count as reached with all of them.
+    """Count a vertical line that is reached with some turn as reached with all turns.
 
-    The turn counts from the level direction across the line, of which a vertical line has many.
+    The turn counts from the horizontal direction across the line, and a vertical line has no unique
+    one.
     """
     words = found.lines.words.reshape(found.lines.shape)
     middle = found.lines.shape.u // 2
@@ -130,7 +126,7 @@ def _close_poles(found: Flood) -> None:
 def _values(
     found: Flood, edges: list[tuple[np.ndarray, np.ndarray]], turn: int | None
 ) -> Int8[np.ndarray, "z r u v azimuth"]:
-    """Signed distances for one turn of the tool, or where at least half of all turns count."""
+    """Compute signed distances for one tool turn; None: at least half of all turns must be free."""
     shape, reached = found.lines.shape, found.lines.words
     state = _reached(reached, turn).astype(np.int8)
     middles = np.full((5, len(state)), -1, np.int8)
@@ -152,11 +148,11 @@ def _reached(words: UInt64[np.ndarray, " k"], turn: int | None) -> Bool[np.ndarr
 
 
 def _turn_gap(words: UInt64[np.ndarray, " k"], turn: int) -> Int8[np.ndarray, " k"]:
-    """Steps of the tool's turn to the first that is not as this one, both ways; 0: none is near."""
+    """Return the steps of the tool turn to the nearest one that differs, 0 if none is near."""
     own = _reached(words, turn)
     gap = np.zeros(len(words), np.int8)
     for step in range(_EACH, 0, -1):
-        for way in (step, -step):
-            bit = np.uint64((_EACH * turn + FIRST_TURN + way) % TURNS)
+        for offset in (step, -step):
+            bit = np.uint64((_EACH * turn + FIRST_TURN + offset) % TURNS)
             gap[((words >> bit) & np.uint64(1) > 0) != own] = step
     return gap

@@ -1,17 +1,16 @@
-"""Coordinates of a reachability map, and the kernels that look values up.
+"""Coordinates of a reachability map, and its lookup kernels.
 
-A tool pose is reduced to the line of the arm's last axis: turning the tool about that line costs
-nothing, where that joint turns fully. The line is described around a vertical axis through the foot
-of the arm's first one: distance `r` and height `z` of a point on it, its direction relative to the
-radius, and the azimuth of the point, which counts where that first axis leans, or where its limits
-or the base are in the way. Source: Rudorfer, RM4D: a combined
-reachability and inverse reachability map for common 6-/7-axis robot arms by dimensionality
-reduction to 4D (ICRA 2025).
+A tool pose is reduced to the line of the arm's last axis: if that joint turns fully, the tool's
+turn about the line makes no difference. The line is described relative to a vertical axis through
+the foot of the arm's first axis: distance `r` and height `z` of a point on it, its direction
+relative to the radius, and the azimuth of the point. The azimuth counts if the first axis leans, or
+if its limits or the base restrict it. Source: Rudorfer, RM4D: a combined reachability and inverse
+reachability map for common 6-/7-axis robot arms by dimensionality reduction to 4D (ICRA 2025).
 
 The direction is mapped to the square [-1, 1]^2 by the octahedral projection (Cigolle et al., A
 survey of efficient representations for independent unit vectors, JCGT 2014), which needs no
-trigonometry. Values stand at grid points; between them a lookup interpolates over the simplex of
-the cell that holds the query (Kuhn's triangulation: six corners instead of 32).
+trigonometry. Values are at grid points. A lookup interpolates over the simplex of the cell that
+contains the query (Kuhn's triangulation: six corners instead of 32).
 """
 
 from __future__ import annotations
@@ -24,23 +23,23 @@ import numpy as np
 from momapos.core.compiled import F1, F2, F3, S2, ReadI8, entry, kernel
 
 STEPS = 8
-"""Stored steps per cell of signed distance [-]."""
+"""Stored steps of signed distance per cell [-]."""
 DEPTH = 32
-"""Stored value from which on the score is 1: four cells from the boundary."""
+"""Stored value from which on the score is 1: four cells inside the boundary."""
 OUTSIDE = -12
-"""Stored value of points that are far from anything reachable."""
+"""Stored value of points far from any reachable line."""
 TURNS = 32
-"""Turns of the tool about its line that are asked for where they make a difference [-]."""
-TOLD_APART, FIRST_TURN = 8, 1
-"""How many of them a map keeps, evenly, and the first of these [-]."""
-TURN_AT = (FIRST_TURN + 0.5) * TOLD_APART / TURNS
-"""Where the first turn that is kept is, as a share of the way from one to the next: each of
-`TURNS` stands in the middle of its part of the circle."""
+"""Number of tool turns about the line that are evaluated if they make a difference [-]."""
+STORED_TURNS, FIRST_TURN = 8, 1
+"""How many of these turns a map stores, evenly spaced, and the index of the first [-]."""
+TURN_AT = (FIRST_TURN + 0.5) * STORED_TURNS / TURNS
+"""Position of the first stored turn, in units of their spacing: each turn is in the middle of its
+sector."""
 ONE = 1 << 24
-"""Fractions of a cell are kept as integers, this for 1."""
+"""Fixed-point value of a whole cell."""
 LOW = (1 << 32) - 1
 _SHIFT = 1 << 20
-"""Added to strides, which may be negative, where they are packed."""
+"""Offset of packed strides, which may be negative."""
 
 
 class GridShape(NamedTuple):
@@ -54,25 +53,25 @@ class GridShape(NamedTuple):
 
 
 class GridFrame(NamedTuple):
-    """Where the points of a map are, and what counts as reachable."""
+    """Position and resolution of a map, and its threshold."""
 
     low: float
     """Height of the lowest point over the floor [m]."""
     per_meter: float
     """1 / cell [1/m]."""
     threshold: float
-    """Stored value above which a line can be reached."""
+    """Stored value above which a line counts as reachable."""
 
 
 class MapArrays(NamedTuple):
-    """A map as the kernels take it."""
+    """A map for the kernels."""
 
     values: ReadI8
-    """Stored values, flat; those of one turn of the tool after those of another."""
+    """Stored values, flat, tool turn by tool turn."""
     shape: GridShape
     frame: GridFrame
     turns: int
-    """How many turns of the tool about its line are told apart; 1 where they make no difference."""
+    """Number of stored tool turns; 1 if the turn makes no difference."""
 
 
 class Point(NamedTuple):
@@ -82,8 +81,8 @@ class Point(NamedTuple):
     y: float
 
 
-class Line(NamedTuple):
-    """A line: a point [m], x and y relative to the first axis, and its unit direction."""
+class AxisLine(NamedTuple):
+    """The line of the last axis: a point [m], relative to the first axis, and a unit direction."""
 
     x: float
     y: float
@@ -95,7 +94,7 @@ class Line(NamedTuple):
 
 @kernel
 def oct_decode(u: float, v: float) -> tuple[float, float, float]:
-    """Unit vector of a point on the octahedral square."""
+    """Return the unit vector of a point on the octahedral square."""
     z = 1.0 - abs(u) - abs(v)
     x, y = u, v
     if z < 0.0:
@@ -107,7 +106,7 @@ def oct_decode(u: float, v: float) -> tuple[float, float, float]:
 
 @kernel
 def turns_of(y: float, x: float) -> float:
-    """atan2(y, x) / 2 pi in [0, 1], within 1e-5 (polynomial after Abramowitz and Stegun)."""
+    """Return atan2(y, x) / 2 pi in [0, 1], within 1e-5 (polynomial after Abramowitz and Stegun)."""
     ax, ay = abs(x), abs(y)
     low, high = min(ax, ay), max(ax, ay)
     a = low / high if high > 0.0 else 0.0
@@ -121,10 +120,11 @@ def turns_of(y: float, x: float) -> float:
 
 @kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def relative_line(x, y, ax, ay, az):
-    """Distance of a line's point (x, y) from the first axis, and its direction relative to it.
+    """Compute the distance of a line's point (x, y) from the first axis, and the line's direction.
 
     Returns:
-        r in the unit of x and y, and u, v on the octahedral square.
+        r in the unit of x and y, and the direction relative to the radius, on the octahedral square
+        u, v.
     """
     r = math.sqrt(x * x + y * y)
     cx, cy = 1.0, 0.0
@@ -142,16 +142,16 @@ def relative_line(x, y, ax, ay, az):
 
 @kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def lookup(line, yaw_turns, turn, grid):
-    """Interpolated value of a line and a turn of the tool about it.
+    """Interpolate the value of a line and a tool turn about it.
 
     Args:
-        line: `Line`, in any frame with z up from the floor.
+        line: `AxisLine`, in any frame with z up from the floor.
         yaw_turns: Yaw of the base in that frame [turns].
-        turn: Turn of the tool about the line, as `ReachMap.turns` has it [turns].
+        turn: Tool turn about the line, see `ReachMap.turns` [turns].
         grid: `MapArrays`.
 
     Returns:
-        Value in stored steps; above the threshold where the line can be reached.
+        Value in stored steps; the line can be reached if it is above the threshold.
     """
     size = grid.shape.z * grid.shape.r * grid.shape.u * grid.shape.v * grid.shape.azimuth
     f = turn * grid.turns - TURN_AT + grid.turns
@@ -166,15 +166,7 @@ def lookup(line, yaw_turns, turn, grid):
 
 @kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _line_value(line, yaw_turns, first, grid):
-    """Interpolated value of a line.
-
-    Args:
-        line, yaw_turns, grid: See `lookup`.
-        first: Where the values begin.
-
-    Returns:
-        Value in stored steps; above the threshold where the line can be reached.
-    """
+    """Interpolate the value of a line, see `lookup`, in the values from index `first` on."""
     x, y, z, ax, ay, az = line
     values = grid.values
     nz, nr, nu, nv, nb = grid.shape
@@ -199,7 +191,7 @@ def _line_value(line, yaw_turns, first, grid):
         fb -= ib
         at += ib
         sb = 1 if ib < nb - 1 else 1 - nb
-    # Fraction and stride packed into one integer: sorting is then min and max, without branches.
+    # Pack fraction and stride into one integer: sorting is then min and max, without branches.
     a = (int((fz - iz) * ONE) << 32) + sz + _SHIFT
     b = (int((fr - ir) * ONE) << 32) + sr + _SHIFT
     c = (int((fu - iu) * ONE) << 32) + su + _SHIFT
@@ -234,36 +226,26 @@ def _line_value(line, yaw_turns, first, grid):
 
 @kernel
 def scored(value, threshold):
-    """Stored value as a score in [0, 1]; 0 up to the threshold."""
+    """Convert a stored value to a score in [0, 1]; 0 up to the threshold."""
     return min(max((value - threshold) / DEPTH, 0.0), 1.0)
 
 
 @entry
-def score_lines(
-    lines: F2,
-    turn: F1,
-    grid: MapArrays,
-    out: F1,
-) -> None:
-    """Scores of lines (m, 6) given as x, y, z, direction, relative to the first axis, and of the
-    tool's turns about them (m,)."""
+def score_lines(lines: F2, turn: F1, grid: MapArrays, out: F1) -> None:
+    """Score lines (m, 6), given as x, y, z, direction relative to the first axis, at tool turns
+    about them (m,)."""
     for i in range(len(lines)):
-        line = Line(lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5])
+        line = AxisLine(
+            lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5]
+        )
         out[i] = scored(lookup(line, 0.0, turn[i], grid), grid.frame.threshold)
 
 
 @entry
-def min_line_scores(
-    bases: F2,
-    lines: F3,
-    turn: F2,
-    axis: Point,
-    grid: MapArrays,
-    out: S2,
-) -> None:
-    """Least score over the lines (g, w, 6) in the world, for every base (n, 3) and g.
+def min_line_scores(bases: F2, lines: F3, turn: F2, axis: Point, grid: MapArrays, out: S2) -> None:
+    """Compute the lowest score over w lines (g, w, 6) in the world, for every base (n, 3) and g.
 
-    The first axis stands at a point of the base frame; the tool is turned about each line (g, w).
+    The tool is turned about each line (g, w). The first axis is at a point of the base frame.
     """
     threshold = grid.frame.threshold
     for i in range(len(bases)):
@@ -273,7 +255,7 @@ def min_line_scores(
         for g in range(lines.shape[0]):
             least = float(DEPTH)
             for w in range(lines.shape[1]):
-                line = Line(
+                line = AxisLine(
                     lines[g, w, 0] - x,
                     lines[g, w, 1] - y,
                     lines[g, w, 2],
@@ -288,15 +270,14 @@ def min_line_scores(
 
 
 def pack_shape(shape: tuple[int, ...]) -> GridShape:
-    """The shape of the values as the kernels take it."""
-    z, r, u, v, b = (int(n) for n in shape)
-    return GridShape(z, r, u, v, b)
+    """Convert the shape of the values for the kernels."""
+    return GridShape(*map(int, shape))
 
 
 def grid_points(
     shape: tuple[int, ...], low: float, cell: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Coordinates of the grid along z [m], r [m], u [-] and v [-]."""
+    """Return the coordinates of the grid along z [m], r [m], u [-] and v [-]."""
     nz, nr, nu, nv = shape[:4]
     return (
         low + cell * np.arange(nz),

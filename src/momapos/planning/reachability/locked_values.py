@@ -1,4 +1,4 @@
-"""The values at which a longer arm's redundant joints are locked, in the order of trying them."""
+"""Choose the values at which a redundant arm's joints are locked, in the order of trying them."""
 
 from __future__ import annotations
 
@@ -12,41 +12,39 @@ from .arm_axes import ArmAxes
 from .map_kernels import ShoulderSamples, arc_mask
 
 Samples = tuple[IkArrays, ShoulderSamples]
-MOST = 100_000
-"""Samples of the inverse that the values are taken from [-]."""
+MAX_SAMPLES = 100_000
+"""Largest number of IK samples; never reached, so that the samples form a full grid [-]."""
 HALVINGS = 2
-"""How often the spacing of the first joint's values is halved where they disagree."""
+"""How often the spacing of the first joint's values is halved where they disagree [-]."""
 
 
 def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Samples:
-    """How the freed arm is inverted, and its samples in the order in which they are tried.
+    """Build the IK model of the freed arm, with its samples in the order of trying them.
 
-    Where a longer arm is inverted with its first joint locked, the values of that joint tell which
-    azimuths a sample can serve. Straight ahead comes first, then the values farthest to the sides:
-    what lies between them adds nothing. Then the values between are tried where it changes, at
-    half the spacing each time.
+    If IK locks the first joint of a redundant arm, the locked value determines which azimuths a
+    sample can serve. Straight ahead comes first, then the values farthest to the sides; values
+    between two that agree add nothing. Then values in between are tried where the result changes,
+    at half the spacing each time.
 
     Args:
         chain: The arm with its first turning joint freed.
         frame: Its first and last axis.
-        count: Values of a redundant turning joint that are always tried [-].
-        heights: Values of a torso [-].
+        count: Number of values of a redundant turning joint that are always tried [-].
+        heights: Number of values of a torso [-].
 
     Returns:
-        The IK model as the kernels take it, and each sample's `shoulder_samples`, see
-        `line_masks`.
+        The IK model for the kernels, and the value at which each sample locks the first joint.
     """
     first = frame.first
-    # That many values of a turning joint give `heights` of a torso.
-    # A grid of them, however many: samples that are spread would have one height at each value.
-    ik = build_ik(chain, samples_per_joint=2 * heights - 1, most_samples=MOST)
+    # So many values of a turning joint give `heights` values of a torso.
+    ik = build_ik(chain, samples_per_joint=2 * heights - 1, max_samples=MAX_SAMPLES)
     if first in ik.active:
-        # One solution is enough for a map: no seeds are tried.
+        # A map needs only one solution: seeds are not tried.
         ik = replace(build_ik(chain, samples_per_joint=count), tries=0)
         zero = np.zeros(len(ik.samples), np.int64)
         return ik_arrays(ik), ShoulderSamples(zero.astype(np.uint64), zero, zero)
     values = count << HALVINGS
-    # Straight ahead is 0; the spacing at which a value is the first to be tried tells its turn.
+    # Straight ahead is 0. The spacing at which a value first appears decides when it is tried.
     offset = np.arange(values) - values // 2
     step = np.where(offset % (1 << HALVINGS) == 0, 0, offset & -offset)
     pan = offset * (2 * np.pi / values)
@@ -59,9 +57,9 @@ def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Sa
 
 
 def _turned(ik: IkModel, frame: ArmAxes, pan: np.ndarray) -> tuple[IkModel, int]:
-    """The samples at one value of the first joint, turned to others; and how many each has.
+    """Turn the samples at one value of the first joint to other values; return also their number.
 
-    Turning the model is a hundred times quicker than deriving it at every value.
+    Turning the model is a hundred times faster than deriving it at every value.
     """
     held = ik.samples[:, frame.first]
     one = np.flatnonzero(held == held.min())
@@ -87,7 +85,9 @@ def _turned(ik: IkModel, frame: ArmAxes, pan: np.ndarray) -> tuple[IkModel, int]
 
 
 def _arcs(pan: np.ndarray, frame: ArmAxes, slack: float) -> np.ndarray:
-    """Azimuths that values of the first joint can serve; half a step more at both ends, since
-    the last value that works lies half a step, on average, before the last that would."""
+    """Return the azimuths that values of the first joint can serve, with half a step of slack.
+
+    On average, the last value that works is half a step before the last one that would work.
+    """
     lower, upper = frame.limits[0] - slack, frame.limits[1] + slack
     return np.array([arc_mask(q, float(frame.turn), lower, upper) for q in pan], np.uint64)

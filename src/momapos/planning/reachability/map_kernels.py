@@ -1,9 +1,9 @@
-"""Build a reachability map: exact IK at grid points, and where the answer changes between them.
+"""Kernels that build a reachability map by exact IK.
 
-For one line of the last axis (see `grid`) the first joint is set free and the arm solved once:
-turning the first joint turns the line about the vertical axis, so that every solution serves a
-whole arc of azimuths. What is left per azimuth is the first joint's limits and contact with the
-parts that do not turn (base, torso). A line's answer is a bit mask over `BEARINGS` azimuths.
+For one line of the last axis (see `grid`), the first joint is freed and IK is solved once. Turning
+the first joint turns the line about the vertical axis, so every solution serves a whole arc of
+azimuths. Per azimuth, only the limits of the first joint and contact with the parts that do not
+turn (base, torso) remain to be checked. The result is a bit mask over `AZIMUTHS` azimuths.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from momapos.model.kinematics import (
     solve_sample,
 )
 
-from .base_contact import BEARINGS, StandingTable, touched
+from .base_contact import AZIMUTHS, StandingTable, touched
 from .grid import oct_decode
 
 EVERY = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-class Arm(NamedTuple):
-    """What turns with the first joint, and what it may touch."""
+class FirstJointArm(NamedTuple):
+    """The arm as it turns with the first joint, and its collision shapes."""
 
     first: int
     """Index of the first joint."""
@@ -49,14 +49,12 @@ class Arm(NamedTuple):
 
 
 class Tool(NamedTuple):
-    """The tool, and the turns about its line that are tried."""
+    """The tool, and its turns about the line that are checked."""
 
     frame: F2
     """(4, 3): axis, two vectors that complete it to a right-handed frame, and the line's point."""
-    rolls: F1
-    """Turns about the line that must all be reached [rad]."""
     spins: F1
-    """What is added to the last joint after the arm is solved [rad]."""
+    """Angles that are added to the last joint after IK is solved [rad]."""
 
 
 class MaskScratch(NamedTuple):
@@ -72,41 +70,37 @@ class MaskScratch(NamedTuple):
 
 
 class ShoulderSamples(NamedTuple):
-    """By the value at which each sample locks the first joint."""
+    """For each sample, the value at which it locks the first joint."""
 
     arcs: U1
-    """What it can serve, 0 where it does not lock it."""
+    """Azimuths that the value can serve, 0 if the sample does not lock the first joint."""
     value: I1
-    """Its index."""
+    """Index of the value."""
     step: I1
-    """The values this far to both sides are known before it, 0 for the first ones."""
+    """The values this far to both sides are evaluated before it; 0 for the first ones."""
 
 
 @kernel
-def line_pose(line, roll, tool, R, p):
-    """Tool pose whose last axis is the given line at azimuth 0, relative to the first axis.
+def line_pose(line, tool, R, p):
+    """Compute a tool pose whose last axis is the given line at azimuth 0.
 
     Args:
         line: Coordinates z, r, u, v of the line, see `grid`.
-        roll: Turn of the tool about the line [rad].
         tool: Frame of the tool, see `Tool`.
-        R, p: Tool pose to be filled; p is relative to the foot of the first axis.
+        R, p: Output: the tool pose, relative to the foot of the first axis.
     """
     x, y, w = oct_decode(line[2], line[3])
-    # A vector across the line: horizontal where the line is not vertical.
+    # A vector across the line: horizontal unless the line is vertical.
     n = math.hypot(x, y)
     if n > 1e-6:
         ex, ey, ez = -y / n, x / n, 0.0
     else:
         ex, ey, ez = 0.0, 1.0, 0.0
     fx, fy, fz = y * ez - w * ey, w * ex - x * ez, x * ey - y * ex
-    c, s = math.cos(roll), math.sin(roll)
-    ax, ay, az = c * ex + s * fx, c * ey + s * fy, c * ez + s * fz
-    bx, by, bz = c * fx - s * ex, c * fy - s * ey, c * fz - s * ez
     for k in range(3):
-        R[0, k] = x * tool[0, k] + ax * tool[1, k] + bx * tool[2, k]
-        R[1, k] = y * tool[0, k] + ay * tool[1, k] + by * tool[2, k]
-        R[2, k] = w * tool[0, k] + az * tool[1, k] + bz * tool[2, k]
+        R[0, k] = x * tool[0, k] + ex * tool[1, k] + fx * tool[2, k]
+        R[1, k] = y * tool[0, k] + ey * tool[1, k] + fy * tool[2, k]
+        R[2, k] = w * tool[0, k] + ez * tool[1, k] + fz * tool[2, k]
     for i in range(3):
         p[i] = -(R[i, 0] * tool[3, 0] + R[i, 1] * tool[3, 1] + R[i, 2] * tool[3, 2])
     p[0] += line[1]
@@ -115,12 +109,12 @@ def line_pose(line, roll, tool, R, p):
 
 @entry
 def arc_mask(q: float, turn: float, lower: float, upper: float) -> np.uint64:
-    """Mask of the azimuths that the first joint can serve, from its value at azimuth 0."""
+    """Return the mask of azimuths within the first joint's limits, from its value at azimuth 0."""
     if upper - lower >= 2.0 * math.pi - 1e-6:
         return EVERY
     mask = np.uint64(0)
-    for b in range(BEARINGS):
-        v = q + turn * (2.0 * math.pi / BEARINGS) * b
+    for b in range(AZIMUTHS):
+        v = q + turn * (2.0 * math.pi / AZIMUTHS) * b
         v -= 2.0 * math.pi * math.floor((v - lower + 1e-9) / (2.0 * math.pi))
         if v <= upper + 1e-9:
             mask |= np.uint64(1) << np.uint64(b)
@@ -129,9 +123,9 @@ def arc_mask(q: float, turn: float, lower: float, upper: float) -> np.uint64:
 
 @kernel
 def _majority(votes):
-    """The bits that at least half of the words have."""
+    """Return the bits that are set in at least half of the words."""
     mask = np.uint64(0)
-    for b in range(BEARINGS):
+    for b in range(AZIMUTHS):
         bit, count = np.uint64(1) << np.uint64(b), 0
         for k in range(len(votes)):
             count += 2 if votes[k] & bit else 0
@@ -142,18 +136,10 @@ def _majority(votes):
 
 @kernel(inline="always")  # compiled once instead of twice: 3 s
 def _line_mask(closed, spins, arm, freed, shoulder_samples, scratch):
-    """Azimuths at which a tool pose is reachable, for at least half of the spins.
+    """Return the azimuths at which a tool pose is reachable with at least half of the spins.
 
-    Args:
-        closed: Azimuths that are of no interest.
-        spins: See `Tool`.
-        arm: `Arm`.
-        freed: `ArmArrays` of the arm with its first joint freed.
-        shoulder_samples: For each sample, by the value at which it locks the first joint: (arcs:
-            what it can serve, 0 where it does not lock it; value: its index; step: the values this
-            far to both sides are known before it, 0 for the first ones). A value between two that
-            agree is not tried, nor one that can add nothing.
-        scratch: Memory, with the tool pose at azimuth 0 in the base frame.
+    `closed` azimuths are skipped, as are locked values between two that agree or that cannot add an
+    azimuth. The scratch memory holds the tool pose at azimuth 0 in the base frame.
     """
     first, turn, lower, upper, axis, turning, table = arm
     arcs, value, step = shoulder_samples
@@ -207,18 +193,17 @@ def line_masks(
     lines: F2,
     wanted: U1,
     tool: Tool,
-    arm: Arm,
+    arm: FirstJointArm,
     freed: ArmArrays,
     shoulder_samples: ShoulderSamples,
     masks: U1,
 ) -> None:
-    """Those of the wanted azimuths (m,) at which lines (m, 4: z, r, u, v) can be reached.
+    """Compute which of the wanted azimuths (m,) of lines (m, 4: z, r, u, v) can be reached.
 
-    A line counts where every roll of the tool can be reached, each solved anew, with at least half
-    of the spins.
+    An azimuth counts if it is reachable with at least half of the spins.
     """
     n = freed.ik.samples.shape[1]
-    axis, rolls, spins = arm.axis, tool.rolls, tool.spins
+    axis, spins = arm.axis, tool.spins
     R, p = np.empty((3, 3)), np.empty(3)
     scratch = MaskScratch(
         R,
@@ -230,12 +215,7 @@ def line_masks(
         np.empty(len(spins), np.uint64),
     )
     for i in range(len(lines)):
-        mask = wanted[i]
-        for k in range(len(rolls)):
-            line_pose(lines[i], rolls[k], tool.frame, R, p)
-            p[0] += axis[0]
-            p[1] += axis[1]
-            mask = _line_mask(~mask, spins, arm, freed, shoulder_samples, scratch)
-            if mask == np.uint64(0):
-                break
-        masks[i] = mask
+        line_pose(lines[i], tool.frame, R, p)
+        p[0] += axis[0]
+        p[1] += axis[1]
+        masks[i] = _line_mask(~wanted[i], spins, arm, freed, shoulder_samples, scratch)

@@ -1,4 +1,4 @@
-"""Keep reachability maps: built at the first use, then read from the cache."""
+"""Load reachability maps: shipped with the robot, from the cache, or built at first use."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ from momapos.core import (
     Cache,
     FileFormatError,
     MomaposError,
+    as_path,
     content_key,
     default_cache_dir,
+    expect,
     read_bytes_bounded,
 )
 from momapos.model.robots import MAX_REACH, Robot
@@ -30,7 +32,7 @@ from .arm_axes import arm_frame, is_flooded, no_map
 from .arm_length import ArmLength, arm_length
 from .calibrate import calibrated
 from .construct import build_map, default_config
-from .flood import WAY
+from .flood import FLOOD_VERSION
 from .reach_map import MAX_VALUES, ReachConfig, ReachMap
 from .threads import Progress, silent
 
@@ -39,39 +41,39 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 VERSION = 3
-"""Of maps: where it is raised, those that were built or stored before are not used."""
+"""Map version, part of the key; raising it invalidates all shipped and cached maps."""
 _BUILD = 3
-"""Of how maps are put together and held against inverse kinematics: where it is raised, those that
-the cache keeps of before are built anew. Maps beside robot files are known by their key alone."""
+"""Version of construction and calibration, part of the cache entry's name; raising it rebuilds
+cached maps. Shipped maps are identified by their key alone."""
 _TURNS_LAST = 4
-"""Of a file in which turns of the tool lie side by side; in those of `VERSION` they come first."""
+"""Version of files whose last axis is the tool turn; in files of `VERSION` it is the first."""
 _MAGIC = b"momapos-reach\n"
 MAX_BYTES = 50_000_000
-"""Maps of arms have some 1 MB."""
+"""Largest map file that is read [bytes]; maps have about 1 MB."""
 _MAX_HEADER = 10_000
-_MAX_BEARINGS = 64
-LIMIT = 140.0
-"""Processor time that building a map may take where an answer waits for it [s]."""
-_PART, _MOST_OF_PART = 1 << 14, 1 << 18
-"""Bytes of compressed values that are read at once, and what they become at most."""
+_MAX_AZIMUTHS = 64
+BUILD_TIME_LIMIT = 140.0
+"""Processor time for building a map while a plan waits for it [s]."""
+_CHUNK, _MAX_INFLATED_CHUNK = 1 << 14, 1 << 18
+"""Compressed bytes per step of decompression, and the most bytes that one step returns."""
 _FIELDS = (
     "low", "cell", "axis_xy", "line_tool", "threshold", "key", "build_seconds", "across_tool",
 )  # fmt: skip
 _MAX_TURNS = 64
-_TURNED = 6
-"""Axes of the values of a map that tells turns of the tool apart, which is the first of them."""
+_NDIM_WITH_TURNS = 6
+"""Number of axes of the values if the map stores several tool turns, along the first axis."""
 
 
 def map_key(robot: Robot, config: ReachConfig) -> str:
-    """Key of a robot's map: all that it is built from, as numbers.
+    """Return the content key of a robot's map: a hash of all numbers that it is built from.
 
-    URDF, SRDF, meshes, arm joints and tool enter as the chain and the collision shapes they give,
-    so that a comment in a file changes nothing and a mesh on the disk does.
+    URDF, SRDF, meshes, arm joints and tool enter as the resulting chain and collision shapes. So an
+    edited comment in a file keeps the key, and an edited mesh changes it.
     """
     chain = robot.chain
     spheres = robot.spheres.arrays
-    # Bounds of the base, left out, follow from its boxes; hulls matter where they decide, all but
-    # how near they may be. What lies beside what follows from the vertices.
+    # The bounds of the base follow from its boxes. Hulls enter only if some pair uses them, without
+    # their adjacency, which follows from the vertices, and without their clearances.
     shapes: list[np.ndarray] = list(spheres[:12])
     if spheres.exact.any() or spheres.base_exact.any():
         shapes += [*spheres.hulls[:6], spheres.exact, spheres.base_exact]
@@ -80,27 +82,28 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
         chain.h, chain.d, chain.slides, *coupling, chain.lower, chain.upper, chain.tool_offset,
         chain.tool_rotation, robot.approach_axis, *shapes,
     )  # fmt: skip
-    # A micrometer more or less is another machine's rounding, not another robot.
+    # Rounded to a micrometer: the last digits differ between machines.
     rounded = (np.round(a, 6) + 0.0 if a.dtype.kind == "f" else a for a in arrays)
     settings = asdict(config)
     if is_flooded(robot, arm_frame(chain, robot.approach_axis)):
-        settings["way"] = WAY
+        settings["way"] = FLOOD_VERSION
     else:
         del settings["states"]
     return content_key("reach", VERSION, sorted(settings.items()), *rounded)
 
 
 def encode(reach_map: ReachMap) -> bytes:
-    """A map as bytes: magic, length of the header, header (JSON), values (int8, zlib).
+    """Encode a map: magic, length of the header, header (JSON), values (int8, zlib).
 
-    Turns of the tool that are told apart are mostly alike: side by side they take a third less.
+    The tool turn is stored as the last axis: its values are similar, which compresses to a third
+    less.
     """
     header = {name: getattr(reach_map, name) for name in _FIELDS}
     header = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in header.items()}
     stored = reach_map.values if reach_map.turned is None else reach_map.turned
     header = {k: v for k, v in header.items() if v is not None}
     header |= {"version": VERSION, "shape": stored.shape}
-    if stored.ndim == _TURNED:
+    if stored.ndim == _NDIM_WITH_TURNS:
         header["version"] = _TURNS_LAST
         stored = stored.reshape(len(stored), -1).T
     text = json.dumps(header).encode()
@@ -109,26 +112,26 @@ def encode(reach_map: ReachMap) -> bytes:
 
 
 def decode(data: bytes) -> ReachMap:
-    """Read what `encode` wrote.
+    """Decode a map that `encode` wrote.
 
-    The kernels that look values up trust the shape and the frame, so these are checked here.
+    Shape and frame are checked here, because the lookup kernels trust them.
 
     Raises:
-        FileFormatError: It is not that.
+        FileFormatError: The data is no map.
     """
     try:
         if not data.startswith(_MAGIC):
-            raise ValueError("it does not begin as one")
+            raise ValueError("the magic is missing")
         (length,) = struct.unpack_from("<I", data, len(_MAGIC))
         begin = len(_MAGIC) + 4
         if length > _MAX_HEADER:
-            raise ValueError(f"its header has {length} bytes")
+            raise ValueError(f"the header has {length} bytes; at most {_MAX_HEADER}")
         header = json.loads(data[begin : begin + length])
         if not isinstance(header, dict) or header.get("version") not in (VERSION, _TURNS_LAST):
-            raise ValueError(f"it is not of version {VERSION} or {_TURNS_LAST}")
+            raise ValueError(f"the version must be {VERSION} or {_TURNS_LAST}")
         shape = _shape(header)
         values = _inflated(memoryview(data)[begin + length :], math.prod(shape))
-        if header["version"] == _TURNS_LAST and len(shape) == _TURNED:
+        if header["version"] == _TURNS_LAST and len(shape) == _NDIM_WITH_TURNS:
             values = np.ascontiguousarray(values.reshape(-1, shape[0]).T)
         return _map(header, values.reshape(shape))
     except (ValueError, RecursionError, struct.error, zlib.error) as error:
@@ -136,19 +139,19 @@ def decode(data: bytes) -> ReachMap:
 
 
 def _inflated(packed: memoryview, size: int) -> Int8[np.ndarray, " size"]:
-    """Values from their compressed form, by parts that stay in the processor's cache."""
-    wrong = ValueError("it does not hold as many values as its header says")
+    """Decompress the values in chunks that fit the processor's cache."""
+    wrong_size = ValueError(f"the number of values is not {size}, as the header's shape requires")
     out, inflate, done = np.empty(size, np.int8), zlib.decompressobj(), 0
-    for begin in range(0, len(packed), _PART):
-        rest: bytes | memoryview = packed[begin : begin + _PART]
+    for begin in range(0, len(packed), _CHUNK):
+        rest: bytes | memoryview = packed[begin : begin + _CHUNK]
         while rest and not inflate.eof:
-            part = np.frombuffer(inflate.decompress(rest, _MOST_OF_PART), np.int8)
-            if done + len(part) > size:
-                raise wrong
-            out[done : done + len(part)] = part
-            done, rest = done + len(part), inflate.unconsumed_tail
+            chunk = np.frombuffer(inflate.decompress(rest, _MAX_INFLATED_CHUNK), np.int8)
+            if done + len(chunk) > size:
+                raise wrong_size
+            out[done : done + len(chunk)] = chunk
+            done, rest = done + len(chunk), inflate.unconsumed_tail
     if done != size or not inflate.eof:
-        raise wrong
+        raise wrong_size
     return out
 
 
@@ -156,36 +159,38 @@ def _shape(header: Mapping[str, Any]) -> tuple[int, ...]:
     shape = header.get("shape")
     if (
         not isinstance(shape, list)
-        or len(shape) not in (5, _TURNED)
+        or len(shape) not in (5, _NDIM_WITH_TURNS)
         or not all(type(n) is int and 1 <= n <= MAX_VALUES for n in shape)
         or min(shape[-5:-1]) < 2
-        or shape[-1] > _MAX_BEARINGS
-        or (len(shape) == _TURNED and not 2 <= shape[0] <= _MAX_TURNS)
+        or shape[-1] > _MAX_AZIMUTHS
+        or (len(shape) == _NDIM_WITH_TURNS and not 2 <= shape[0] <= _MAX_TURNS)
         or math.prod(shape) > MAX_VALUES
     ):
-        raise ValueError(f"it cannot have the shape {shape!r:.80}")
+        raise ValueError(f"the shape {shape!r:.80} is impossible")
     return tuple(shape)
 
 
 def _map(header: Mapping[str, Any], values: np.ndarray) -> ReachMap:
-    def numbers(name: str, shape: tuple[int, ...], most: float) -> np.ndarray:
+    def numbers(name: str, shape: tuple[int, ...], limit: float) -> np.ndarray:
         try:
             array = np.array(header.get(name), float)
         except (TypeError, ValueError, OverflowError):
             array = np.array(np.nan)
-        if array.shape != shape or not (np.abs(array) <= most).all():
-            raise ValueError(f"its {name} is no usable number")
+        if array.shape != shape or not (np.abs(array) <= limit).all():
+            count = f"{math.prod(shape)} number{'s' if shape else ''}"
+            raise ValueError(f"{name} must be {count} within +-{limit:g}")
         return array
 
     cell, line = float(numbers("cell", (), 1.0)), numbers("line_tool", (2, 3), MAX_REACH)
-    if cell < 1e-3 or abs(np.linalg.norm(line[0]) - 1.0) > 1e-6:
-        raise ValueError("its cell or line_tool is no usable number")
+    if cell < 1e-3:
+        raise ValueError(f"cell must be at least 0.001 m, not {cell:g} m")
     key = header.get("key")
     if not isinstance(key, str):
-        raise ValueError("its key is no text")
-    across = numbers("across_tool", (3,), 1.0 + 1e-6) if values.ndim == _TURNED else None
-    if across is not None and abs(np.linalg.norm(across) - 1.0) > 1e-6:
-        raise ValueError("its across_tool is no usable number")
+        raise ValueError("key must be a string")
+    across = numbers("across_tool", (3,), 1.0 + 1e-6) if values.ndim == _NDIM_WITH_TURNS else None
+    for name, direction in (("line_tool", line[0]), ("across_tool", across)):
+        if direction is not None and abs(np.linalg.norm(direction) - 1.0) > 1e-6:
+            raise ValueError(f"the direction in {name} must have length 1")
     return ReachMap(
         values if across is None else values.max(0),
         float(numbers("low", (), 2 * MAX_REACH)),
@@ -201,9 +206,9 @@ def _map(header: Mapping[str, Any], values: np.ndarray) -> ReachMap:
 
 
 def shipped(robot: Robot, key: str) -> ReachMap | None:
-    """The map that lies beside a robot's file, where there is one and it is of this robot.
+    """Return the map next to the robot's file, None if there is none with this key.
 
-    That of one arm of several is named so: `NAME.ARM.reach`.
+    A robot with several arms has one file per arm: `NAME.ARM.reach`.
     """
     path = robot.path.with_suffix(f".{robot.arm}.reach" if robot.arm else ".reach")
     if not os.path.lexists(path):
@@ -211,13 +216,13 @@ def shipped(robot: Robot, key: str) -> ReachMap | None:
     try:
         found = decode(read_bytes_bounded(path, MAX_BYTES))
     except FileFormatError as error:
-        log.warning("%s: %s; it is not used", path, error)
+        log.warning("%s: %s; the file is ignored", path, error)
         return None
     return found if found.key == key else None
 
 
-class MapTakesLong(MomaposError):
-    """Building a map has taken all the processor time that it may."""
+class MapBuildTimeoutError(MomaposError):
+    """Building a map has used up its processor time."""
 
 
 def load_reach(
@@ -225,110 +230,114 @@ def load_reach(
     cache_dir: Path | None = None,
     progress: Progress | None = None,
     *,
-    limit: float = LIMIT,
+    limit: float = BUILD_TIME_LIMIT,
 ) -> ReachMap | ArmLength:
-    """The map of a robot as `load_reach_map` has it, or its arm's length where it can have none.
+    """Load the map of a robot, see `load_reach_map`; fall back to the arm's length without one.
 
     Args:
         robot: The robot.
         cache_dir: Folder of the cache; the user's by default.
-        progress: Called with the share that is done, in [0, 1], while the map is built.
-        limit: Processor time that building it may take [s]; the arm's length is taken beyond.
+        progress: Called with the completed share, in [0, 1], while the map is built.
+        limit: Processor time for building the map [s]; afterwards the arm's length is used.
     """
     why = no_map(robot)
     if not why:
         try:
             return load_reach_map(robot, cache_dir, progress, limit=limit)
-        except MapTakesLong as error:
+        except MapBuildTimeoutError as error:
             why = str(error)
-    stand_in = arm_length(robot, why)
-    log.warning("%s", stand_in.note)
-    return stand_in
+    fallback = arm_length(robot, why)
+    log.warning("%s", fallback.note)
+    return fallback
 
 
 def load_reach_map(
     robot: Robot,
-    cache_dir: Path | None = None,
+    cache_dir: str | Path | None = None,
     progress: Progress | None = None,
     *,
     config: ReachConfig | None = None,
     limit: float = math.inf,
 ) -> ReachMap:
-    """The map of a robot: shipped with it, from the cache, or built and kept there.
+    """Load the map of a robot: the shipped one, the cached one, or build and cache it.
 
     Args:
         robot: The robot.
         cache_dir: Folder of the cache; the user's by default.
-        progress: Called with the share that is done, in [0, 1], while the map is built.
-        config: How finely; as `build_true_map` does where None.
-        limit: Processor time that building it may take [s].
+        progress: Called with the completed share, in [0, 1], while the map is built.
+        config: Resolution; None builds the map that `build_true_map` builds.
+        limit: Processor time for building the map [s].
 
     Raises:
-        MapTakesLong: It takes more, or has taken as much before.
+        MapBuildTimeoutError: Building takes longer than `limit`, or did so before.
     """
+    expect("robot", robot, Robot, "load_robot reads one")
+    if config is not None:
+        expect("config", config, ReachConfig)
+    folder = default_cache_dir() if cache_dir is None else as_path("cache_dir", cache_dir)
     key = map_key(robot, config or default_config(robot))
     ready = shipped(robot, key)
     if ready is not None:
         return ready
-    cache = Cache(cache_dir or default_cache_dir())
+    cache = Cache(folder)
     entry, late = f"reach-{_BUILD}-{key}", f"reach-{_BUILD}-{key}-takes-long"
     data = cache.get(entry)
     if data is not None:
         try:
             return decode(data)
         except FileFormatError as error:
-            log.warning("%s: %s; building it again", cache.path(entry), error)
+            log.warning("%s: %s; rebuilding the map", cache.path(entry), error)
     try:
-        if _taken(cache.get(late)) >= limit:
-            raise _takes_long(robot, limit)
-        within = _within(limit, progress or silent, robot)
+        if _failed_limit(cache.get(late)) >= limit:
+            raise _timeout(robot, limit)
+        limited = _with_limit(limit, progress or silent, robot)
         if config is None:
-            built = build_true_map(robot, progress=within, key=key)
+            built = build_true_map(robot, progress=limited, key=key)
         else:
-            built = build_map(robot, config, progress=within, key=key)
-    except MapTakesLong:
-        _keep(cache, late, b"%g" % limit, robot)
+            built = build_map(robot, config, progress=limited, key=key)
+    except MapBuildTimeoutError:
+        _put(cache, late, b"%g" % limit, robot)
         raise
-    _keep(cache, entry, encode(built), robot)
+    _put(cache, entry, encode(built), robot)
     return built
 
 
 def build_true_map(robot: Robot, *, progress: Progress | None = None, key: str = "") -> ReachMap:
-    """Build the map of a robot as `default_config` has it, see `build_map`, and calibrate it."""
+    """Build the map of a robot at its default resolution, and calibrate its threshold."""
     built = build_map(robot, default_config(robot), progress=progress, key=key)
     return calibrated(built, robot)
 
 
-def _within(limit: float, progress: Progress, robot: Robot) -> Progress:
-    """Progress that ends the work once it has taken so much processor time [s]."""
+def _with_limit(limit: float, progress: Progress, robot: Robot) -> Progress:
+    """Return a progress callback that raises once the processor time exceeds `limit` [s]."""
     began = time.process_time()
 
     def report(share: float) -> None:
         if share < 1.0 and time.process_time() - began > limit:
-            raise _takes_long(robot, limit)
+            raise _timeout(robot, limit)
         progress(share)
 
     return report
 
 
-def _takes_long(robot: Robot, limit: float) -> MapTakesLong:
+def _timeout(robot: Robot, limit: float) -> MapBuildTimeoutError:
     arm = f" --arm {robot.arm}" if robot.arm else ""
-    return MapTakesLong(
-        f"it is not built within {limit:.0f} s of processor time, while 'momapos reach build "
-        f"{robot.path}{arm}' takes what it takes"
+    return MapBuildTimeoutError(
+        f"building it takes more than {limit:.0f} s of processor time; "
+        f"'momapos reach build {robot.path}{arm}' builds it without a limit"
     )
 
 
-def _taken(kept: bytes | None) -> float:
-    """Processor time that building has taken without an end, as kept [s]; 0 where it is unknown."""
+def _failed_limit(cached: bytes | None) -> float:
+    """Return the processor time within which building failed before [s], 0 if unknown."""
     try:
-        return float(kept or b"0")
+        return float(cached or b"0")
     except ValueError:
         return 0.0
 
 
-def _keep(cache: Cache, entry: str, data: bytes, robot: Robot) -> None:
+def _put(cache: Cache, entry: str, data: bytes, robot: Robot) -> None:
     try:
         cache.put(entry, data)
     except OSError as error:
-        log.warning("the reachability map of %s cannot be kept: %s", robot.name, error)
+        log.warning("cannot cache the reachability map of %s: %s", robot.name, error)

@@ -1,4 +1,4 @@
-"""The reachability map of one robot: how well can a tool pose be reached from a base pose."""
+"""The reachability map of one robot: how well a tool pose can be reached from a base pose."""
 
 from __future__ import annotations
 
@@ -16,81 +16,81 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int, Int8
 
 YAWS = 12
-"""Yaws that `base_scores` tries."""
+"""Number of base yaws that `base_scores` tries [-]."""
 MAX_VALUES = 100_000_000
-"""Values that a map may hold [-]; building it takes several bytes for each."""
+"""Largest number of values of a map [-]; building it takes several bytes per value."""
 _TURNS = np.arange(YAWS) / YAWS
 _YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS], -1)
 
 
 @dataclass(frozen=True)
 class ReachConfig:
-    """How finely a reachability map is built."""
+    """Resolution of a reachability map."""
 
     cell: float = 0.04
     """Spacing of the grid in height and distance [m]."""
     directions: int = 25
     """Grid points along each side of the octahedral square of directions, odd [-]."""
     azimuths: int = 32
-    """Grid points along the azimuth, a divisor of 64 [-]; 1 leaves the azimuth out. It is also
-    left out where it makes no difference."""
+    """Grid points along the azimuth, a divisor of 64 [-]; 1 omits the azimuth. It is also omitted
+    if it makes no difference."""
     samples: int = 32
-    """Values at which the first joint of a longer arm is locked [-]; where they disagree, up to
-    four times as many. Only half of them are tried far from anything reachable."""
+    """Locked values of the first joint of a redundant arm [-]; up to four times as many where
+    neighbors disagree. Far from any reachable line, only half of them are tried."""
     heights: int = 5
-    """Values at which a torso is locked [-]; about half of them far from anything reachable."""
+    """Locked values of a torso joint [-]; about half of them far from any reachable line."""
     threshold: float = -0.4
-    """Value from which on a line counts as reachable [1/8 cell]. Interpolation rounds the convex
-    boundary of the reachable set inwards, by about 1/20 of a cell."""
+    """Value above which a line counts as reachable [1/8 cell]. Interpolation shifts the convex
+    boundary of the reachable set inwards by about 1/20 of a cell."""
     spins: int = 4
-    """Turns of the tool about its last axis that vote on a line: tools are not round, and half of
-    them must be free of collision [-]."""
+    """Tool turns about the last axis that are checked for collision, as tools are not round [-];
+    at least half of them must be free."""
     states: int = 300_000
-    """Random arm states that the map of an arm begins with whose first axis is not vertical, or
-    whose last joint does not turn fully [-]."""
+    """Random arm states that start the flooding [-]. An arm is flooded if its first axis is not
+    vertical or its last joint does not turn fully."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReachMap:
-    """The reachability map of a robot: signed distances to the boundary of what its arm reaches.
+    """The reachability map of a robot: signed distances to the boundary of the reachable set.
 
-    They stand over the lines of the last axis; see `momapos.planning.reachability.grid`.
+    The grid is over the lines of the arm's last axis, see `momapos.planning.reachability.grid`.
     """
 
     values: Int8[np.ndarray, "z r u v azimuth"]
-    """Cells to the boundary in steps of 1/8; positive inside."""
+    """Distance to the boundary [1/8 cell]; positive inside."""
     low: float
     """Height of the lowest grid point over the floor [m]."""
     cell: float
     """Spacing in height and distance [m]."""
     axis_xy: Float[np.ndarray, "2"]
-    """Foot of the first axis in the base frame, which the grid stands around [m]."""
+    """Foot of the first axis in the base frame [m]; the grid is centered on it."""
     line_tool: Float[np.ndarray, "2 3"]
     """Direction of the last axis and a point on it [m], in the tool frame."""
     threshold: float = 0.0
-    """Value from which on a line counts as reachable."""
+    """Value above which a line counts as reachable [1/8 cell]."""
     key: str = ""
-    """Content key of what the map was built from."""
+    """Content key of the data that the map was built from."""
     build_seconds: float = 0.0
     turned: Int8[np.ndarray, "k z r u v azimuth"] | None = None
-    """The same for k turns of the tool about the line, where these make a difference; `values` are
-    then the best of them."""
+    """Values for k tool turns about the line; `values` holds their maximum. None if the turn makes
+    no difference."""
     across_tool: Float[np.ndarray, "3"] | None = None
-    """Unit vector across the line whose angle about it is the turn, in the tool frame."""
+    """Unit vector across the line, in the tool frame; its angle about the line is the tool turn."""
 
     def __repr__(self) -> str:
         size = " x ".join(map(str, self.values.shape))
         return f"<ReachMap {self.key}: {size} values, {self.reach:.2f} m>"
 
     def _repr_png_(self) -> bytes:
-        """The picture that a notebook shows."""
-        # By name: what draws records is downstream of them.
+        """Return the figure that a notebook shows."""
+        # Imported by name, because plots are above planning in the import order.
         png: bytes = import_module("momapos.apps.plots.notebook_images").reach_png(self)
         return png
 
     @property
     def reach(self) -> float:
-        """No tool's last axis point is farther from the first axis than this [m]."""
+        """Upper bound of the distance between the last axis point and the first axis [m]."""
         return (self.values.shape[1] - 1) * self.cell
 
     def _arrays(self) -> MapArrays:
@@ -101,9 +101,9 @@ class ReachMap:
         return MapArrays(self.turned.reshape(-1), shape, frame, len(self.turned))
 
     def turns(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, " *batch"]:
-        """Turn of the tool about its last axis [turns]; 0 where it makes no difference.
+        """Return the tool's turn about its last axis [turns]; 0 if it makes no difference.
 
-        It counts from the level direction across the axis, so that it is the same for every base.
+        It counts from the horizontal direction across the axis, so it is the same for every base.
         """
         Ts = np.asarray(Ts, float)
         if self.across_tool is None:
@@ -115,21 +115,21 @@ class ReachMap:
         return np.asarray(turn / (2 * np.pi) % 1.0)
 
     def _any_turn(self) -> MapArrays:
-        """The map in which the best turn of the tool counts."""
+        """Return the map that scores each line by its best tool turn."""
         return replace(self, turned=None)._arrays()
 
     def _axis(self) -> Point:
         return Point(float(self.axis_xy[0]), float(self.axis_xy[1]))
 
     def lines(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
-        """The last axis of tool poses: a point [m] and a direction, in the frame of the poses."""
+        """Return the last axis of tool poses in their frame: a point [m] and a direction."""
         Ts = np.asarray(Ts, float)
         direction = Ts[..., :3, :3] @ self.line_tool[0]
         point = Ts[..., :3, :3] @ self.line_tool[1] + Ts[..., :3, 3]
         return np.concatenate([point, direction], -1)
 
     def score(self, Ts_base_tool: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, " *batch"]:
-        """How well tool poses can be reached: 0 not at all, 1 four cells inside the boundary.
+        """Score tool poses: 0 for unreachable, 1 from four cells inside the boundary on.
 
         Args:
             Ts_base_tool: Tool poses in the base frame, z up from the floor.
@@ -145,13 +145,13 @@ class ReachMap:
     def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     ) -> Float[np.ndarray, "n g"]:
-        """The worst score along each grasp's waypoints, for each base pose.
+        """Return the worst score along each grasp's waypoints, for each base pose.
 
         Args:
             bases: x, y [m], yaw [rad] of the base on the floor, in the world frame.
             Ts_world_tool: Tool poses of g grasps at w waypoints.
         """
-        # The last waypoint rules most bases out that the first does not, so it is looked at first.
+        # Evaluate the last waypoint first: it rules out most base poses that the first one leaves.
         Ts_world_tool = np.roll(np.asarray(Ts_world_tool, float), 1, axis=1)
         lines = np.ascontiguousarray(self.lines(Ts_world_tool))
         bases = np.ascontiguousarray(bases, float)
@@ -163,7 +163,7 @@ class ReachMap:
     def score_base_poses(
         self, base_poses: Float[np.ndarray, "n 3"], T_world_tool: Float[np.ndarray, "4 4"]
     ) -> Float[np.ndarray, " n"]:
-        """Score of base poses for one tool pose, see `score`.
+        """Score base poses for one tool pose, see `score`.
 
         Args:
             base_poses: x, y [m], yaw [rad] of the base on the floor, in the world frame.
@@ -177,15 +177,15 @@ class ReachMap:
         xs: Float[np.ndarray, " columns"],
         ys: Float[np.ndarray, " rows"],
     ) -> Float[np.ndarray, "rows columns"]:
-        """Score of bases on a grid of the floor for one tool pose, each at its best yaw.
+        """Score base positions on a floor grid for one tool pose, each at the best of 12 yaws.
 
-        The best of 12 yaws. What is between axes of the arm 6 cm apart is interpolated: scores
-        differ from `score` by 0.01 on average, and by 0.15 at most.
+        Positions of the first axis are interpolated between points 6 cm apart: scores differ from
+        `score` by 0.01 on average and by at most 0.15.
 
         Args:
             T_world_tool: Tool pose in the world frame.
-            xs: Coordinates of the bases along x [m].
-            ys: Likewise along y [m].
+            xs: x coordinates of the bases [m].
+            ys: y coordinates of the bases [m].
         """
         line = self.lines(T_world_tool)
         xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)
@@ -196,6 +196,6 @@ class ReachMap:
 
     @cached_property
     def _rims(self) -> Int[np.ndarray, " z"]:
-        """For each height, the first r from which on nothing is near the reachable [cells]."""
+        """For each height, the smallest r beyond which all values are `OUTSIDE` [cells]."""
         near = (self.values > OUTSIDE).any((2, 3, 4))
         return (near * np.arange(1, near.shape[1] + 1)).max(1)

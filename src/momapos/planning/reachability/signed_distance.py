@@ -1,8 +1,8 @@
-"""From answers at grid points to a signed distance: how many cells the boundary is away.
+"""Convert reachability at grid points to signed distances from the boundary, in cells.
 
-Along every grid edge whose ends disagree the boundary is located by further answers on the edge.
-With crossings at distances t_i along the axes, the distance to a flat boundary is
-`1 / sqrt(sum 1 / t_i^2)`; farther inside, steps along the axes are added (chamfer distance).
+Along every grid edge whose ends disagree, further evaluations locate the boundary. With crossings
+at distances t_i along the axes, the distance to a flat boundary is `1 / sqrt(sum 1 / t_i^2)`.
+Farther inside, steps along the axes are added (chamfer distance).
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 
 from momapos.core.compiled import C1, C2, I2, U1, U2, entry, kernel
 
-from .base_contact import BEARINGS
+from .base_contact import AZIMUTHS
 from .grid import DEPTH, OUTSIDE, STEPS, GridShape
 
 
 def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
-    """Indices of the points whose neighbor one step up disagrees, for each axis.
+    """Find, for each axis, the points that disagree with their neighbor one step up.
 
     Args:
-        masks: U2 (z, r, u, v).
-        least: In how many azimuths they must disagree [-].
+        masks: Masks of azimuths (z, r, u, v).
+        least: Smallest number of azimuths in which they must disagree [-].
     """
     found = []
     for axis in range(masks.ndim):
@@ -34,11 +34,11 @@ def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
 
 
 def nearby(masks: np.ndarray, spread: int) -> np.ndarray:
-    """The azimuths that a point or one of its neighbors has, and some to both sides of them.
+    """Return the azimuths that a point or one of its neighbors has, widened to both sides.
 
     Args:
-        masks: U2 (z, r, u, v).
-        spread: How many to both sides [-].
+        masks: Masks of azimuths (z, r, u, v).
+        spread: Number of azimuths added to both sides [-].
     """
     found = masks.copy()
     for axis in range(masks.ndim):
@@ -46,14 +46,14 @@ def nearby(masks: np.ndarray, spread: int) -> np.ndarray:
         near[1:] |= here[:-1]
         near[:-1] |= here[1:]
     for _ in range(spread):
-        left = (found << np.uint64(1)) | (found >> np.uint64(BEARINGS - 1))
-        found |= left | (found >> np.uint64(1)) | (found << np.uint64(BEARINGS - 1))
+        left = (found << np.uint64(1)) | (found >> np.uint64(AZIMUTHS - 1))
+        found |= left | (found >> np.uint64(1)) | (found << np.uint64(AZIMUTHS - 1))
     return found
 
 
 @kernel
 def _first_change(bit, here, there, row, interior, backwards):
-    """Distance along an edge to the first answer that differs, or 9 where none does."""
+    """Return the distance along an edge to the first point that differs, 9 if none does."""
     one, shift = np.uint64(1), np.uint64(bit)
     state = (here >> shift) & one
     if row >= 0:
@@ -68,23 +68,17 @@ def _first_change(bit, here, there, row, interior, backwards):
 
 @entry
 def near_signed_distances(
-    lo: int,
-    hi: int,
-    masks: U1,
-    shape: GridShape,
-    rows: I2,
-    interior: U2,
-    out: C2,
+    lo: int, hi: int, masks: U1, shape: GridShape, rows: I2, interior: U2, out: C2
 ) -> None:
-    """Signed distances next to the boundary, for points lo to hi.
+    """Compute signed distances next to the boundary, for points lo to hi.
 
     Args:
         lo, hi: Range of points.
-        masks: U2 (points,).
+        masks: Masks of azimuths (points,).
         shape: Number of points along z, r, u, v, azimuth.
-        rows: (4, points): row of `interior` for the edge one step up each axis, or -1.
-        interior: (edges, k) answers on the uneven edges.
-        out: (points, azimuths) int8.
+        rows: Row of `interior` for the edge one step up each axis, or -1 (4, points).
+        interior: Masks on the uneven edges (edges, k).
+        out: Output (points, azimuths).
     """
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv, nu * nv, nv, 1)
@@ -92,7 +86,7 @@ def near_signed_distances(
     one = np.uint64(1)
     for i in range(lo, hi):
         for b in range(nb):
-            bit = b * (BEARINGS // nb)
+            bit = b * (AZIMUTHS // nb)
             state = (masks[i] >> np.uint64(bit)) & one
             total = 0.0
             for a in range(4):
@@ -107,10 +101,10 @@ def near_signed_distances(
                 if t < 9.0:
                     total += 1.0 / (t * t)
             if nb > 1:
-                per = BEARINGS // nb
+                per = AZIMUTHS // nb
                 for k in range(1, per + 1):
-                    up = (masks[i] >> np.uint64((bit + k) % BEARINGS)) & one
-                    down = (masks[i] >> np.uint64((bit - k) % BEARINGS)) & one
+                    up = (masks[i] >> np.uint64((bit + k) % AZIMUTHS)) & one
+                    down = (masks[i] >> np.uint64((bit - k) % AZIMUTHS)) & one
                     if up != state or down != state:
                         t = (k - 0.5) / per
                         total += 1.0 / (t * t)
@@ -123,21 +117,15 @@ def near_signed_distances(
 
 
 @entry
-def flood_signed_distances(
-    state: C1,
-    middles: C2,
-    turn_gap: C1,
-    shape: GridShape,
-    out: C1,
-) -> None:
-    """Signed distances next to the boundary from one answer at each line.
+def flood_signed_distances(state: C1, middles: C2, turn_gap: C1, shape: GridShape, out: C1) -> None:
+    """Compute signed distances next to the boundary from whether each line is reached.
 
     Args:
-        state: Whether each is reached, 0 or 1.
-        middles: (5, lines) the answer half-way to the next line along each axis, or -1.
-        turn_gap: Quarters of a step of the tool's turn to where the answer changes, or 0.
+        state: Whether each line is reached, 0 or 1.
+        middles: The same half-way to the next line along each axis, or -1 (5, lines).
+        turn_gap: Quarters of a step of the tool turn to where the state changes, or 0.
         shape: Number of lines along z, r, u, v, azimuth.
-        out: (lines,) to be filled.
+        out: Output (lines,).
     """
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb, 1)
@@ -172,11 +160,8 @@ def flood_signed_distances(
 
 
 @entry
-def deepen(
-    values: C1,
-    shape: GridShape,
-) -> None:
-    """Count steps inwards: a point is at most one cell deeper than its neighbors."""
+def deepen(values: C1, shape: GridShape) -> None:
+    """Propagate distances inwards: a point is at most one cell deeper than its neighbors."""
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb)
     count = (nz, nr, nu, nv)
@@ -202,23 +187,23 @@ def deepen(
 
 
 def close_seam(values: np.ndarray) -> None:
-    """Give the points that are one on the octahedron's border one value, in place."""
+    """Give coinciding points on the octahedron's border the same value, in place."""
     flipped = values[:, :, ::-1]
     for edge in (0, -1):
         pair = np.stack([values[:, :, :, edge], flipped[:, :, :, edge]])
-        values[:, :, :, edge] = _milder(pair)
+        values[:, :, :, edge] = _nearest_boundary(pair)
     flipped = values[:, :, :, ::-1]
     for edge in (0, -1):
         pair = np.stack([values[:, :, edge], flipped[:, :, edge]])
-        values[:, :, edge] = _milder(pair)
+        values[:, :, edge] = _nearest_boundary(pair)
     corners = np.stack([values[:, :, i, j] for i in (0, -1) for j in (0, -1)])
-    least = _milder(corners)
+    least = _nearest_boundary(corners)
     for i in (0, -1):
         for j in (0, -1):
             values[:, :, i, j] = least
 
 
-def _milder(values: np.ndarray) -> np.ndarray:
-    """Of several values the one nearest to the boundary."""
+def _nearest_boundary(values: np.ndarray) -> np.ndarray:
+    """Pick the value of smallest magnitude along the first axis."""
     pick = np.argmin(np.abs(values), axis=0)
     return np.take_along_axis(values, pick[None], 0)[0]

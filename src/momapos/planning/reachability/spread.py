@@ -1,4 +1,4 @@
-"""Carry what an arm does on one line of the grid to the lines beside it, and half-way to them."""
+"""Kernels that try neighboring lines, and points half-way to them, from the states on a line."""
 
 from __future__ import annotations
 
@@ -12,32 +12,31 @@ from .aim import SPAN, AimedArm, LineGrid, aim_from, memory
 from .grid import TURNS, GridShape
 
 AZIMUTH = 4
-"""The axis of the grid that goes around."""
+"""The periodic axis of the grid."""
 GROUPS = TURNS // SPAN
-"""Groups of turns; a line keeps a state for each [-]."""
+"""Number of groups of turns; a line stores a state for each [-]."""
 
 
-class Lines(NamedTuple):
-    """What is known of the lines of a grid."""
+class LineStates(NamedTuple):
+    """The turns reached on each line of a grid, and arm states that reach them."""
 
     shape: GridShape
     """Number of lines along each axis."""
     words: U1
-    """Turns of the tool that are reached on each."""
+    """Tool turns that are reached on each line."""
     states: S3
-    """For each group of turns a state on each line that gave some of them (lines, groups, n): turns
-    that lie apart are served by different states, and each is wanted by lines beside this one."""
+    """A state per line and group of turns that reaches some of these turns (lines, groups, n).
+    Distant turns need different states, and neighboring lines start from each of them."""
 
 
 @kernel
 def group_of_turns(group):
-    """The turns of a group, as a word."""
+    """Return the word of the turns of a group."""
     return np.uint64(((1 << SPAN) - 1) << (SPAN * group))
 
 
 @kernel
 def _unravel(line, shape, at):
-    """The place of a line along each axis."""
     for k in range(4, -1, -1):
         at[k] = line % shape[k]
         line //= shape[k]
@@ -45,7 +44,7 @@ def _unravel(line, shape, at):
 
 @kernel
 def _beside(line, axis, step, shape, at):
-    """The line so many steps along an axis, and its place; -1 where there is none."""
+    """Return the line some steps along an axis, -1 if outside the grid; `at` becomes its index."""
     _unravel(line, shape, at)
     at[axis] += step
     if axis == AZIMUTH:
@@ -60,7 +59,7 @@ def _beside(line, axis, step, shape, at):
 
 @kernel
 def _asked_before(states, group, asked):
-    """Whether the state of a group is one that was begun from."""
+    """Check whether an earlier group with the same state was already used as a start."""
     for g in range(group):
         if not asked & (1 << g):
             continue
@@ -78,25 +77,23 @@ def aim_beside(
     axis: int,
     step: int,
     fresh: U1,
-    known: Lines,
+    known: LineStates,
     arm: AimedArm,
     grid: LineGrid,
     lines: I1,
     words: U1,
     states: S3,
 ) -> None:
-    """Aim at the lines beside some lines, from the states on these.
+    """Aim the arm at neighboring lines, from the states on the given lines.
 
     Args:
-        rows: The lines that have gained (k,).
-        axis, step: Which of the lines beside each is aimed at.
-        fresh: The turns that each line of the grid has gained: what lies beside is tried for these.
-        known: What is known; it is left as it is, so that threads do not see what others find.
-        arm: The arm.
-        grid: The grid.
-        lines: The line beside each, to be filled (k,); -1 where there is none.
-        words: The turns found on it that it lacks, to be filled (k,).
-        states: The states that serve them (k, groups, n), to be filled for the groups found.
+        rows: The lines that have gained turns (k,).
+        axis, step: Where the neighbor of each line is.
+        fresh: The turns that each line of the grid has gained; its neighbor is tried for these.
+        known: What is known so far. It is not changed, so threads do not see each other's results.
+        lines: Output: the neighbor of each line (k,); -1 if outside the grid.
+        words: Output: the new turns found on the neighbor (k,).
+        states: Output: the states that reach them (k, groups, n), for the groups found.
     """
     own, at = memory(arm), np.empty(5)
     for i in range(len(rows)):
@@ -109,7 +106,7 @@ def aim_beside(
         for group in range(GROUPS):
             if not fresh[source] & ~told & group_of_turns(group):
                 continue
-            # One state mostly serves several groups.
+            # One state usually serves several groups.
             if _asked_before(known.states[source], group, asked):
                 continue
             asked |= 1 << group
@@ -121,7 +118,7 @@ def aim_beside(
 
 @kernel
 def _keep(word, q, states):
-    """Keep a state for the groups of which it serves turns."""
+    """Store a state for the groups of the turns that it reaches."""
     for group in range(GROUPS):
         if word & group_of_turns(group):
             for k in range(len(q)):
@@ -129,15 +126,15 @@ def _keep(word, q, states):
 
 
 @entry
-def add(lines: I1, words: U1, states: S3, known: Lines, gained: U1) -> None:
-    """Add turns found on lines to what is known and to what is gained.
+def add(lines: I1, words: U1, states: S3, known: LineStates, gained: U1) -> None:
+    """Add turns found on lines to `known` and `gained`.
 
     Args:
-        lines: The lines (k,); -1 for none. Of one that is named twice the last states are kept;
-            threads that share the work name none twice.
-        words: Turns found on each (k,).
-        states: The states that serve them (k, groups, n).
-        known: What is known, changed in place.
+        lines: The lines (k,); -1 for none. For a line listed twice the last states are stored;
+            threads must not share a line.
+        words: Turns found on each line (k,).
+        states: The states that reach them (k, groups, n).
+        known: What is known so far, changed in place.
         gained: The turns that each line of the grid has gained, changed in place.
     """
     for i in range(len(lines)):
@@ -154,33 +151,37 @@ def add(lines: I1, words: U1, states: S3, known: Lines, gained: U1) -> None:
 
 @entry
 def aim_between(
-    low: I1, axis: int, asked: np.uint64, known: Lines, arm: AimedArm, grid: LineGrid, words: U1
+    low: I1,
+    axis: int,
+    wanted: np.uint64,
+    known: LineStates,
+    arm: AimedArm,
+    grid: LineGrid,
+    words: U1,
 ) -> None:
-    """Turns reached half-way between lines and the next ones along an axis.
+    """Find the turns reached half-way between lines and the next ones along an axis.
 
     Args:
         low: The lines at the lower ends (k,).
-        axis: Along which.
-        asked: The turns that matter; of the others the answer says nothing.
+        axis: Axis along which the lines are neighbors.
+        wanted: Word of the turns that matter; the other bits of the result are undefined.
         known: What is known of the lines.
-        arm: The arm.
-        grid: The grid.
-        words: Turns that are reached there, to be filled (k,).
+        words: Output: the turns reached there (k,).
     """
     own, at, to = memory(arm), np.empty(5), np.empty(5)
     ends = np.empty(2, np.int64)
     for i in range(len(low)):
         ends[0], ends[1] = low[i], _beside(low[i], axis, 1, known.shape, to)
         both = known.words[ends[0]] & known.words[ends[1]]
-        # Half-way between two that agree they are taken to agree.
+        # Turns on which both ends agree are assumed to agree half-way, too.
         either = known.words[ends[0]] | known.words[ends[1]]
         _unravel(low[i], known.shape, at)
         at[axis] += 0.5
         word = both
         for end in range(2):
-            # From the end that has what the other lacks.
+            # Start from the end that has turns which the other end lacks.
             for group in range(GROUPS):
-                if known.words[ends[end]] & ~word & asked & group_of_turns(group):
+                if known.words[ends[end]] & ~word & wanted & group_of_turns(group):
                     start = known.states[ends[end], group]
-                    word |= aim_from(at, start, word | ~asked, arm, grid, own) & either
+                    word |= aim_from(at, start, word | ~wanted, arm, grid, own) & either
         words[i] = word

@@ -1,4 +1,4 @@
-"""Work over many rows on two threads; the kernels hold no lock."""
+"""Process many rows on two threads; the kernels release the GIL."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 Progress = Callable[[float], None]
-"""Told the share that is done, in [0, 1]."""
+"""Callback for the completed share, in [0, 1]."""
 
 
 def silent(_share: float) -> None:
-    """Nobody wants to know."""
+    """Report no progress."""
 
 
 def in_threads(

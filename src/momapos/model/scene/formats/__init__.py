@@ -1,4 +1,4 @@
-"""Rooms in the formats of other programs: read into ours, and written from ours."""
+"""Import rooms from the formats of other programs, and export MJCF."""
 
 import lazy_loader
 

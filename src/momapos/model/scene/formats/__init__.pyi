@@ -1,4 +1,4 @@
-from .imported_room import Report as Report
+from .imported_room import ImportReport as ImportReport
 from .importing import write_room as write_room
 from .kinds import foreign_kind as foreign_kind
 from .kinds import kind_of_file as kind_of_file

@@ -1,4 +1,4 @@
-"""Shapes that a URDF has no word for, made of those that it has."""
+"""Replace shapes that URDF lacks by URDF shapes."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from .imported_room import Mesh
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-LEVEL = 0.999
-"""A plane whose normal has at least this share along z is a floor [-]."""
-THICK = 0.02
-"""Thickness of the box that stands for a plane with edges [m]."""
-_RINGS = 12
-"""Of the ball that stands for ellipsoids and its like [-]."""
+MIN_FLOOR_NORMAL_Z = 0.999
+"""Minimum z of a unit normal for a plane to be a floor [-]."""
+PLANE_THICKNESS = 0.02
+"""Thickness of the box that replaces a bounded plane [m]."""
+_BALL_RINGS = 12
+"""Number of rings of the ball mesh [-]."""
 
 
 def capsule(
     radius: float, length: float, T: Float[np.ndarray, "4 4"], name: str = ""
 ) -> list[Geometry]:
-    """A capsule along z: a cylinder and two balls, which is exact.
+    """Return a capsule along z as a cylinder and two balls, which is exact.
 
     Args:
-        radius: Its radius [m].
-        length: Of its straight part [m].
-        T: Its pose.
-        name: Of all three shapes.
+        radius: Radius [m].
+        length: Length of the straight part [m].
+        T: Pose of the capsule.
+        name: Name of all three shapes.
     """
     ends = (pose(np.array([0.0, 0.0, z])) for z in (length / 2, -length / 2))
     balls = [Geometry("sphere", (radius,), T @ end, name) for end in ends]
@@ -40,37 +40,38 @@ def capsule(
 
 
 def plane(x: float, y: float, T: Float[np.ndarray, "4 4"], name: str = "") -> Geometry:
-    """A box behind a plane with edges, whose normal is z.
+    """Return a box behind a bounded plane with normal z.
 
     Args:
         x: Edge along x [m].
         y: Edge along y [m].
-        T: Its pose.
-        name: Of the shape.
+        T: Pose of the plane.
+        name: Name of the shape.
     """
-    return Geometry("box", (x, y, THICK), T @ pose(np.array([0.0, 0.0, -THICK / 2])), name)
+    return Geometry(
+        "box", (x, y, PLANE_THICKNESS), T @ pose(np.array([0.0, 0.0, -PLANE_THICKNESS / 2])), name
+    )
 
 
 def ellipsoid(
     half: tuple[float, float, float], T: Float[np.ndarray, "4 4"], name: str = ""
 ) -> tuple[Geometry, Path, Mesh]:
-    """An ellipsoid as a mesh of a ball that is scaled, and that ball by the name of its file.
+    """Return an ellipsoid as a scaled ball mesh, with the file name and content of that mesh.
 
     Args:
-        half: Its half axes [m].
-        T: Its pose.
-        name: Of the shape.
+        half: Half axes [m].
+        T: Pose of the ellipsoid.
+        name: Name of the shape.
     """
     file = Path("ball.obj")
     return Geometry("mesh", half, T, name, file), file, _ball()
 
 
 def _ball() -> Mesh:
-    """A ball of radius 1 as a mesh whose faces are outside of it."""
     from scipy.spatial import ConvexHull
 
-    polar = np.linspace(0.0, np.pi, _RINGS + 1)[1:-1]
-    around = np.linspace(0.0, 2 * np.pi, 2 * _RINGS, endpoint=False)
+    polar = np.linspace(0.0, np.pi, _BALL_RINGS + 1)[1:-1]
+    around = np.linspace(0.0, 2 * np.pi, 2 * _BALL_RINGS, endpoint=False)
     p, a = (grid.ravel() for grid in np.meshgrid(polar, around, indexing="ij"))
     rings = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=1)
     points = np.vstack([rings, [[0, 0, 1], [0, 0, -1]]])

@@ -1,4 +1,4 @@
-"""A room as a reader of another format hands it on, and the account of what became of it."""
+"""A room imported from another format, and the report on its conversion."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 DECIMALS = 6
-"""Of the vertices of a mesh that is written [m]."""
+"""Decimals of the vertices of a written mesh [m]."""
 
 
 @dataclass(frozen=True)
-class Resistance:
-    """How a joint resists, as the file says."""
+class JointResistance:
+    """Resistance of a joint according to the file."""
 
     damping: float
     """[Nms/rad] or [Ns/m]"""
@@ -32,53 +32,53 @@ class Resistance:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles."""
+    """Triangle mesh."""
 
     vertices: Float[np.ndarray, "v 3"]
     """[m]"""
     faces: Int[np.ndarray, "f 3"]
-    """Corners, from 0."""
+    """Vertex indices, from 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoomObject:
-    """One thing in a room of another format."""
+    """An object of an imported room."""
 
     name: str
     T_world_object: Float[np.ndarray, "4 4"]
     urdf: Urdf
-    """Its links and joints; the mesh of a shape is named by a key of the room's `meshes`."""
+    """Its links and joints; mesh shapes name keys of the room's `meshes`."""
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Values that are not at rest [rad] or [m]."""
-    resistance: Mapping[str, Resistance] = field(default_factory=dict)
+    """Values of joints that are not at rest [rad] or [m]."""
+    resistance: Mapping[str, JointResistance] = field(default_factory=dict)
     extras: Mapping[str, Any] = field(default_factory=dict)
-    """Members of its entry in a momapos scene that the format holds beside: a category, say."""
+    """Further members of its entry in a momapos scene, such as the category."""
 
 
 @dataclass(frozen=True)
-class Report:
-    """What was kept, approximated and dropped: how many of what."""
+class ImportReport:
+    """Counts of what was kept, approximated and dropped in the conversion."""
 
     kept: Counter[str] = field(default_factory=Counter)
     approximated: Counter[str] = field(default_factory=Counter)
     dropped: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
-    """What a reader must know beside."""
+    """Further remarks."""
 
     def lines(self) -> list[str]:
-        """The report as text, a line for each of its parts that holds something."""
+        """Return the report as text, one line for each nonempty part."""
         parts = (
             ("kept", self.kept), ("approximated", self.approximated), ("dropped", self.dropped)
         )  # fmt: skip
         lines = [
-            f"{word}: {', '.join(f'{what} {count}' for what, count in found.items() if count)}"
+            f"{word}: {', '.join(f'{count} {what}' for what, count in found.items() if count)}"
             for word, found in parts
             if found.total()
         ]
         return [*lines, *(f"note: {text}" for text in self.notes)]
 
     def as_json(self) -> dict[str, Any]:
-        """The report as plain values."""
+        """Return the report as plain values."""
         return {
             "kept": dict(self.kept),
             "approximated": dict(self.approximated),
@@ -88,32 +88,32 @@ class Report:
 
 
 @dataclass(frozen=True, eq=False)
-class Room:
-    """A room of another format."""
+class ImportedRoom:
+    """A room imported from another format."""
 
     name: str
     objects: tuple[RoomObject, ...]
     meshes: Mapping[Path, Mesh]
-    report: Report
+    report: ImportReport
     extras: Mapping[str, Any] = field(default_factory=dict)
-    """Members of a momapos scene that the format holds beside: `floor`, `start`, `areas`."""
+    """Further members of a momapos scene: `floor`, `start`, `areas`."""
 
-    def without(self, names: Collection[str]) -> Room:
-        """The room without some objects.
+    def without(self, names: Collection[str]) -> ImportedRoom:
+        """Return the room without some objects.
 
         Raises:
-            UnknownNameError: There is no such object; the message offers the nearest.
+            UnknownNameError: An object does not exist; the message suggests similar names.
         """
         known = [item.name for item in self.objects]
         for name in names:
             if name not in known:
                 raise unknown_name("object", name, known, f"room {self.name}")
         if names:
-            self.report.dropped["objects, as asked"] += len(set(names))
+            self.report.dropped["objects, as requested"] += len(set(names))
         return replace(self, objects=tuple(o for o in self.objects if o.name not in names))
 
-    def told(self) -> Report:
-        """The report, with what is in the room now as kept."""
+    def final_report(self) -> ImportReport:
+        """Return the report, including the present content of the room as kept."""
         joints = [joint for item in self.objects for joint in item.urdf.joints if joint.movable]
         links = [link for item in self.objects for link in item.urdf.links.values()]
         slides = sum(joint.kind == "prismatic" for joint in joints)
@@ -121,21 +121,21 @@ class Room:
             "objects": len(self.objects),
             "hinges": len(joints) - slides,
             "slides": slides,
-            "joints that follow others": sum(joint.mimic is not None for joint in joints),
-            "solid shapes": sum(len(link.collisions) for link in links),
-            "drawn shapes": sum(len(link.visuals) for link in links),
+            "mimic joints": sum(joint.mimic is not None for joint in joints),
+            "collision shapes": sum(len(link.collisions) for link in links),
+            "visual shapes": sum(len(link.visuals) for link in links),
         })  # fmt: skip
         return replace(self.report, kept=kept + self.report.kept)
 
 
 class Names:
-    """Gives names that can stand in our files, no two alike."""
+    """Makes valid and unique names for our files."""
 
     def __init__(self) -> None:
         self._used: set[str] = set()
 
     def __call__(self, wanted: str, otherwise: str) -> str:
-        """A printable name without `/`, as near to the one that is wanted as can be."""
+        """Return a printable name without `/`, as similar to the wanted one as possible."""
         text = "".join(c if c.isprintable() and c != "/" else "_" for c in wanted.strip())[:200]
         name = text = text or otherwise
         number = 1

@@ -1,4 +1,4 @@
-"""Rooms of other formats as momapos scenes: which format a file is, and writing what was read."""
+"""Write imported rooms as momapos scenes."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import VERSION, load_scene
 from momapos.model.scene.scene_names import FORMAT
 
-from .imported_room import DECIMALS, Mesh, Names, Room, RoomObject
+from .imported_room import DECIMALS, ImportedRoom, Mesh, Names, RoomObject
 from .urdf_writer import urdf_text
 
 _MEMBERS = ("category", "hypotheses", "confidence")
-"""What of an object's extras goes into its entry."""
+"""Extras of an object that its entry contains."""
 
 
-def write_room(room: Room, source: Path, out: Path) -> Scene:
-    """Write a room as a momapos scene, its URDF and mesh files into `<stem>_files` beside it.
+def write_room(room: ImportedRoom, source: Path, out: Path) -> Scene:
+    """Write a room as a momapos scene, with URDF and mesh files in `<stem>_files` next to it.
 
     Args:
         room: The room.
-        source: The file it was read from, for messages.
+        source: File that the room was read from, for messages.
         out: The scene file.
 
     Returns:
-        The scene, as it is read from what was written.
+        The scene, read back from the written file.
 
     Raises:
-        SceneError: The folder exists, cannot be written to, or what was read makes no scene;
-            nothing is written then.
+        SceneError: The folder exists or cannot be written to, or the room makes no valid scene;
+            then nothing is written.
     """
     target = out.resolve().parent / f"{out.stem}_files"
     if os.path.lexists(target):
-        raise SceneError(f"{target} exists already; remove it or write to another file")
+        raise SceneError(f"{target}: exists already; remove it or write to another file")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=target.parent) as temporary:
@@ -68,16 +68,16 @@ def write_room(room: Room, source: Path, out: Path) -> Scene:
 
 @contextmanager
 def _naming(source: Path, folder: Path) -> Iterator[None]:
-    """Have errors about files in a temporary folder name the file that these were made from."""
+    """Replace the names of temporary files in errors by the file they were made from."""
     try:
         yield
     except MomaposError as error:
         text = str(error).replace(f"{folder}{os.sep}", "")
-        raise SceneError(f"{source}: makes no usable scene: {text}") from error
+        raise SceneError(f"{source}: makes no valid scene: {text}") from error
 
 
-def _write_files(room: Room, folder: Path) -> str:
-    """Write URDF and mesh files, and return the text of the scene beside their folder."""
+def _write_files(room: ImportedRoom, folder: Path) -> str:
+    """Write URDF and mesh files, and return the text of the scene file for their folder."""
     for file, mesh in room.meshes.items():
         (folder / file).write_text(_obj_text(mesh), encoding="ascii")
     files = Names()
@@ -93,7 +93,6 @@ def _write_files(room: Room, folder: Path) -> str:
 
 
 def _entry(item: RoomObject, urdf: str) -> dict[str, Any]:
-    """The entry of an object in the scene file."""
     T = item.T_world_object
     wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     extras: Mapping[str, Any] = {key: item.extras[key] for key in _MEMBERS if key in item.extras}
@@ -108,7 +107,6 @@ def _entry(item: RoomObject, urdf: str) -> dict[str, Any]:
 
 
 def _obj_text(mesh: Mesh) -> str:
-    """A mesh as an OBJ file."""
     points = np.round(mesh.vertices, DECIMALS) + 0.0
     lines = [f"v {x:.{DECIMALS}f} {y:.{DECIMALS}f} {z:.{DECIMALS}f}" for x, y, z in points.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]

@@ -1,4 +1,4 @@
-"""Which format of another program a file has, as its content says."""
+"""Detect the format of another program's file from its content."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Literal
 from momapos.core import open_regular
 
 if TYPE_CHECKING:
-    from .imported_room import Room
+    from .imported_room import ImportedRoom
 
 Kind = Literal["MJCF", "MoveIt", "SDF", "USD"]
 _ROOTS: dict[str, Kind] = {"mujoco": "MJCF", "sdf": "SDF"}
-"""Formats by the root element of their XML."""
+"""Formats by their XML root element."""
 _FIRST = re.compile(
     r"\s*(?:<\?.*?\?>\s*|<!--.*?-->\s*|<!DOCTYPE[^>\[]*>\s*)*<([A-Za-z][\w.-]*)", re.S
 )
 _PLANNING_SCENE = re.compile(r"[^\n]*\n\s*(\*\s|\.\s*\Z)")
-"""A name, then an object or the end."""
+"""A name, followed by an object or the end."""
 _USD = ("#usda", "PXR-USDC")
-_LOOKED_AT = 1 << 16
-"""How much of a file tells what it is [bytes]."""
+_DETECTION_BYTES = 1 << 16
+"""Number of bytes that determine the format [bytes]."""
 
 
 def foreign_kind(text: str) -> Kind | None:
-    """The format of another program that a text begins in; None where it is none that is known."""
+    """Return the format of another program that a text starts with; None if unknown."""
     text = text.lstrip("\ufeff")
     if text.startswith(_USD):
         return "USD"
@@ -37,35 +37,35 @@ def foreign_kind(text: str) -> Kind | None:
 
 
 def kind_of_file(path: Path) -> Kind | None:
-    """The format of a file, as `foreign_kind` tells it.
+    """Return the format of a file, see `foreign_kind`.
 
     Raises:
-        FileFormatError: It cannot be read.
+        FileFormatError: The file cannot be read.
     """
     with open_regular(path) as file:
-        return foreign_kind(file.read(_LOOKED_AT).decode("utf-8", errors="replace"))
+        return foreign_kind(file.read(_DETECTION_BYTES).decode("utf-8", errors="replace"))
 
 
-def read_room(kind: Kind, path: Path, root: Path | None) -> Room:
-    """Read a room in a format of another program.
+def read_room(kind: Kind, path: Path, root: Path | None) -> ImportedRoom:
+    """Read a room in the format of another program.
 
     Args:
         kind: The format.
         path: The file.
-        root: Folder that no file may leave; the file's own where None.
+        root: Folder that no file may leave; None for the file's folder.
 
     Raises:
-        FileFormatError: It cannot be used; one line says what is wrong and where.
-        MissingExtraError: What reads it is not installed.
+        FileFormatError: The file is invalid; one line says what is wrong and where.
+        MissingExtraError: The reader of the format is not installed.
     """
     return _reader(kind)(path, (root or path.resolve().parent))
 
 
-def _reader(kind: Kind) -> Callable[[Path, Path], Room]:
-    """What reads a format; imported when it is needed."""
+def _reader(kind: Kind) -> Callable[[Path, Path], ImportedRoom]:
+    """Return the reader of a format, imported on demand."""
     from . import mjcf, moveit, sdf, usd
 
-    readers: dict[Kind, Callable[[Path, Path], Room]] = {
+    readers: dict[Kind, Callable[[Path, Path], ImportedRoom]] = {
         "MJCF": mjcf.read_room,
         "MoveIt": moveit.read_room,
         "SDF": sdf.read_room,

@@ -1,7 +1,7 @@
-"""Rooms in MJCF, MuJoCo's format: MuJoCo compiles the model, and our records come from that.
+"""Read rooms in MJCF, MuJoCo's format, from the model that MuJoCo compiles.
 
-Every body that stands in the world is an object, and so is every geom there. Where a body holds
-nothing but several bodies that stand still, these are objects.
+Every body and every geom of the world becomes an object. If a body only contains several fixed
+bodies, these become objects instead.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from momapos.core import FileFormatError, require
 from momapos.core.geometry import pose, pose_wxyz
 from momapos.model.urdf import Mimic
 
-from .imported_room import Names, Report, Room
+from .imported_room import ImportedRoom, ImportReport, Names
 from .mjcf_files import OWN_TEXT, Mjcf, read_mjcf
 from .mjcf_shapes import GeomShapes
 from .mjcf_tree import Tree
@@ -28,14 +28,14 @@ from .mjcf_tree import Tree
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-BELOW = 1e-3
-"""What stands still and rises above the floor by less than this is the floor [m]."""
-STRAIGHT = 1e-9
-"""Greater coefficients of an equality constraint bend it [-]."""
+MAX_FLOOR_HEIGHT = 1e-3
+"""Height above the floor up to which fixed geometry counts as floor [m]."""
+MAX_NONLINEAR_COEFFICIENT = 1e-9
+"""Maximum nonlinear coefficient of a linear joint coupling [-]."""
 _FLOORS = ("floor", "ground")
 
 
-def read_room(path: Path, root: Path) -> Room:
+def read_room(path: Path, root: Path) -> ImportedRoom:
     """Read a room in MJCF.
 
     Args:
@@ -43,7 +43,7 @@ def read_room(path: Path, root: Path) -> Room:
         root: Folder that no file may leave.
 
     Raises:
-        FileFormatError: It cannot be used; one line says what is wrong and where.
+        FileFormatError: The file is invalid; one line says what is wrong and where.
         MissingExtraError: MuJoCo is not installed.
     """
     with require("physics"):
@@ -54,18 +54,18 @@ def read_room(path: Path, root: Path) -> Room:
     try:
         model = mujoco.MjModel.from_xml_string(text, source.meshes)
     except ValueError as error:
-        raise FileFormatError(f"{path}: MuJoCo does not take it: {error}") from error
+        raise FileFormatError(f"{path}: MuJoCo rejects it: {error}") from error
     return _Reader(path, model, source).room()
 
 
 @dataclass
 class _Reader:
-    """Makes our records of a compiled model."""
+    """Converts a compiled model to our records."""
 
     path: Path
     model: Any
     source: Mjcf
-    report: Report = field(default_factory=Report)
+    report: ImportReport = field(default_factory=ImportReport)
 
     def __post_init__(self) -> None:
         m = self.model
@@ -78,8 +78,8 @@ class _Reader:
             T = pose_wxyz(tuple(m.body_pos[body].tolist()), tuple(m.body_quat[body].tolist()))
             self.poses.append(self.poses[parent] @ T)
 
-    def room(self) -> Room:
-        """The room; what is not in it is in the report."""
+    def room(self) -> ImportedRoom:
+        """Return the room; the report counts what it lacks."""
         own = _own_members(self.source.own_text, self.path)
         self.report.dropped.update(self.source.dropped)
         self.report.dropped["sites"] += int(self.model.nsite)
@@ -102,12 +102,10 @@ class _Reader:
         }
         meshes = {file: mesh for file, mesh in self.shapes.meshes.items() if file in used}
         members = {key: value for key, value in own.items() if key in ("floor", "start", "areas")}
-        return Room(self.path.stem, objects, meshes, self.report, members)
-
-    # ------------------------------------------------------------------------------------ objects
+        return ImportedRoom(self.path.stem, objects, meshes, self.report, members)
 
     def _trees(self, height: float) -> list[tuple[Tree, Float[np.ndarray, "4 4"]]]:
-        """The objects that stand on the floor, and where they are."""
+        """Return the objects on the floor, and their poses."""
         m, roots = self.model, self._roots()
         geoms = [geom for geom in range(m.body_geomnum[0]) if not self._is_level(geom)]
         self.report.dropped["floors"] += int(m.body_geomnum[0]) - len(geoms)
@@ -130,7 +128,6 @@ class _Reader:
         return trees
 
     def _roots(self) -> list[int]:
-        """The bodies that become objects."""
         roots, waiting = [], list(reversed(self.children[0]))
         while waiting:
             body = waiting.pop()
@@ -143,7 +140,7 @@ class _Reader:
         return roots
 
     def _named(self, body: int) -> str:
-        """Name of a body, else of the first below it that has one."""
+        """Return the name of a body, or of the first named body below it."""
         waiting = [body]
         while waiting:
             part = waiting.pop()
@@ -153,17 +150,15 @@ class _Reader:
         return f"body_{body}"
 
     def _stands(self, tree: Tree, height: float) -> bool:
-        """Whether there is anything of an object above the floor; what is not is counted."""
+        """Return whether an object has collision shapes above the floor; count it otherwise."""
         tops = [self._top(geom) for geom in tree.solid]
-        if tops and (tree.joints or max(tops) > height + BELOW):
+        if tops and (tree.joints or max(tops) > height + MAX_FLOOR_HEIGHT):
             return True
-        self.report.dropped["floors" if tops else "objects that nothing can touch"] += 1
+        self.report.dropped["floors" if tops else "objects without collision shapes"] += 1
         return False
 
-    # -------------------------------------------------------------------------------------- floor
-
     def _floor(self) -> float:
-        """Height of the floor: of the lowest level plane, else of what is called so [m]."""
+        """Return the height of the lowest horizontal plane, or of geometry named floor [m]."""
         m = self.model
         still = [g for g in range(m.ngeom) if m.body_weldid[m.geom_bodyid[g]] == 0]
         planes = [self._top(geom) for geom in still if self._is_level(geom)]
@@ -183,16 +178,14 @@ class _Reader:
     def _top(self, geom: int) -> float:
         return self.shapes.top(geom, self.poses[int(self.model.geom_bodyid[geom])])
 
-    # ------------------------------------------------------------------------------------- joints
-
     def _follows(self, trees: Sequence[Tree]) -> dict[int, Mimic]:
-        """What joints follow, by MuJoCo's number; of equality constraints only straight ones."""
+        """Return the mimic relations by MuJoCo's joint index; only linear couplings count."""
         m, follows = self.model, {}
         owner = {number: tree for tree in trees for number in tree.joints}
         for k in range(m.neq):
             one, other = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
             offset, ratio, *bent = m.eq_data[k, :5].tolist()
-            straight = max(map(abs, bent)) < STRAIGHT and ratio != 0.0
+            straight = max(map(abs, bent)) < MAX_NONLINEAR_COEFFICIENT and ratio != 0.0
             kept = (
                 straight and one in owner and owner[one] is owner.get(other)
                 and one not in follows and m.eq_active0[k]
@@ -205,10 +198,8 @@ class _Reader:
             follows[one] = Mimic(leader, ratio, start + offset - ratio * begin)
         return follows
 
-    # ------------------------------------------------------------------------------------- report
-
     def _tell(self, trees: Sequence[Tree]) -> None:
-        """Count joints that have no counterpart, and name what looks like a robot."""
+        """Count joints without a counterpart, and note objects that may be robots."""
         import mujoco
 
         kinds = Counter(self.model.jnt_type.tolist())
@@ -219,15 +210,15 @@ class _Reader:
         for tree in trees:
             if count := len(driven & tree.joints.keys()):
                 self.report.notes.append(
-                    f"actuators drive {count} joints of {tree.name!r}; if that is a robot, leave "
-                    f"it out with --without {tree.name}"
+                    f"actuators drive {count} joints of {tree.name!r}; if it is a robot, exclude "
+                    f"it: without {tree.name}"
                 )
 
 
 def _object_names(full: Sequence[str]) -> list[tuple[str, str, str]]:
-    """For each body: name of its object, what the names of parts begin with, name of its link.
+    """Return for each body the object's name, the prefix of its part names, and the link's name.
 
-    Programs that put models together name all parts of one MODEL/PART.
+    Programs that combine models name all parts of one MODEL/PART.
     """
     heads = Counter(name.partition("/")[0] for name in full)
     names, found = Names(), []
@@ -239,11 +230,11 @@ def _object_names(full: Sequence[str]) -> list[tuple[str, str, str]]:
 
 
 def _own_members(text: str | None, path: Path) -> dict[str, Any]:
-    """What our own writer of MJCF puts beside the model; see there.
+    """Return what our MJCF writer adds to the model.
 
-    Its values are held to the rules of scene files when the scene is read.
+    The values are checked when the scene is read.
     """
-    damaged = FileFormatError(f"{path}: the custom text {OWN_TEXT!r} is damaged")
+    damaged = FileFormatError(f"{path}: the custom text {OWN_TEXT!r} is invalid")
     try:
         own = json.loads(text or "{}")
     except (ValueError, RecursionError) as error:

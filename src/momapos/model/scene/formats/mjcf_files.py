@@ -1,8 +1,7 @@
-"""The files of an MJCF model from strangers: one tree that names no file, and the meshes.
+"""Read the files of an untrusted MJCF model: one tree without file names, and the meshes.
 
-MuJoCo opens any file that a model names. So it gets a tree in which includes stand in their places,
-with only those elements that a room is made of, and the content of the meshes, which were looked
-for inside the room's root.
+MuJoCo opens any file that a model names. It therefore gets a tree with includes expanded and only
+the elements of a room, and the content of meshes that were found inside the root.
 """
 
 from __future__ import annotations
@@ -19,71 +18,71 @@ from momapos.model.urdf import MAX_MESH_BYTES
 from .confined_files import find_inside
 
 MAX_BYTES = 20_000_000
-"""Of one XML file."""
+"""Maximum size of an XML file [bytes]."""
 MAX_ALL_MESH_BYTES = 500_000_000
 MAX_INCLUDES = 500
 MAX_DEPTH = 100
-"""How deep elements may be nested [-]."""
+"""Maximum nesting of elements [-]."""
 MAX_ELEMENTS = 200_000
-"""Elements, each counted as often as it is replicated [-]."""
+"""Maximum number of elements, counted as often as they are replicated [-]."""
 MESHES = (".obj", ".stl", ".msh")
-"""The kinds of mesh files that MuJoCo reads."""
+"""Mesh formats that MuJoCo reads."""
 _SECTIONS = {"compiler", "default", "asset", "worldbody", "equality"}
 _WORLD = {"body", "geom", "joint", "freejoint", "site", "frame", "replicate", "inertial"}
 _DEFAULTS = {"default", "geom", "joint", "site", "mesh", "equality"}
 _COMPILER = {"angle", "eulerseq", "autolimits"}
-"""The settings that say what numbers mean; all others are of masses, files or speed."""
+"""Settings that define the meaning of numbers; others concern masses, files or speed."""
 _UNUSED = {"material", "hfield", "user"}
-"""Attributes that name what is not kept."""
+"""Attributes that name dropped elements."""
 _SETTINGS = {"option", "size", "visual", "statistic"}
-"""Sections that hold nothing of a room."""
+"""Sections without content of a room."""
 OWN_TEXT = "momapos"
-"""Name of the custom text that holds what MJCF has no word for."""
+"""Name of the custom text for what MJCF cannot express."""
 _NAMES = {
     "name", "class", "childclass", "mesh", "file", "joint1", "joint2", "data", "model",
 }  # fmt: skip
-"""Attributes that hold no numbers."""
-_ENDLESS = {"nan", "inf", "infinity"}
+"""Attributes that are not numbers."""
+_NOT_FINITE = {"nan", "inf", "infinity"}
 _SOFT = {"composite", "flexcomp", "flex", "skin"}
 
 
 @dataclass(frozen=True)
 class Mjcf:
-    """A model that names no file."""
+    """A model without file names."""
 
     tree: Element
     meshes: dict[str, bytes]
-    """The content of each mesh file, by the name that the tree has for it."""
+    """Content of each mesh file, by its name in the tree."""
     dropped: Counter[str] = field(default_factory=Counter)
     driven: tuple[str, ...] = ()
-    """Names of joints that have actuators."""
+    """Names of actuated joints."""
     own_text: str | None = None
-    """What our own writer puts beside the model."""
+    """Additions of our own writer."""
 
 
 def read_mjcf(path: Path, root: Path) -> Mjcf:
-    """Read an MJCF model and all that it names.
+    """Read an MJCF model with all its files.
 
     Args:
         path: The file.
         root: Folder that no file may leave.
 
     Raises:
-        FileFormatError: It cannot be used; one line says what is wrong and where.
+        FileFormatError: The file is invalid; one line says what is wrong and where.
     """
     tree = read_xml(path, MAX_BYTES)
     if tree.tag != "mujoco":
-        raise FileFormatError(f"{path}: the root element is <{tree.tag}>, MJCF has <mujoco>")
+        raise FileFormatError(f"{path}: the root element is <{tree.tag}>; MJCF needs <mujoco>")
     root = root.resolve()
     _expand(tree, path, root)
-    _refuse_vast(tree, path)
+    _check_element_count(tree, path)
     dropped: Counter[str] = Counter()
     driven = _driven(tree)
     meshdir = _last(tree, "meshdir") or _last(tree, "assetdir")
     flat = (_last(tree, "strippath") or "false") == "true"
     kept = _pruned(tree, dropped, path)
     meshes = _meshes(kept, path, root, meshdir, flat=flat)
-    SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # masses play no part
+    SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # masses are not used
     own = [
         text.get("data") for text in tree.iterfind("custom/text") if text.get("name") == OWN_TEXT
     ]
@@ -91,14 +90,14 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
 
 
 def _expand(tree: Element, path: Path, root: Path) -> None:
-    """Put the content of included files in the places of their names."""
+    """Replace includes by the content of their files."""
     seen = {path.resolve()}
     waiting = [(tree, path.parent, 0)]
     while waiting:
-        parent, beside, depth = waiting.pop()
+        parent, folder_of_parent, depth = waiting.pop()
         if depth > MAX_DEPTH:
             raise FileFormatError(f"{path}: elements are nested deeper than {MAX_DEPTH}")
-        children, pending = [], [(child, beside) for child in reversed(parent)]
+        children, pending = [], [(child, folder_of_parent) for child in reversed(parent)]
         while pending:
             child, folder = pending.pop()
             if child.tag != "include":
@@ -106,7 +105,7 @@ def _expand(tree: Element, path: Path, root: Path) -> None:
                 waiting.append((child, folder, depth + 1))
                 continue
             name = child.get("file", "")
-            # MuJoCo looks beside the model first, then beside the file that includes.
+            # MuJoCo searches next to the model first, then next to the including file.
             file = find_inside(name, [path.parent / name, folder / name], root, path)
             if file in seen:
                 raise FileFormatError(f"{path}: {name!r:.200} is included twice")
@@ -117,8 +116,8 @@ def _expand(tree: Element, path: Path, root: Path) -> None:
         parent[:] = children
 
 
-def _refuse_vast(tree: Element, path: Path) -> None:
-    """Refuse more elements than a room has, each counted as often as it is replicated."""
+def _check_element_count(tree: Element, path: Path) -> None:
+    """Refuse too many elements, counted as often as they are replicated."""
     total = 0
     waiting = [(tree, 1)]
     while waiting and total <= MAX_ELEMENTS:
@@ -134,18 +133,20 @@ def _refuse_vast(tree: Element, path: Path) -> None:
 def _count(element: Element, path: Path) -> int:
     text = element.get("count", "")
     if not (text.isascii() and text.isdigit() and 0 < len(text) < 7):
-        raise FileFormatError(f"{path}: count={text!r:.40} of a <replicate> is no usable number")
+        raise FileFormatError(
+            f"{path}: count={text!r:.40} of a <replicate> must be a number from 1 to 999999"
+        )
     return int(text)
 
 
 def _last(tree: Element, key: str) -> str | None:
-    """The setting of a compiler that holds: the last one."""
+    """Return the valid compiler setting, which is the last one."""
     found = [e.get(key) for e in tree.findall("compiler") if e.get(key) is not None]
     return found[-1] if found else None
 
 
 def _driven(tree: Element) -> tuple[str, ...]:
-    """Names of the joints that actuators drive, by themselves or through a tendon."""
+    """Return the names of joints that actuators drive directly or through a tendon."""
     tendons: dict[str | None, list[str | None]] = {
         tendon.get("name"): [part.get("joint") for part in tendon.iter("joint")]
         for section in tree.findall("tendon")
@@ -160,7 +161,7 @@ def _driven(tree: Element) -> tuple[str, ...]:
 
 
 def _pruned(tree: Element, dropped: Counter[str], path: Path) -> Element:
-    """What of a model a room is made of; all else is counted."""
+    """Return the parts of a model that make up a room, and count the others."""
     kept = Element("mujoco", {key: value for key, value in tree.items() if key == "model"})
     for section in tree:
         if section.tag in _SETTINGS:
@@ -187,29 +188,29 @@ def _section(section: Element, dropped: Counter[str], path: Path) -> Element:
             if not isinstance(child.tag, str) or not _wanted(section.tag, child, dropped, path):
                 continue
             words = {key: value for key, value in child.items() if key not in _UNUSED}
-            _refuse_endless(child, words, path)
+            _check_finite(child, words, path)
             waiting.append((child, SubElement(target, child.tag, words)))
     return top
 
 
-def _refuse_endless(element: Element, words: dict[str, str], path: Path) -> None:
-    """Refuse numbers that are none, of which MuJoCo only warns."""
+def _check_finite(element: Element, words: dict[str, str], path: Path) -> None:
+    """Refuse numbers that are not finite, about which MuJoCo only warns."""
     for key in words.keys() - _NAMES:
-        if any(word.lstrip("+-") in _ENDLESS for word in words[key].lower().split()):
+        if any(word.lstrip("+-") in _NOT_FINITE for word in words[key].lower().split()):
             raise FileFormatError(
                 f"{path}: {key}={words[key]!r:.80} in <{element.tag}> must be finite numbers"
             )
 
 
 def _wanted(section: str, element: Element, dropped: Counter[str], path: Path) -> bool:
-    """Whether an element of a section is kept; those that are not are counted."""
+    """Return whether an element of a section is kept; count it otherwise."""
     tag, kind = element.tag, element.get("type")
     if section == "default":
-        return tag in _DEFAULTS  # what the others are the defaults of is counted itself
+        return tag in _DEFAULTS  # elements with other defaults are counted themselves
     if section == "worldbody" and tag == "attach":
         raise FileFormatError(
-            f"{path}: attaches another model; write both as one file first: "
-            "mujoco.MjSpec.from_file(FILE).to_xml() does"
+            f"{path}: attaches another model; combine both in one file first, for example with "
+            "mujoco.MjSpec.from_file(FILE).to_xml()"
         )
     if tag == "geom" and (kind in ("hfield", "sdf") or element.get("hfield")):
         dropped[f"geoms of type {kind or 'hfield'}"] += 1
@@ -221,7 +222,7 @@ def _wanted(section: str, element: Element, dropped: Counter[str], path: Path) -
 
 
 def _word(section: str, tag: str) -> str:
-    """How the report calls what is dropped."""
+    """Return the report's name of a dropped element."""
     if tag in _SOFT or section in ("deformable",):
         return "soft bodies"
     if section == "equality":
@@ -239,7 +240,7 @@ def _word(section: str, tag: str) -> str:
 def _meshes(
     tree: Element, path: Path, root: Path, meshdir: str | None, *, flat: bool
 ) -> dict[str, bytes]:
-    """Read the meshes that a tree names, and give them names of their own in it."""
+    """Read the meshes of a tree, and rename them in it."""
     content: dict[str, bytes] = {}
     total = 0
     for mesh in _mesh_elements(tree):
@@ -250,7 +251,7 @@ def _meshes(
             name = name.replace("\\", "/").rpartition("/")[2]
         suffix = Path(name).suffix.lower()
         if suffix not in MESHES:
-            raise FileFormatError(f"{path}: mesh {name!r:.200} is none of {', '.join(MESHES)}")
+            raise FileFormatError(f"{path}: mesh {name!r:.200} must be one of {', '.join(MESHES)}")
         if mesh.get("name") is None:
             mesh.set("name", Path(name).stem)
         file = find_inside(name, [path.parent / (meshdir or "") / name], root, path)

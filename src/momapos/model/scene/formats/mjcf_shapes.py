@@ -1,4 +1,4 @@
-"""Geoms of a compiled MJCF model as shapes of ours."""
+"""Convert geoms of a compiled MJCF model to our shapes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from momapos.core.geometry import pose_wxyz
 from momapos.model.urdf import Geometry
 
-from .composed_shapes import LEVEL, capsule, ellipsoid, plane
+from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
 from .imported_room import Mesh
 
 if TYPE_CHECKING:
@@ -22,31 +22,31 @@ if TYPE_CHECKING:
 
 @dataclass
 class GeomShapes:
-    """Makes shapes of geoms, and counts what becomes of them."""
+    """Converts geoms to shapes, and counts approximations."""
 
     model: Any
     approximated: Counter[str]
     dropped: Counter[str]
     meshes: dict[Path, Mesh] = field(default_factory=dict)
-    """The meshes of the shapes that were made, by the names of their files."""
+    """Meshes of the converted shapes, by file name."""
 
     def solid(self, geom: int) -> bool:
-        """Whether anything can touch it."""
+        """Return whether a geom has collisions."""
         return bool(self.model.geom_contype[geom] or self.model.geom_conaffinity[geom])
 
     def pose(self, geom: int) -> Float[np.ndarray, "4 4"]:
-        """In its body's frame."""
+        """Return the pose of a geom in its body's frame."""
         return pose_wxyz(
             tuple(self.model.geom_pos[geom].tolist()), tuple(self.model.geom_quat[geom].tolist())
         )
 
     def level(self, geom: int, T_world_body: Float[np.ndarray, "4 4"]) -> bool:
-        """Whether it is a plane that one can stand on."""
+        """Return whether a geom is a floor plane."""
         upward = (T_world_body @ self.pose(geom))[2, 2]
-        return self._kind(geom) == "plane" and bool(upward >= LEVEL)
+        return self._kind(geom) == "plane" and bool(upward >= MIN_FLOOR_NORMAL_Z)
 
     def top(self, geom: int, T_world_body: Float[np.ndarray, "4 4"]) -> float:
-        """Height of the box around it [m]; of a plane that of its origin."""
+        """Return the height of a geom's bounding box [m]; for a plane, of its origin."""
         T, box = T_world_body @ self.pose(geom), self.model.geom_aabb[geom]
         if self._kind(geom) == "plane":
             return float(T[2, 3])
@@ -55,13 +55,13 @@ class GeomShapes:
     def shapes(
         self, geom: int, T: Float[np.ndarray, "4 4"], name: str, *, solid: bool
     ) -> list[Geometry]:
-        """The shapes that stand for a geom; none for planes without edges.
+        """Return the shapes of a geom; empty for unbounded planes.
 
         Args:
-            geom: Its number.
+            geom: Index of the geom.
             T: Pose of its body in the frame of the shapes.
-            name: Of the shapes.
-            solid: Whether it counts: what is only drawn is not worth a word.
+            name: Name of the shapes.
+            solid: Whether the report counts it, as it does not for visual geoms.
         """
         T, size = T @ self.pose(geom), self.model.geom_size[geom].tolist()
         kind = self._kind(geom)
@@ -83,12 +83,10 @@ class GeomShapes:
             self.meshes[file] = mesh
             return [shape]
         if kind == "plane" and min(size[:2]) > 0:
-            count["planes with edges as boxes"] += 1
+            count["bounded planes as boxes"] += 1
             return [plane(2 * size[0], 2 * size[1], T, name)]
         if solid:
-            self.dropped[
-                "planes without edges" if kind == "plane" else f"geoms of type {kind}"
-            ] += 1
+            self.dropped["unbounded planes" if kind == "plane" else f"geoms of type {kind}"] += 1
         return []
 
     def _kind(self, geom: int) -> str:
@@ -98,7 +96,7 @@ class GeomShapes:
         return kind.removeprefix("mjGEOM_").lower()
 
     def _mesh(self, number: int) -> Path:
-        """The file of a mesh, which the room has from now on."""
+        """Return the file of a mesh, and add the mesh."""
         file = self._files[number]
         if file not in self.meshes:
             m = self.model
@@ -111,7 +109,7 @@ class GeomShapes:
 
     @cached_property
     def _files(self) -> list[Path]:
-        """Names of files for all meshes: MuJoCo's names may hold anything."""
+        """File names of all meshes, because MuJoCo's names can contain any characters."""
         names = (self.model.mesh(i).name for i in range(self.model.nmesh))
         plain = ("".join(c if c.isalnum() and c.isascii() else "_" for c in n)[:60] for n in names)
         return [Path(f"mesh{i}_{name}.obj") for i, name in enumerate(plain)]

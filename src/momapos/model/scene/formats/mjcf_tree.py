@@ -1,4 +1,4 @@
-"""The links and joints of one object, made of the bodies of a compiled MJCF model."""
+"""Convert the bodies of a compiled MJCF model to the links and joints of an object."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ import numpy as np
 from momapos.core.geometry import invert, pose, pose_wxyz
 from momapos.model.urdf import Geometry, Joint, JointKind, Link, Mimic, Urdf, joint_motion
 
-from .imported_room import Names, Resistance, RoomObject
+from .imported_room import JointResistance, Names, RoomObject
 from .mjcf_shapes import GeomShapes
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 _NUMBER = re.compile(r"#\d+$")
-"""Ends the names of geoms that would else be alike."""
+"""Suffix of geom names that would otherwise be equal."""
 
 
 @dataclass
 class Tree:
-    """Gathers what belongs to one object."""
+    """Collects the links and joints of one object."""
 
     model: Any
     shapes: GeomShapes
     children: Mapping[int, Sequence[int]]
-    """Bodies by the one that they hang from."""
+    """Child bodies by body."""
     name: str
     prefix: str
-    """What the names of its parts begin with, and lose."""
+    """Prefix of the part names, which is removed."""
     approximated: Counter[str]
     links: dict[str, Link] = field(default_factory=dict)
     joints: dict[int, Joint] = field(default_factory=dict)
-    """The joints that move, by MuJoCo's number."""
+    """Movable joints by MuJoCo's index."""
     values: dict[str, float] = field(default_factory=dict)
-    resistance: dict[str, Resistance] = field(default_factory=dict)
+    resistance: dict[str, JointResistance] = field(default_factory=dict)
     solid: list[int] = field(default_factory=list)
-    """The geoms that anything can touch, by MuJoCo's number."""
+    """Geoms with collisions, by MuJoCo's index."""
     _order: list[Joint] = field(default_factory=list)
     _link_names: Names = field(default_factory=Names)
     _joint_names: Names = field(default_factory=Names)
@@ -50,11 +50,11 @@ class Tree:
     def object(
         self, T: Float[np.ndarray, "4 4"], follows: Mapping[int, Mimic], extras: Mapping[str, Any]
     ) -> RoomObject:
-        """The record.
+        """Return the object.
 
         Args:
-            T: Its pose in the world.
-            follows: What joints follow, by MuJoCo's number.
+            T: Pose in the world.
+            follows: Mimic relations by MuJoCo's joint index.
             extras: See `RoomObject`.
         """
         numbers = {joint.name: number for number, joint in self.joints.items()}
@@ -65,11 +65,11 @@ class Tree:
         return RoomObject(self.name, T, urdf, self.values, self.resistance, extras)
 
     def add_geom(self, geom: int, link: str) -> None:
-        """Make a geom that stands in the world the whole object, whose frame is the geom's."""
+        """Add a geom of the world as the whole object, in the geom's frame."""
         self._add_link(self._link_names(link, "body"), [geom], invert(self.shapes.pose(geom)))
 
     def add_body(self, body: int, link: str) -> None:
-        """Add a body that stands in the world, and all that hangs from it."""
+        """Add a body of the world, and all bodies below it."""
         waiting: list[tuple[int, str | None, Float[np.ndarray, "4 4"]]] = [(body, None, np.eye(4))]
         while waiting:
             number, parent, T_parent_body = waiting.pop()
@@ -84,7 +84,7 @@ class Tree:
             ]
 
     def _offset(self, body: int) -> Float[np.ndarray, "4 4"]:
-        """Pose of a body in the body that it hangs from, its joints where the file has them."""
+        """Return the pose of a body in its parent, with joints as in the file."""
         return pose_wxyz(
             tuple(self.model.body_pos[body].tolist()), tuple(self.model.body_quat[body].tolist())
         )
@@ -92,21 +92,19 @@ class Tree:
     def _bare(self, name: str) -> str:
         return name.removeprefix(f"{self.prefix}/")
 
-    # ------------------------------------------------------------------------------------- joints
-
     def _add_joints(
         self, body: int, parent: str | None, T_parent_body: Float[np.ndarray, "4 4"], link: str
     ) -> Float[np.ndarray, "4 4"]:
-        """Add the joints of a body; several are a chain with links between that have no shape.
+        """Add the joints of a body; several joints become a chain of links without shapes.
 
         Args:
-            body: Its number.
-            parent: The link that it hangs from; None for the object's first body.
-            T_parent_body: Its pose there.
+            body: Index of the body.
+            parent: Link of its parent; None for the object's first body.
+            T_parent_body: Its pose in the parent.
             link: Name of its link.
 
         Returns:
-            The body's pose in its link, whose origin is the point that its last joint turns about.
+            The body's pose in its link, whose origin is the anchor of its last joint.
         """
         first, count = self.model.body_jntadr[body], self.model.body_jntnum[body]
         moving = [j for j in range(first, first + count) if self._kind(j) is not None]
@@ -135,7 +133,7 @@ class Tree:
         return pose(-offset)
 
     def _kind(self, joint: int) -> JointKind | None:
-        """The kind of a joint; None where we have none such, which is counted."""
+        """Return the kind of a joint; None if URDF has no counterpart."""
         import mujoco
 
         kind, kinds = int(self.model.jnt_type[joint]), mujoco.mjtJoint
@@ -158,21 +156,19 @@ class Tree:
             lower, upper = m.jnt_range[number].tolist()
         axis, start = np.array(m.jnt_axis[number]), float(m.qpos0[m.jnt_qposadr[number]])
         joint = Joint(name, kind, parent, child, T, axis, lower, upper, math.inf)
-        back = joint_motion(joint, -start)  # the file has the body where the joint is at `start`
+        back = joint_motion(joint, -start)  # the file defines the body at joint value `start`
         joint = replace(joint, T_parent_joint=T @ back)
         self._order.append(joint)
         self.joints[number] = joint
         value = min(max(start, joint.lower), joint.upper)
         if value != start:
-            self.approximated["joints beyond their limits, put at these"] += 1
+            self.approximated["joint values outside their limits, clipped"] += 1
         if value != min(max(0.0, joint.lower), joint.upper):
             self.values[name] = value
         dof = int(m.jnt_dofadr[number])
-        self.resistance[name] = Resistance(
+        self.resistance[name] = JointResistance(
             float(m.dof_damping[dof].item()), float(m.dof_frictionloss[dof].item())
         )
-
-    # ------------------------------------------------------------------------------------- shapes
 
     def _add_link(
         self, link: str, geoms: Sequence[int], T_link_body: Float[np.ndarray, "4 4"]

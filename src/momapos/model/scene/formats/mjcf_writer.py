@@ -1,9 +1,9 @@
-"""Scenes as MJCF, MuJoCo's format: one file, in which furniture keeps its joints.
+"""Write scenes as MJCF, MuJoCo's format, in one file with all joints.
 
-All parts of an object are named OBJECT/PART. What MJCF has no word for (the floor's outline, the
-start, areas, categories, and what a scan is sure of) stands in a custom text, so that a scene that
-is read back is the same. Furniture meets what it does not belong to: parts that touch by design,
-such as a drawer and its cabinet, would be stuck.
+All parts of an object are named OBJECT/PART. A custom text contains what MJCF cannot express (the
+floor's outline, the start, areas, categories, and confidences), so that reading the file returns
+the same scene. Furniture collides only with other bodies: parts that touch by design, such as a
+drawer and its cabinet, would be stuck.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from momapos.model.scene.scene import Scene, SceneObject
-from momapos.model.scene.scene_files import object_members, room_members, write_whole
+from momapos.model.scene.scene_files import object_members, room_members, write_text_atomic
 from momapos.model.urdf import Geometry, Joint, hull_of, joint_motion, mesh_triangles
 
 from .imported_room import Mesh, Names
@@ -30,12 +30,12 @@ from .urdf_writer import numbers
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FLAT = 1e-5
-"""A mesh that is thinner is written as its hull, which has a thickness [m]."""
+MIN_MESH_THICKNESS = 1e-5
+"""Thickness below which a mesh is written as its hull, which has a thickness [m]."""
 
 
 def write_mjcf(scene: Scene, path: Path) -> None:
-    """Write a scene as MJCF, the whole file or nothing.
+    """Write a scene as MJCF, atomically.
 
     Raises:
         SceneError: The file cannot be written.
@@ -45,15 +45,15 @@ def write_mjcf(scene: Scene, path: Path) -> None:
     for item in scene.objects:
         writer.add(item)
     writer.finish(room_members(scene))
-    write_whole(path, f"{tostring(writer.tree, encoding='unicode')}\n")
+    write_text_atomic(path, f"{tostring(writer.tree, encoding='unicode')}\n")
 
 
 class _Writer:
-    """Builds the tree of a model."""
+    """Builds the XML tree of a model."""
 
     def __init__(self, name: str) -> None:
         self.tree = Element("mujoco", model=name)
-        # A part without a shape that moves has no mass, which MuJoCo refuses.
+        # A moving part without shapes has no mass, which MuJoCo rejects.
         SubElement(self.tree, "compiler", angle="radian", boundmass="1e-3", boundinertia="1e-6")
         self.own = SubElement(SubElement(self.tree, "custom"), "text", name=OWN_TEXT)
         default = SubElement(self.tree, "default")
@@ -66,7 +66,7 @@ class _Writer:
         self.couplings = SubElement(self.tree, "equality")
         self.meshes: dict[tuple[Path, tuple[float, ...]], str] = {}
         self.objects: dict[str, dict[str, Any]] = {}
-        """What the scene says of each, by name."""
+        """Members of the scene file by object."""
         self.names = Names()
 
     def add(self, item: SceneObject) -> None:
@@ -93,12 +93,12 @@ class _Writer:
                     self._shape(geom, shape)
 
     def finish(self, members: Mapping[str, Any]) -> None:
-        """Add what MJCF has no word for."""
+        """Add what MJCF cannot express."""
         self.own.set("data", json.dumps({**members, "objects": self.objects}))
         indent(self.tree)
 
     def _join(self, body: Element, name: str, joint: Joint, values: Mapping[str, float]) -> None:
-        """Place a body on the one that it hangs from, where the scene has its joint."""
+        """Place a body in its parent, with its joint at the scene's value."""
         if not joint.movable:
             _place(body, joint.T_parent_joint)
             return
@@ -119,7 +119,6 @@ class _Writer:
             SubElement(self.couplings, "joint", joint1=one, joint2=two, polycoef=ratio)
 
     def _shape(self, geom: Element, shape: Geometry) -> None:
-        """Give a geom its kind, size and pose."""
         _place(geom, shape.T_link_geometry)
         geom.set("type", shape.kind)
         if shape.mesh is not None:
@@ -135,7 +134,6 @@ class _Writer:
             geom.set("size", numbers(shape.size))
 
     def _mesh(self, shape: Geometry) -> str:
-        """Add the mesh of a shape, and return its name."""
         assert shape.mesh is not None
         name, mesh = f"mesh{len(self.meshes)}", _mesh_of(shape)
         asset = SubElement(self.assets, "mesh", name=name, inertia="convex")
@@ -146,22 +144,21 @@ class _Writer:
 
 
 def _mesh_of(shape: Geometry) -> Mesh:
-    """The mesh of a shape at its size; of one that is flat its hull."""
+    """Return the scaled mesh of a shape; for a flat one, its hull."""
     assert shape.mesh is not None
     triangles = mesh_triangles(shape.mesh) * shape.size
     corners = triangles.reshape(-1, 3)
     spread = np.linalg.svd(corners - corners.mean(0), full_matrices=False, compute_uv=False)
-    if len(corners) < 4 or spread[-1] < FLAT * math.sqrt(len(corners)):
+    if len(corners) < 4 or spread[-1] < MIN_MESH_THICKNESS * math.sqrt(len(corners)):
         hull = hull_of(replace(shape, T_link_geometry=np.eye(4)))
         return Mesh(hull.vertices, hull.faces)
     vertices, faces = np.unique(corners, axis=0, return_inverse=True)
     faces = faces.reshape(-1, 3)
-    whole = (faces != np.roll(faces, 1, axis=1)).all(1)  # a triangle of two corners is none
+    whole = (faces != np.roll(faces, 1, axis=1)).all(1)  # without degenerate triangles
     return Mesh(vertices, faces[whole])
 
 
 def _place(element: Element, T: Float[np.ndarray, "4 4"]) -> None:
-    """Set the pose of a body or geom."""
     if np.array_equal(T, np.eye(4)):
         return
     element.set("pos", numbers(T[:3, 3]))

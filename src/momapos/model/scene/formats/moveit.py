@@ -1,7 +1,7 @@
-"""Planning scenes of MoveIt, as its `.scene` files hold them: shapes that stand in the room.
+"""Read MoveIt planning scenes (`.scene` files): fixed shapes of a room.
 
-The format is what MoveIt's `PlanningScene::saveGeometryToStream` writes. Each object has a pose of
-its own and subframes since 2020; before that it had neither.
+The format is that of MoveIt's `PlanningScene::saveGeometryToStream`. Since 2020 each object has its
+own pose and subframes; older files have neither.
 """
 
 from __future__ import annotations
@@ -17,40 +17,40 @@ from momapos.core.geometry import pose_wxyz
 from momapos.model.scene.scene_names import MAX_BYTES
 from momapos.model.urdf import Geometry, Link, Urdf
 
-from .composed_shapes import LEVEL
-from .imported_room import Mesh, Names, Report, Room, RoomObject
+from .composed_shapes import MIN_FLOOR_NORMAL_Z
+from .imported_room import ImportedRoom, ImportReport, Mesh, Names, RoomObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-LARGEST = 1e6
-"""Greatest number that a shape or pose has, and most corners or triangles of a mesh [-]."""
+MAX_NUMBER = 1e6
+"""Maximum magnitude of a number, and maximum number of vertices or triangles of a mesh [-]."""
 
 _SIZES = {"box": 3, "cylinder": 2, "sphere": 1, "cone": 2, "plane": 4}
-"""How many numbers a shape has."""
+"""Number of values of each shape."""
 _KINDS: dict[str, Literal["box", "cylinder", "sphere"]] = {
     "box": "box", "cylinder": "cylinder", "sphere": "sphere", "cone": "cylinder",
 }  # fmt: skip
-"""What stands for a shape in our scenes."""
+"""Replacement of each shape in our scenes."""
 
 
-def read_room(path: Path, root: Path) -> Room:  # noqa: ARG001
+def read_room(path: Path, root: Path) -> ImportedRoom:  # noqa: ARG001
     """Read a planning scene.
 
     Args:
         path: The file.
-        root: As other readers have it; a planning scene names no files.
+        root: Unused, because a planning scene names no files.
 
     Raises:
-        FileFormatError: It cannot be used; one line says what is wrong and in which line.
+        FileFormatError: The file is invalid; one line says what is wrong and in which line.
     """
     reader = _Reader(path, read_text_bounded(path, MAX_BYTES).splitlines())
-    reader.line("a name")  # of the planning scene: "(noname)+" as a rule
+    reader.line("a name")  # of the planning scene, usually "(noname)+"
     while (marker := reader.line("'*' or '.'")) != ".":
         if not marker.startswith("*"):
-            raise reader.error(f"{marker!r:.60} where an object '* NAME' or the end '.' should be")
+            raise reader.error(f"{marker!r:.60} instead of an object '* NAME' or the end '.'")
         reader.read_object(marker[1:].strip())
-    return Room(path.stem, tuple(reader.objects), reader.meshes, reader.report)
+    return ImportedRoom(path.stem, tuple(reader.objects), reader.meshes, reader.report)
 
 
 class _Reader:
@@ -60,23 +60,23 @@ class _Reader:
         self.path, self.lines, self.number = path, lines, 0
         self.objects: list[RoomObject] = []
         self.meshes: dict[Path, Mesh] = {}
-        self.report = Report()
+        self.report = ImportReport()
         self.names = Names()
 
     def error(self, text: str) -> FileFormatError:
-        """The error about the line that was read last."""
+        """Return an error about the last line read."""
         return FileFormatError(f"{self.path}: line {self.number}: {text}")
 
     def line(self, what: str) -> str:
-        """The next line that is not empty."""
+        """Return the next nonempty line."""
         while self.number < len(self.lines):
             self.number += 1
             if text := self.lines[self.number - 1].strip():
                 return text
-        raise self.error(f"the file ends where {what} should be")
+        raise self.error(f"the file ends before {what}")
 
     def values(self, count: int, what: str) -> list[float]:
-        """The next numbers, all in one line."""
+        """Return the numbers of the next line."""
         return self._numbers(self.line(what), count, what)
 
     def _numbers(self, text: str, count: int, what: str) -> list[float]:
@@ -84,20 +84,20 @@ class _Reader:
         try:
             values = [float(word) for word in words]
         except ValueError as error:
-            raise self.error(f"{text!r:.60} where {what} should be") from error
-        if len(values) != count or not all(abs(value) <= LARGEST for value in values):
+            raise self.error(f"{text!r:.60} instead of {what}") from error
+        if len(values) != count or not all(abs(value) <= MAX_NUMBER for value in values):
             raise self.error(f"{text!r:.60} is not {what}: {count} finite numbers")
         return values
 
     def whole(self, what: str, text: str | None = None) -> int:
-        """A line, or else the next one, as a number that counts something."""
+        """Return a line (by default the next one) as a nonnegative integer."""
         (value,) = self._numbers(self.line(what) if text is None else text, 1, what)
         if value != int(value) or value < 0:
-            raise self.error(f"{value:g} where {what} should be")
+            raise self.error(f"{value:g} instead of {what}")
         return int(value)
 
     def _pose(self, first: str | None = None) -> Float[np.ndarray, "4 4"]:
-        """A pose: position, and orientation as x y z w, in two lines."""
+        """Read a pose: position, and orientation as xyzw, in two lines."""
         text = self.line("a position") if first is None else first
         x, y, z = self._numbers(text, 3, "a position")
         qx, qy, qz, qw = self.values(4, "an orientation")
@@ -107,7 +107,7 @@ class _Reader:
         return pose_wxyz((x, y, z), (qw, qx, qy, qz))
 
     def read_object(self, name: str) -> None:
-        """Read an object; it is left out where it has no shape that we have."""
+        """Read an object; skip it if it has no supported shape."""
         text, T = self.line("a pose or a number of shapes"), np.eye(4)
         newer = len(text.split()) > 1
         if newer:
@@ -127,21 +127,21 @@ class _Reader:
             self.objects.append(RoomObject(name, T, urdf))
 
     def _shape(self, T_world_object: Float[np.ndarray, "4 4"]) -> list[Geometry]:
-        """Read a shape with its pose and color; none where it is a plane."""
+        """Read a shape with its pose and color; return none for a plane."""
         kind = self.line("a shape")
         if kind == "mesh":
             mesh = self._mesh()
         elif kind in _SIZES:
             size = self.values(_SIZES[kind], f"the size of a {kind}")
         else:
-            raise self.error(f"{kind!r:.60} is no shape: mesh, {', '.join(_SIZES)}")
+            raise self.error(f"unknown shape {kind!r:.60}; use one of mesh, {', '.join(_SIZES)}")
         T = self._pose()
-        # All zeros are what is written for no color.
+        # All zeros mean no color.
         self.report.dropped["colors"] += any(self.values(4, "a color"))
         if kind == "plane":
             normal = T_world_object[:3, :3] @ T[:3, :3] @ size[:3]
-            level = abs(normal[2]) >= LEVEL * float(np.linalg.norm(normal))
-            self.report.dropped["floors" if level else "planes without edges"] += 1
+            level = abs(normal[2]) >= MIN_FLOOR_NORMAL_Z * float(np.linalg.norm(normal))
+            self.report.dropped["floors" if level else "unbounded planes"] += 1
             return []
         if kind == "mesh":
             file = Path(f"mesh{len(self.meshes)}.obj")
@@ -153,15 +153,14 @@ class _Reader:
         return [Geometry(_KINDS[kind], tuple(size), T)]
 
     def _mesh(self) -> Mesh:
-        """Read corners and triangles."""
-        corners, triangles = self.values(2, "numbers of corners and triangles")
-        points = self._rows(int(corners), "a corner")
+        corners, triangles = self.values(2, "numbers of vertices and triangles")
+        points = self._rows(int(corners), "a vertex")
         faces = self._rows(int(triangles), "a triangle")
         if len(points) == 0:
             raise self.error("a mesh is empty")
         wrong = (faces < 0) | (faces >= len(points)) | (faces != np.floor(faces))
         if wrong.any():
-            raise self.error(f"a triangle names corner {faces[wrong][0]:g} of {len(points)}")
+            raise self.error(f"a triangle names vertex {faces[wrong][0]:g} of {len(points)}")
         return Mesh(points, faces.astype(np.int64))
 
     def _rows(self, count: int, what: str) -> Float[np.ndarray, "n 3"]:

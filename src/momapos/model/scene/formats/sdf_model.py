@@ -1,4 +1,4 @@
-"""One model of an SDF file as an object of ours."""
+"""Convert a model of an SDF file to an object of ours."""
 
 from __future__ import annotations
 
@@ -15,73 +15,73 @@ from momapos.core import FileFormatError
 from momapos.core.geometry import invert, pose, pose_rpy, rotation_of
 from momapos.model.urdf import Geometry, Joint, JointKind, Link, Urdf, mesh_triangles
 
-from .composed_shapes import LEVEL, capsule, ellipsoid, plane
-from .imported_room import Mesh, Names, Report, Resistance, RoomObject
+from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
+from .imported_room import ImportReport, JointResistance, Mesh, Names, RoomObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-ENDLESS = 1e15
-"""A limit beyond this is none [rad] or [m]; SDF's own default is 1e16."""
-LARGEST = 1e4
-"""Greatest coordinate and size [m]."""
+MAX_LIMIT = 1e15
+"""Magnitude beyond which a limit means unlimited [rad] or [m]; SDF's default is 1e16."""
+MAX_SIZE = 1e4
+"""Maximum coordinate and size [m]."""
 _KINDS: dict[str, JointKind] = {
     "revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic", "fixed": "fixed",
 }  # fmt: skip
 
 
-@dataclass
+@dataclass(eq=False)
 class Model:
-    """Gathers the links and joints of a model."""
+    """Collects the links and joints of a model."""
 
     name: str
     T_world_model: Float[np.ndarray, "4 4"]
     version: float
-    """Of SDF."""
-    report: Report
+    """Version of SDF."""
+    report: ImportReport
     path: Path
-    """The file, for messages."""
+    """SDF file, for messages."""
     find: Callable[[str], Path]
     """Finds the file of a mesh."""
     prefix: str
-    """Begins the names of the files of its meshes."""
+    """Prefix of the file names of its meshes."""
     meshes: dict[Path, Mesh] = field(default_factory=dict)
     links: dict[str, Link] = field(default_factory=dict)
     joints: list[Joint] = field(default_factory=list)
-    resistance: dict[str, Resistance] = field(default_factory=dict)
+    resistance: dict[str, JointResistance] = field(default_factory=dict)
     frames: dict[str, tuple[str, Float[np.ndarray, "4 4"]]] = field(default_factory=dict)
-    """Pose of each link, joint and frame, and in which other it is."""
+    """Reference frame and pose of each link, joint and frame."""
 
     @property
     def where(self) -> str:
-        """Begins the messages."""
+        """Start of messages."""
         return f"{self.path}: model {self.name!r:.80}"
 
     @property
     def solid(self) -> bool:
-        """Whether anything can touch it."""
+        """Whether it has collision shapes."""
         return any(link.collisions for link in self.links.values())
 
     def object(self) -> RoomObject:
-        """The record."""
+        """Return the object."""
         urdf = Urdf(self.name, None, next(iter(self.links)), self.links, tuple(self.joints))
         return RoomObject(self.name, self.T_world_model, urdf, {}, self.resistance)
 
     def read(self, element: Element) -> None:
-        """Read what is in the model's element.
+        """Read the element of the model.
 
         Raises:
-            FileFormatError: It cannot be used.
+            FileFormatError: The model is invalid.
         """
         if element.find("model") is not None or element.find("include") is not None:
-            raise FileFormatError(f"{self.where} holds other models; only plain ones are supported")
+            raise FileFormatError(f"{self.where} contains other models, which is not supported")
         for tag in ("plugin", "gripper"):
             self.report.dropped[f"{tag}s"] += len(element.findall(tag))
         self._collect_frames(element)
         links = {self._name(link): link for link in element.findall("link")}
         joints = {self._name(joint): joint for joint in element.findall("joint")}
         followed = sum(len(joint.findall("axis/mimic")) for joint in joints.values())
-        self.report.dropped["mimicked joints"] += followed
+        self.report.dropped["mimic joints"] += followed
         moving = self._moving(joints, links)
         origins = {
             name: self._pose(self._name(moving[name]) if name in moving else name) for name in links
@@ -96,8 +96,6 @@ class Model:
             self._add_link(name, link, origins[name])
             self._add_joint(name, moving.get(name), base, origins)
 
-    # ------------------------------------------------------------------------------------- frames
-
     def _collect_frames(self, element: Element) -> None:
         for tag, key in (("link", None), ("joint", "child"), ("frame", None)):
             for part in element.findall(tag):
@@ -110,7 +108,6 @@ class Model:
                 self.frames[name] = named or attached or "__model__", T
 
     def _pose(self, name: str) -> Float[np.ndarray, "4 4"]:
-        """Pose of a link, joint or frame in the model."""
         T, seen = np.eye(4), {name}
         while name != "__model__":
             if name not in self.frames:
@@ -118,32 +115,33 @@ class Model:
             name, T_parent = self.frames[name]
             T = T_parent @ T
             if name in seen:
-                raise FileFormatError(f"{self.where}: frame {name!r:.80} stands relative to itself")
+                raise FileFormatError(f"{self.where}: frame {name!r:.80} is relative to itself")
             seen.add(name)
         return T
 
     def _name(self, element: Element) -> str:
         name = element.get("name", "")
         if not name.strip() or not name.isprintable() or len(name) > 200:
-            raise FileFormatError(f"{self.where}: a {element.tag} has no usable name: {name!r:.60}")
+            raise FileFormatError(
+                f"{self.where}: the name of a {element.tag} must be printable, 1 to 200 characters "
+                f"long, not {name!r:.60}"
+            )
         return name
 
-    # ------------------------------------------------------------------------------------- joints
-
     def _moving(self, joints: dict[str, Element], links: dict[str, Element]) -> dict[str, Element]:
-        """The joint that each link hangs from, by the name of the link."""
+        """Return the joint that moves each link, by the name of the link."""
         found: dict[str, Element] = {}
         for name, joint in joints.items():
             parent, child = text_of(joint, "parent"), text_of(joint, "child")
             for end in (parent, child):
                 if end not in links and end != "world":
                     raise FileFormatError(
-                        f"{self.where}: joint {name!r:.80} names a link {end!r:.80} that is not "
-                        "there"
+                        f"{self.where}: joint {name!r:.80} names link {end!r:.80}, which does not "
+                        "exist"
                     )
             if child == "world" or child in found:
                 raise FileFormatError(
-                    f"{self.where}: joint {name!r:.80} makes a loop; a tree is needed"
+                    f"{self.where}: joint {name!r:.80} closes a loop; joints must form a tree"
                 )
             found[child] = joint
         return found
@@ -155,7 +153,7 @@ class Model:
         base: str,
         origins: dict[str, Float[np.ndarray, "4 4"]],
     ) -> None:
-        """Hang a link from its parent, or from the model's base where it has none."""
+        """Attach a link to its parent, or to the model's base if it has none."""
         parent = "world" if element is None else text_of(element, "parent")
         parent = base if parent == "world" else parent
         name = f"{link}_fixed" if element is None else self._name(element)
@@ -174,7 +172,7 @@ class Model:
             if found == "continuous" or not (math.isfinite(lower) and math.isfinite(upper)):
                 found = "prismatic" if found == "prismatic" else "continuous"
                 lower, upper = -math.inf, math.inf
-            self.resistance[name] = Resistance(
+            self.resistance[name] = JointResistance(
                 self._number(holder, "dynamics/damping"), self._number(holder, "dynamics/friction")
             )
         self.joints.append(Joint(name, found, parent, link, T, axis, lower, upper, math.inf))
@@ -182,7 +180,7 @@ class Model:
     def _axis(
         self, holder: Element, T_model_joint: Float[np.ndarray, "4 4"], joint: str
     ) -> Float[np.ndarray, "3"]:
-        """The axis of a joint in its own frame."""
+        """Return the axis of a joint in its own frame."""
         where = f"{self.where}: joint {joint!r:.80}: axis"
         xyz, frame = holder.find("xyz"), ""
         axis = np.array([0.0, 0.0, 1.0])
@@ -195,7 +193,7 @@ class Model:
             axis = T_model_joint[:3, :3].T @ self._pose(frame)[:3, :3] @ axis
         length = float(np.linalg.norm(axis))
         if length < 1e-9:
-            raise FileFormatError(f"{where} is zero")
+            raise FileFormatError(f"{where} must not be zero")
         return axis / length
 
     def _limits(self, holder: Element, joint: str) -> tuple[float, float]:
@@ -203,11 +201,12 @@ class Model:
         upper = self._number(holder, "limit/upper", math.inf)
         if lower > upper:
             raise FileFormatError(
-                f"{self.where}: joint {joint!r:.80} has lower limit {lower:g} above {upper:g}"
+                f"{self.where}: joint {joint!r:.80} has a lower limit {lower:g} above the upper "
+                f"limit {upper:g}"
             )
         return (
-            lower if lower > -ENDLESS else -math.inf,
-            upper if upper < ENDLESS else math.inf,
+            lower if lower > -MAX_LIMIT else -math.inf,
+            upper if upper < MAX_LIMIT else math.inf,
         )
 
     def _number(self, element: Element, key: str, otherwise: float = 0.0) -> float:
@@ -217,17 +216,15 @@ class Model:
             return -math.inf if text.startswith("-") else math.inf
         return number(text, f"{self.where}: {key}") if text else otherwise
 
-    # ------------------------------------------------------------------------------------- shapes
-
     def _add_link(
         self, name: str, element: Element, T_model_origin: Float[np.ndarray, "4 4"]
     ) -> None:
         """Add a link.
 
         Args:
-            name: Its name.
+            name: Name of the link.
             element: Its element.
-            T_model_origin: Pose of our link, whose origin is where its joint is.
+            T_model_origin: Pose of our link, whose origin is that of its joint.
         """
         T = invert(T_model_origin) @ self._pose(name)
         T_world_origin = self.T_world_model @ T_model_origin
@@ -249,7 +246,6 @@ class Model:
         *,
         solid: bool,
     ) -> list[Geometry]:
-        """The shapes of a collision or visual."""
         name, where = part.get("name", "")[:200], f"{self.where}: {part.tag}"
         T = T @ pose_of(part.find("pose"), where)
         geometry = part.find("geometry")
@@ -260,7 +256,7 @@ class Model:
 
         def sizes(*keys: str) -> list[float]:
             found = [v for key in keys for v in numbers(text_of(shape, key), None, where)]
-            if not found or min(found) <= 0 or max(found) > LARGEST:
+            if not found or min(found) <= 0 or max(found) > MAX_SIZE:
                 raise FileFormatError(f"{where} {name!r:.80}: sizes must be > 0, not {found}")
             return found
 
@@ -284,7 +280,7 @@ class Model:
             return self._plane(shape, T, T_world_origin[2, :3], name, where, solid=solid)
         if shape.tag == "mesh" and solid:
             return [self._mesh(shape, T, name, where)]
-        self.report.dropped["drawn meshes" if shape.tag == "mesh" else f"{shape.tag} shapes"] += 1
+        self.report.dropped["visual meshes" if shape.tag == "mesh" else f"{shape.tag} shapes"] += 1
         return []
 
     def _plane(
@@ -297,23 +293,23 @@ class Model:
         *,
         solid: bool,
     ) -> list[Geometry]:
-        """A box for a plane that is no floor: behind it, as large as it is drawn."""
+        """Return a box behind a plane of the drawn size, unless the plane is a floor."""
         normal = np.array(numbers(text_of(shape, "normal") or "0 0 1", 3, where))
         length = float(np.linalg.norm(normal))
         if length < 1e-9:
-            raise FileFormatError(f"{where} {name!r:.80}: the normal of a plane is zero")
+            raise FileFormatError(f"{where} {name!r:.80}: the normal of a plane must not be zero")
         upward = up @ T[:3, :3] @ normal / length
-        if not solid or abs(upward) >= LEVEL:
+        if not solid or abs(upward) >= MIN_FLOOR_NORMAL_Z:
             self.report.dropped["floors"] += solid
             return []
-        self.report.approximated["planes with edges as boxes"] += 1
+        self.report.approximated["bounded planes as boxes"] += 1
         x, y = numbers(text_of(shape, "size") or "1 1", 2, where)
         turn = pose(np.zeros(3), _turned_to(normal / length))
         return [plane(x, y, T @ turn, name)]
 
     def _mesh(self, shape: Element, T: Float[np.ndarray, "4 4"], name: str, where: str) -> Geometry:
         if shape.find("submesh") is not None:
-            self.report.approximated["parts of meshes as whole meshes"] += 1
+            self.report.approximated["submeshes as whole meshes"] += 1
         scale = np.array(numbers(text_of(shape, "scale") or "1 1 1", 3, where))
         corners = mesh_triangles(self.find(text_of(shape, "uri"))) * scale
         points, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
@@ -323,7 +319,7 @@ class Model:
 
 
 def _turned_to(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The shortest turn that brings z to a unit vector."""
+    """Return the smallest rotation that maps z to a unit vector."""
     across = np.array([-normal[1], normal[0], 0.0])
     length = float(np.linalg.norm(across))
     angle = math.atan2(length, normal[2])
@@ -332,15 +328,15 @@ def _turned_to(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def text_of(element: Element, key: str) -> str:
-    """The text of an element below; empty where there is none."""
+    """Return the text of a child element; "" if it is missing."""
     return (element.findtext(key) or "").strip()
 
 
 def pose_of(element: Element | None, where: str) -> Float[np.ndarray, "4 4"]:
-    """The transform of a `pose` element: x y z, and roll, pitch, yaw or a quaternion x y z w.
+    """Return the transform of a `pose` element: x y z and roll pitch yaw.
 
     Raises:
-        FileFormatError: It is none.
+        FileFormatError: The pose is invalid.
     """
     if element is None or not (element.text or "").strip():
         return np.eye(4)
@@ -353,15 +349,15 @@ def pose_of(element: Element | None, where: str) -> Float[np.ndarray, "4 4"]:
 
 
 def numbers(text: str | None, count: int | None, where: str) -> list[float]:
-    """The numbers in a text.
+    """Return the numbers in a text.
 
     Args:
         text: The text.
-        count: How many there must be; any where None.
-        where: Begins the message.
+        count: Required number of values; None for any.
+        where: Start of messages.
 
     Raises:
-        FileFormatError: They are fewer, more, or no numbers of usable size.
+        FileFormatError: The count is wrong, or a value is invalid.
     """
     found = [number(word, where) for word in (text or "").split()]
     if count is not None and len(found) != count:
@@ -370,15 +366,15 @@ def numbers(text: str | None, count: int | None, where: str) -> list[float]:
 
 
 def number(text: str, where: str) -> float:
-    """A number.
+    """Return a number.
 
     Raises:
-        FileFormatError: It is none.
+        FileFormatError: The text is not a finite number of supported size.
     """
     try:
         value = float(text)
     except ValueError as error:
-        raise FileFormatError(f"{where}: {text!r:.80} is no number") from error
+        raise FileFormatError(f"{where}: {text!r:.80} is not a number") from error
     if not abs(value) <= 1e17:
-        raise FileFormatError(f"{where}: {text!r:.80} is no finite number of usable size")
+        raise FileFormatError(f"{where}: {text!r:.80} must be finite and at most 1e17")
     return value

@@ -1,4 +1,4 @@
-"""Records of links and joints as the text of a URDF."""
+"""Write records of links and joints as a URDF."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 
 from momapos.model.urdf import Geometry, Joint, Urdf
 
-from .imported_room import Resistance
+from .imported_room import JointResistance
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def urdf_text(urdf: Urdf, resistance: Mapping[str, Resistance]) -> str:
-    """Write records as a URDF.
+def urdf_text(urdf: Urdf, resistance: Mapping[str, JointResistance]) -> str:
+    """Return records as a URDF.
 
     Args:
-        urdf: The records; meshes are named as they stand there.
-        resistance: Of joints, by name; goes into `<dynamics>`.
+        urdf: The records; mesh names are kept.
+        resistance: Resistance of joints by name, for `<dynamics>`.
     """
     robot = Element("robot", name=urdf.name)
     for link in urdf.links.values():
@@ -52,7 +52,7 @@ def _shape(element: Element, shape: Geometry) -> None:
             geometry.set(key, numbers([value]))
 
 
-def _joint(element: Element, joint: Joint, resistance: Mapping[str, Resistance]) -> None:
+def _joint(element: Element, joint: Joint, resistance: Mapping[str, JointResistance]) -> None:
     _origin(element, joint.T_parent_joint)
     SubElement(element, "parent", link=joint.parent)
     SubElement(element, "child", link=joint.child)
@@ -81,15 +81,15 @@ def _origin(element: Element, T: Float[np.ndarray, "4 4"]) -> None:
 
 
 def rpy_of(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """Roll, pitch and yaw about fixed axes of a rotation matrix [rad]."""
+    """Return roll, pitch and yaw about fixed axes of a rotation matrix [rad]."""
     flat = math.hypot(R[0, 0], R[1, 0])
     if flat > 1e-6:
         roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
-    else:  # only the sum or the difference of roll and yaw is known
+    else:  # only the sum or difference of roll and yaw is determined
         roll, yaw = 0.0, math.atan2(-R[0, 1], R[1, 1])
     return np.array([roll, math.atan2(-R[2, 0], flat), yaw])
 
 
 def numbers(values: Float[np.ndarray, " n"] | list[float] | tuple[float, ...]) -> str:
-    """Numbers with all their digits, so that they are read as they were."""
+    """Format numbers with all digits, so that they round-trip."""
     return " ".join(repr(value) for value in (np.asarray(values, float) + 0.0).tolist())

@@ -1,7 +1,7 @@
-"""Rooms in USD with physics: rigid bodies, colliders, revolute and prismatic joints.
+"""Read rooms in USD with physics: rigid bodies, colliders, revolute and prismatic joints.
 
-USD opens whatever a layer names. So all layers are opened one by one first, without what they
-name, and each name is looked up inside the root.
+USD opens any file that a layer names. All layers are therefore opened one by one first, without
+composition, and each name is checked to be inside the root.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from momapos.core.geometry import invert, pose, pose_rpy, pose_wxyz
 from momapos.model.urdf import Joint, JointKind, Link, Urdf
 
 from .confined_files import find_inside
-from .imported_room import Names, Report, Room, RoomObject
+from .imported_room import ImportedRoom, ImportReport, Names, RoomObject
 from .usd_shapes import ColliderShapes, matrix, rigid
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_BYTES = 200_000_000
-"""Of one layer."""
+"""Maximum size of a layer [bytes]."""
 MAX_LAYERS = 1_000
 MAX_PRIMS = 200_000
-APART = 1e-3
-"""The two frames of a joint that differ by more but along its motion do not meet [m], [rad]."""
-_TOLD = re.compile(r"at line \d+ in file \S+ : '(.*)'", re.S)
+MAX_FRAME_MISMATCH = 1e-3
+"""Maximum mismatch of a joint's two frames apart from its motion [m], [rad]."""
+_USD_MESSAGE = re.compile(r"at line \d+ in file \S+ : '(.*)'", re.S)
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 
-def read_room(path: Path, root: Path) -> Room:
+def read_room(path: Path, root: Path) -> ImportedRoom:
     """Read a room in USD.
 
     Args:
-        path: The file; a `.usdz` is to be unpacked first.
+        path: The file; unpack a `.usdz` first.
         root: Folder that no layer may leave.
 
     Raises:
-        FileFormatError: It cannot be used; one line says what is wrong and where.
-        MissingExtraError: What reads USD is not installed.
+        FileFormatError: The file is invalid; one line says what is wrong and where.
+        MissingExtraError: The USD library is not installed.
     """
     with require("usd"):
         from pxr import Tf, Usd
@@ -53,9 +53,9 @@ def read_room(path: Path, root: Path) -> Room:
         _check_layers(path, root.resolve())
         stage = Usd.Stage.Open(str(path.resolve()))
     except Tf.ErrorException as error:
-        told = _TOLD.search(str(error))  # behind the place in USD's own source
-        why = str(error) if told is None else told[1]
-        raise FileFormatError(f"{path}: USD does not take it: {why}") from error
+        match = _USD_MESSAGE.search(str(error))  # without the place in USD's own source
+        why = str(error) if match is None else match[1]
+        raise FileFormatError(f"{path}: USD rejects it: {why}") from error
     return _Reader(path, stage).room()
 
 
@@ -63,7 +63,7 @@ def _check_layers(path: Path, root: Path) -> None:
     """Refuse layers that name files outside the root.
 
     Raises:
-        FileFormatError: One does, or a file does not exist or is too large.
+        FileFormatError: A layer does, or a file is missing or too large.
     """
     from pxr import Sdf
 
@@ -73,13 +73,13 @@ def _check_layers(path: Path, root: Path) -> None:
         open_regular(file, MAX_BYTES).close()
         layer = Sdf.Layer.OpenAsAnonymous(str(file))
         if layer is None:
-            raise FileFormatError(f"{file}: is no layer of USD")
+            raise FileFormatError(f"{file}: is not a USD layer")
         for name in layer.GetCompositionAssetDependencies():
             if "://" in name:
-                raise FileFormatError(f"{file}: {name!r:.200} is no file; only files are read")
+                raise FileFormatError(f"{file}: {name!r:.200} is not a file; URLs are not read")
             found = find_inside(name, [file.parent / name], root, file)
             if found.suffix.lower() not in (".usd", ".usda", ".usdc"):
-                raise FileFormatError(f"{file}: {name!r:.200} is no .usd, .usda or .usdc")
+                raise FileFormatError(f"{file}: {name!r:.200} must be a .usd, .usda or .usdc file")
             if found not in seen:
                 seen.add(found)
                 waiting.append(found)
@@ -88,8 +88,8 @@ def _check_layers(path: Path, root: Path) -> None:
 
 
 @dataclass
-class _Found:
-    """What belongs to one object: paths of prims."""
+class _StagePrims:
+    """Prims of a stage."""
 
     bodies: list[Any] = field(default_factory=list)
     colliders: list[Any] = field(default_factory=list)
@@ -97,26 +97,28 @@ class _Found:
 
 
 class _Reader:
-    """Makes our records of a stage."""
+    """Converts a stage to our records."""
 
     def __init__(self, path: Path, stage: Any) -> None:
         from pxr import Usd, UsdGeom, UsdPhysics
 
-        self.path, self.stage, self.report = path, stage, Report()
+        self.path, self.stage, self.report = path, stage, ImportReport()
         self.unit = float(UsdGeom.GetStageMetersPerUnit(stage))
         if not 1e-6 < self.unit < 1e6:
-            raise FileFormatError(f"{path}: metersPerUnit is {self.unit:g}")
+            raise FileFormatError(
+                f"{path}: metersPerUnit is {self.unit:g}; it must be between 1e-6 and 1e6"
+            )
         turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
         self.T_world_stage = pose_rpy((0, 0, 0), (math.pi / 2 * turned, 0, 0))
         self.cache = UsdGeom.XformCache(Usd.TimeCode.Default())
         self.physics = UsdPhysics
         self.shapes = ColliderShapes(self.report)
 
-    def room(self) -> Room:
-        """The room; what is not in it is in the report."""
+    def room(self) -> ImportedRoom:
+        """Return the room; the report counts what it lacks."""
         from pxr import Usd
 
-        found = _Found()
+        found = _StagePrims()
         prims = iter(Usd.PrimRange(self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
         for count, prim in enumerate(prims):
             if count > MAX_PRIMS:
@@ -131,14 +133,14 @@ class _Reader:
             if self._collides(prim):
                 found.colliders.append(prim)
             elif prim.GetTypeName() in self.shapes.kinds:
-                self.report.dropped["drawn shapes"] += 1
+                self.report.dropped["visual shapes"] += 1
         names = Names()
         objects = []
         for top in self._tops(found):
             item = self._object(top, names(top.GetName(), "object"), found)
             if item is not None:
                 objects.append(item)
-        return Room(self.path.stem, tuple(objects), self.shapes.meshes, self.report)
+        return ImportedRoom(self.path.stem, tuple(objects), self.shapes.meshes, self.report)
 
     def _collides(self, prim: Any) -> bool:
         if not prim.HasAPI(self.physics.CollisionAPI):
@@ -146,10 +148,8 @@ class _Reader:
         enabled = self.physics.CollisionAPI(prim).GetCollisionEnabledAttr().Get()
         return enabled is not False and prim.GetTypeName() in self.shapes.kinds
 
-    # ------------------------------------------------------------------------------------ objects
-
-    def _tops(self, found: _Found) -> list[Any]:
-        """The prims that become objects: below those that only hold others."""
+    def _tops(self, found: _StagePrims) -> list[Any]:
+        """Return the prims that become objects, below those that only group others."""
         tops = [
             prim for prim in self.stage.GetPseudoRoot().GetChildren() if self._holds(prim, found)
         ]
@@ -162,12 +162,10 @@ class _Reader:
             tops = parts
         return tops
 
-    def _holds(self, prim: Any, found: _Found) -> bool:
-        """Whether anything solid is in a prim."""
+    def _holds(self, prim: Any, found: _StagePrims) -> bool:
         return any(_within(part, prim) for part in found.colliders)
 
     def _joined(self, parts: list[Any], joints: list[Any]) -> bool:
-        """Whether a joint goes from one of some prims to another."""
         for joint in joints:
             ends = [self._body(joint, end) for end in (0, 1)]
             owners = {
@@ -178,21 +176,21 @@ class _Reader:
         return False
 
     def _body(self, joint: Any, end: int) -> Any:
-        """The rigid body at one end of a joint; None where that end is held by the world."""
+        """Return the rigid body at one end of a joint; None for the world."""
         rel = (self.physics.Joint(joint).GetBody0Rel, self.physics.Joint(joint).GetBody1Rel)[end]()
         targets = rel.GetTargets()
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         return self._rigid_above(prim) if prim else None
 
     def _rigid_above(self, prim: Any) -> Any:
-        """The rigid body that a prim belongs to; None where it stands still."""
+        """Return the rigid body that a prim belongs to; None if it is fixed."""
         while prim and not prim.IsPseudoRoot():
             if prim.HasAPI(self.physics.RigidBodyAPI):
                 return prim
             prim = prim.GetParent()
         return None
 
-    def _object(self, top: Any, name: str, found: _Found) -> RoomObject | None:
+    def _object(self, top: Any, name: str, found: _StagePrims) -> RoomObject | None:
         T_world = rigid(self._matrix(top))
         names, joint_names = Names(), Names()
         base = names("base", "base")
@@ -208,7 +206,7 @@ class _Reader:
                     self.report.dropped["joints without a second body"] += top == prim.GetParent()
                 continue
             if child.GetPath() in joints:
-                self.report.dropped["joints that make loops"] += 1
+                self.report.dropped["joints that close loops"] += 1
                 continue
             joints[child.GetPath()] = prim, self._kind(prim)
             origins[child.GetPath()] = self._frame(prim, 1)
@@ -241,8 +239,6 @@ class _Reader:
         tree = {link: Link(link, tuple(made), ()) for link, made in shapes.items()}
         return RoomObject(name, T_world, Urdf(name, None, base, tree, tuple(records)), values)
 
-    # ------------------------------------------------------------------------------------- joints
-
     def _kind(self, prim: Any) -> JointKind:
         if prim.IsA(self.physics.RevoluteJoint):
             return "revolute"
@@ -253,13 +249,13 @@ class _Reader:
         return "fixed"
 
     def _frame(self, prim: Any, end: int) -> Float[np.ndarray, "4 4"]:
-        """The frame of a joint at one of its ends, in the world."""
+        """Return the frame of a joint at one of its ends, in the world."""
         joint = self.physics.Joint(prim)
         spots = (joint.GetLocalPos0Attr, joint.GetLocalPos1Attr)[end]().Get() or (0, 0, 0)
         turn = (joint.GetLocalRot0Attr, joint.GetLocalRot1Attr)[end]().Get()
         wxyz = (1.0, 0.0, 0.0, 0.0) if turn is None else (turn.real, *turn.imaginary)
         if not (np.isfinite([*spots, *wxyz]).all() and 0.9 < np.linalg.norm(wxyz) < 1.1):
-            raise FileFormatError(f"{self.path}: {prim.GetPath()}: has no usable frame")
+            raise FileFormatError(f"{self.path}: {prim.GetPath()}: has an invalid frame")
         rel = (joint.GetBody0Rel, joint.GetBody1Rel)[end]()
         targets = rel.GetTargets()
         body = self.stage.GetPrimAtPath(targets[0]) if targets else None
@@ -277,7 +273,6 @@ class _Reader:
         link: str,
         T_parent: Float[np.ndarray, "4 4"],
     ) -> tuple[Joint, float]:
-        """A joint, and where it stands."""
         T_first, T_second = self._frame(prim, 0), self._frame(prim, 1)
         if kind == "fixed":
             return _fixed(name, parent, link, invert(T_parent) @ T_second), 0.0
@@ -294,7 +289,9 @@ class _Reader:
             lower, upper = -math.inf, math.inf
             kind = "continuous" if kind == "revolute" else kind
         if lower > upper:
-            raise FileFormatError(f"{self.path}: {prim.GetPath()}: limits {lower:g} to {upper:g}")
+            raise FileFormatError(
+                f"{self.path}: {prim.GetPath()}: the lower limit {lower:g} is above {upper:g}"
+            )
         T_way = invert(T_first) @ T_second
         if kind == "prismatic":
             value = float(T_way[:3, 3] @ axis)
@@ -304,23 +301,23 @@ class _Reader:
             vector = np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2
             value = math.atan2(float(vector @ axis), (float(np.trace(T_way[:3, :3])) - 1) / 2)
             rest = pose_wxyz((0, 0, 0), (math.cos(value / 2), *(math.sin(value / 2) * axis)))
-        if np.abs(invert(rest) @ T_way - np.eye(4)).max() > APART:
-            self.report.approximated["joints whose two frames do not meet"] += 1
+        if np.abs(invert(rest) @ T_way - np.eye(4)).max() > MAX_FRAME_MISMATCH:
+            self.report.approximated["joints with mismatched frames"] += 1
         value = 0.0 if abs(value) < 1e-9 else value
         clipped = min(max(value, lower), upper)
-        self.report.approximated["joints beyond their limits, put at these"] += clipped != value
+        self.report.approximated["joint values outside their limits, clipped"] += clipped != value
         T = invert(T_parent) @ T_first
         return Joint(name, kind, parent, link, T, axis, lower, upper, math.inf), clipped
 
     def _scale(self, prim: Any) -> float:
-        """Length of a unit of a joint's frame [m]."""
+        """Return the length of a unit of a joint's frame [m]."""
         targets = self.physics.Joint(prim).GetBody0Rel().GetTargets()
         body = self.stage.GetPrimAtPath(targets[0]) if targets else None
         whole = self._matrix(body) if body else self._matrix(self.stage.GetPseudoRoot())
         return float(np.cbrt(abs(np.linalg.det(whole[:3, :3]))))
 
     def _matrix(self, prim: Any) -> Float[np.ndarray, "4 4"]:
-        """What maps coordinates in a prim to the world in meters; it may scale."""
+        """Return the transform from a prim to the world in meters, which may scale."""
         T = (
             matrix(self.cache.GetLocalToWorldTransform(prim))
             if not prim.IsPseudoRoot()
@@ -328,7 +325,7 @@ class _Reader:
         )
         T[:3] *= self.unit
         if not np.isfinite(T).all():
-            raise FileFormatError(f"{self.path}: {prim.GetPath()}: stands nowhere")
+            raise FileFormatError(f"{self.path}: {prim.GetPath()}: its transform must be finite")
         return self.T_world_stage @ T
 
 

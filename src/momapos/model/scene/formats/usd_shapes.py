@@ -1,4 +1,4 @@
-"""Colliders of USD as shapes of ours."""
+"""Convert USD colliders to our shapes."""
 
 from __future__ import annotations
 
@@ -12,51 +12,51 @@ from momapos.core.geometry import invert, pose, pose_rpy
 from momapos.model.urdf import MAX_POINTS, Geometry
 
 from .composed_shapes import capsule, ellipsoid
-from .imported_room import Mesh, Report
+from .imported_room import ImportReport, Mesh
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-EVEN = 1e-4
-"""Scales along two axes that differ by this share at most are alike; so are right angles [-]."""
+SCALE_TOLERANCE = 1e-4
+"""Relative tolerance for equal scales, and tolerance for right angles [-]."""
 _QUARTER = np.pi / 2
 _TURNED = {"X": (0.0, _QUARTER, 0.0), "Y": (-_QUARTER, 0.0, 0.0), "Z": (0.0, 0.0, 0.0)}
-"""Turns that bring z to the axis of a round shape."""
+"""Rotations from z to the axis of a round shape."""
 
 
 def matrix(found: Any) -> Float[np.ndarray, "4 4"]:
-    """A matrix of USD, which multiplies rows, as one that multiplies columns."""
+    """Return a USD matrix, which multiplies row vectors, for column vectors."""
     return np.array(found, float).T
 
 
 def rigid(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The nearest transform that does not scale."""
+    """Return the nearest transform without scale."""
     u, _, vt = np.linalg.svd(T[:3, :3])
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return pose(T[:3, 3], turn)
 
 
 class ColliderShapes:
-    """Makes shapes of colliders, and counts what becomes of them."""
+    """Converts colliders to shapes, and counts approximations."""
 
     kinds = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone", "Mesh", "Plane")
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: ImportReport) -> None:
         self.report = report
         self.meshes: dict[Path, Mesh] = {}
 
     def shapes(
         self, prim: Any, T_world: Float[np.ndarray, "4 4"], T_world_link: Float[np.ndarray, "4 4"]
     ) -> list[Geometry]:
-        """The shapes that stand for a collider.
+        """Return the shapes of a collider.
 
         Args:
             prim: The collider.
-            T_world: What maps its coordinates to the world in meters; it may scale.
-            T_world_link: Pose of the link that it belongs to.
+            T_world: Transform of its coordinates to the world in meters, which may scale.
+            T_world_link: Pose of its link.
 
         Raises:
-            FileFormatError: It has no usable size or corners.
+            FileFormatError: The size or the vertices are invalid.
         """
         kind, name = str(prim.GetTypeName()), prim.GetName()
         T = invert(T_world_link) @ T_world
@@ -67,15 +67,15 @@ class ColliderShapes:
             return []
         scale = np.linalg.norm(T[:3, :3], axis=0)
         straight = T[:3, :3] / np.maximum(scale, 1e-12)
-        if np.abs(straight.T @ straight - np.eye(3)).max() > EVEN:
-            raise FileFormatError(f"{prim.GetPath()}: a {kind} is sheared; make it a mesh")
+        if np.abs(straight.T @ straight - np.eye(3)).max() > SCALE_TOLERANCE:
+            raise FileFormatError(f"{prim.GetPath()}: a {kind} is sheared; use a mesh instead")
         place = rigid(T)
         if kind == "Cube":
             edge = _size(prim, "size", 2.0)
             return [Geometry("box", tuple((edge * scale).tolist()), place, name)]
         if kind == "Sphere":
             half = _size(prim, "radius", 1.0) * scale
-            if np.ptp(half) <= EVEN * half.max():
+            if np.ptp(half) <= SCALE_TOLERANCE * half.max():
                 return [Geometry("sphere", (float(half[0]),), place, name)]
             self.report.approximated["ellipsoids as meshes"] += 1
             shape, file, mesh = ellipsoid((half[0], half[1], half[2]), place, name)
@@ -91,14 +91,13 @@ class ColliderShapes:
         place: Float[np.ndarray, "4 4"],
         name: str,
     ) -> list[Geometry]:
-        """A cylinder, capsule or cone."""
         axis = str(prim.GetAttribute("axis").Get() or "Z")
         along = "XYZ".index(axis)
         across = np.delete(scale, along)
         radius = _size(prim, "radius", 0.5 if kind == "Capsule" else 1.0) * float(across.max())
         height = _size(prim, "height", 1.0 if kind == "Capsule" else 2.0) * float(scale[along])
-        if np.ptp(across) > EVEN * across.max():
-            self.report.approximated["flattened round shapes as round ones"] += 1
+        if np.ptp(across) > SCALE_TOLERANCE * across.max():
+            self.report.approximated["elliptic round shapes as circular ones"] += 1
         T = place @ pose_rpy((0.0, 0.0, 0.0), _TURNED[axis])
         if kind == "Capsule":
             return capsule(radius, height, T, name)
@@ -128,7 +127,7 @@ def _size(prim: Any, key: str, otherwise: float) -> float:
 
 
 def _corners(prim: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Corners of a mesh, and its faces divided into fans of triangles."""
+    """Return the vertices of a mesh, and its faces split into triangles."""
     found = [
         prim.GetAttribute(k).Get() for k in ("points", "faceVertexCounts", "faceVertexIndices")
     ]
@@ -136,15 +135,15 @@ def _corners(prim: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"
     counts, corners = (np.array(f if f is not None else [], np.int64) for f in found[1:])
     where = f"{prim.GetPath()}: a mesh"
     if not 4 <= len(points) <= MAX_POINTS or len(corners) > MAX_POINTS:
-        raise FileFormatError(f"{where} has {len(points)} corners")
+        raise FileFormatError(f"{where} has {len(points)} vertices; it must have 4 to {MAX_POINTS}")
     if not np.isfinite(points).all():
-        raise FileFormatError(f"{where} holds NaN or infinite corners")
+        raise FileFormatError(f"{where} contains NaN or infinite vertices")
     if (counts < 0).any() or counts.sum() != len(corners):
         raise FileFormatError(
-            f"{where} has faces of {counts.sum()} corners and names {len(corners)}"
+            f"{where} has faces with {counts.sum()} vertices, but {len(corners)} vertex indices"
         )
     if len(corners) and not 0 <= corners.min() <= corners.max() < len(points):
-        raise FileFormatError(f"{where} names a corner that is not there")
+        raise FileFormatError(f"{where} names a vertex that does not exist")
     fans = np.maximum(counts - 2, 0)
     first = np.repeat(np.cumsum(counts) - counts, fans)
     step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)

@@ -1,4 +1,4 @@
-"""The finished kitchens that ship with momapos, and the furniture of boxes they are made of."""
+"""Kitchens that ship with momapos, and the box furniture they are made of."""
 
 import lazy_loader
 

@@ -5,8 +5,8 @@ from .box_furniture import Obstacles as Obstacles
 from .box_furniture import Piece as Piece
 from .box_furniture import Vec as Vec
 from .box_furniture import bar_handle as bar_handle
-from .box_furniture import ending_before_hits as ending_before_hits
 from .box_furniture import hits as hits
+from .box_furniture import limit_joints_before_hits as limit_joints_before_hits
 from .box_furniture import obstacles as obstacles
 from .box_furniture import solid as solid
 from .box_furniture import union as union

@@ -1,7 +1,7 @@
-"""Furniture made of boxes: what its parts are, how they move, and what they hit.
+"""Furniture made of boxes: parts, motions and collisions.
 
-Frame of a piece: x right, y to its back, z up, as seen from in front of it. All its parts are
-axis-aligned boxes in that frame while its joints are closed (0).
+Frame of a piece: x right, y to its back, z up, seen from the front. With closed joints (0), all
+parts are axis-aligned boxes in that frame.
 """
 
 from __future__ import annotations
@@ -18,54 +18,57 @@ from momapos.model.records import Hypothesis
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-TOUCH = 5e-4  # [m] of overlap that still counts as touching
-BAR, STAND_OFF = 0.02, 0.04  # [m] thickness of a handle, and its distance from the door
+MAX_TOUCH_OVERLAP = 5e-4  # maximum overlap that counts as touching [m]
+HANDLE_THICKNESS, HANDLE_STAND_OFF = (
+    0.02,
+    0.04,
+)  # thickness of a handle, and its distance from the door [m]
 
 Vec = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box in the frame of its piece, at the closed state."""
+    """An axis-aligned box in the frame of its closed piece."""
 
     name: str
     low: Vec
-    """Lowest corner [m]."""
+    """Lower corner [m]."""
     high: Vec
-    """Highest corner [m]."""
+    """Upper corner [m]."""
 
 
 @dataclass(frozen=True)
 class JointMotion:
-    """How a part moves against the body; the closed state is 0."""
+    """Motion of a part relative to the body; 0 is closed."""
 
     kind: Literal["revolute", "prismatic"]
     pivot: Vec
-    """A point on the axis, in the frame of the piece [m]."""
+    """Point on the axis, in the frame of the piece [m]."""
     axis: Vec
     """Unit vector along a coordinate axis of the piece."""
     upper: float
-    """Where it ends [rad] or [m]."""
+    """Upper joint limit [rad] or [m]."""
 
 
 @dataclass(frozen=True)
 class FurniturePart:
-    """What moves as one: the body, a door, a drawer."""
+    """A rigid part: the body, a door, a drawer."""
 
     name: str
     boxes: tuple[Box, ...]
     motion: JointMotion | None = None
-    """None: fixed to the body."""
+    """None for a part fixed to the body."""
     handle: tuple[Box, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
-    """Ways in which it may move, the likeliest first, which is its motion; empty where that is
+    """Possible motions, the most probable first, which is `motion`; empty if the motion is
     known."""
     confidence: float | None = None
-    """That it is there and moves so, in [0, 1]; None where that is known."""
+    """Confidence in the part and its motion, in [0, 1]; None if known."""
     handle_confidence: float | None = None
-    """That its handle is there, in [0, 1]; None where that is known, or there is none."""
+    """Confidence in the handle, in [0, 1]; None if known, or without a handle."""
     value: float = 0.0
-    """How far it is open in the room [rad] or [m]."""
+    """Opening in the room [rad] or [m]."""
 
 
 @dataclass(frozen=True)
@@ -77,25 +80,25 @@ class Piece:
     xyz: Vec
     """Origin of its frame in the world [m]."""
     yaw: float
-    """Turn of its frame about the world's z axis [rad]."""
+    """Rotation of its frame about the world's z axis [rad]."""
     parts: tuple[FurniturePart, ...]
 
 
 def vec(values: Iterable[float]) -> Vec:
-    """Make a triple of plain floats, to 10 micrometers and without negative zeros."""
+    """Return a triple of plain floats, rounded to 10 micrometers, without negative zeros."""
     x, y, z = (round(float(value), 5) + 0.0 for value in values)
     return x, y, z
 
 
 def union(name: str, boxes: Sequence[Box]) -> Box:
-    """Bound boxes by one."""
+    """Return the bounding box of boxes."""
     low = np.min([box.low for box in boxes], axis=0)
     high = np.max([box.high for box in boxes], axis=0)
     return Box(name, vec(low), vec(high))
 
 
 def solid(name: str, category: str, size: Vec, center: Vec, yaw: float = 0.0) -> Piece:
-    """A piece that is one box, its frame in the center."""
+    """Return a piece of one box, with its frame at the center."""
     half = tuple(value / 2 for value in size)
     box = Box(name, vec(-value for value in half), vec(half))
     return Piece(name, category, center, yaw, (FurniturePart("body", (box,)),))
@@ -109,18 +112,18 @@ def bar_handle(
     *,
     upright: bool,
     front: float,
-    bar: float = BAR,
-    stand_off: float = STAND_OFF,
+    bar: float = HANDLE_THICKNESS,
+    stand_off: float = HANDLE_STAND_OFF,
 ) -> tuple[Box, ...]:
-    """A bar on two posts.
+    """Return a bar on two posts.
 
     Args:
-        part: Name of the part that it is on.
-        x: Its center [m].
-        z: Its center [m].
-        length: Of the bar [m].
-        upright: Along z; else along x.
-        front: The y coordinate of the surface that it stands on [m].
+        part: Name of its part.
+        x: Center [m].
+        z: Center [m].
+        length: Length of the bar [m].
+        upright: Along z; otherwise along x.
+        front: y coordinate of the mounting surface [m].
         bar: Thickness of the bar [m].
         stand_off: Distance of the bar from the surface [m].
     """
@@ -137,18 +140,15 @@ def bar_handle(
     return tuple(boxes)
 
 
-# ---------------------------------------------------------------- where the boxes are
-
-
 def part_poses(
     piece: Piece, part: FurniturePart, values: Float[np.ndarray, " s"]
 ) -> Float[np.ndarray, "s 4 4"]:
-    """Motion of a part in the world: maps where its points are when closed, in the piece's frame.
+    """Return the transforms from a part's closed points in the piece's frame to the world.
 
     Args:
         piece: The piece of furniture.
         part: One of its parts.
-        values: Joint values [rad] or [m]; without effect on a part that does not move.
+        values: Joint values [rad] or [m]; without effect on a fixed part.
     """
     T_world_piece = pose(piece.xyz, rotation_about(np.array([0.0, 0.0, 1.0]), piece.yaw))
     Ts_piece_part = np.tile(np.eye(4), (len(values), 1, 1))
@@ -167,12 +167,12 @@ def part_poses(
 def centers_and_halves(
     boxes: Sequence[Box],
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Centers and half sizes of boxes [m], in the frame of their piece."""
+    """Return the centers and half sizes of boxes [m], in the frame of their piece."""
     low, high = np.array([b.low for b in boxes]), np.array([b.high for b in boxes])
     return (low + high) / 2, (high - low) / 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Obstacles:
     """Boxes in the world."""
 
@@ -181,13 +181,13 @@ class Obstacles:
     halves: Float[np.ndarray, "n 3"]
 
     def bounds(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-        """Lowest and highest corners of the axis-aligned boxes around them [m]."""
+        """Return the lower and upper corners of their world-aligned bounding boxes [m]."""
         half = np.einsum("nij,nj->ni", np.abs(self.R), self.halves)
         return self.centers - half, self.centers + half
 
 
 def obstacles(pieces: Iterable[Piece], without: tuple[str, str] | None = None) -> Obstacles:
-    """Collect all boxes of closed furniture, but for one part given by piece and name."""
+    """Collect the boxes of closed furniture, except one part given by piece and name."""
     Rs, centers, halves = [], [], []
     for piece in pieces:
         for part in piece.parts:
@@ -204,10 +204,10 @@ def obstacles(pieces: Iterable[Piece], without: tuple[str, str] | None = None) -
 def hits(
     piece: Piece, part: FurniturePart, values: Float[np.ndarray, " s"], others: Obstacles
 ) -> Bool[np.ndarray, " s"]:
-    """Whether a part overlaps other boxes at each joint value [rad] or [m].
+    """Return whether a part overlaps other boxes at each joint value [rad] or [m].
 
-    Only the boxes' own axes are tried as separating ones. That decides exactly where two boxes
-    share an axis, as everything does here but a few small objects; for these it errs to a hit.
+    Only the boxes' own axes are tested as separating axes. This is exact for boxes that share an
+    axis, as all do here except a few small objects; for these it may report false hits.
     """
     Ts = part_poses(piece, part, values)
     center, h = centers_and_halves((*part.boxes, *part.handle))
@@ -221,14 +221,16 @@ def hits(
     own = h[:, None] + np.einsum("snij,nj->sni", A, h2)[:, None]
     own = own - np.abs(np.einsum("sji,smnj->smni", R, t))
     other = h2 + np.einsum("snji,mj->smni", A, h) - np.abs(np.einsum("nji,smnj->smni", R2, t))
-    return np.any(np.minimum(own.min(-1), other.min(-1)) > TOUCH, axis=(1, 2))
+    return np.any(np.minimum(own.min(-1), other.min(-1)) > MAX_TOUCH_OVERLAP, axis=(1, 2))
 
 
-def ending_before_hits(piece: Piece, pieces: Sequence[Piece], least: Mapping[str, float]) -> Piece:
-    """End each joint of a piece before its part hits anything that stands closed.
+def limit_joints_before_hits(
+    piece: Piece, pieces: Sequence[Piece], least: Mapping[str, float]
+) -> Piece:
+    """Limit each joint of a piece so that its part hits no closed furniture.
 
-    A part that cannot be opened as far as `least` [rad, m] says for its kind of joint is fixed
-    instead, and loses its handle.
+    A part that opens less than `least` [rad] or [m] for its kind of joint is fixed instead, and
+    loses its handle.
     """
     parts = []
     for part in piece.parts:

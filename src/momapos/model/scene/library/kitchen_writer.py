@@ -1,4 +1,4 @@
-"""The files of a kitchen made of boxes: one URDF a piece, and the scene that names them."""
+"""Write kitchens made of boxes: a URDF per piece, and the scene file."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from momapos.model.scene.scene import SceneObject
 
 from .box_furniture import Box, FurniturePart, Piece, Vec, centers_and_halves, vec
 
-COPIED = ".model"
-"""Suffix of a folder with the files of an object that has a URDF of its own."""
-DENSITY = 400.0  # [kg/m^3] of everything: light wood
+COPIED_SUFFIX = ".model"
+"""Suffix of a folder with the files of an object with its own URDF."""
+DENSITY = 400.0  # density of all parts: light wood [kg/m^3]
 COLORS = {
     "body": "0.85 0.83 0.78 1",
     "front": "0.55 0.65 0.72 1",
@@ -41,27 +41,29 @@ def write_kitchen(
     others: Sequence[SceneObject] = (),
     sure: Mapping[str, tuple[float, float]] | None = None,
 ) -> Path:
-    """Write a scene and its URDF files, all of them or none.
+    """Write a scene and its URDF files: all files, or none.
 
     Args:
-        out: The scene file; the URDF files go into `<stem>_urdf` beside it.
+        out: The scene file; the URDF files are written to `<stem>_urdf` next to it.
         name: Name of the scene.
-        pieces: The furniture; one that is a single box needs no URDF.
-        floor: Corners of the floor in the world, counterclockwise [m]; None where it has no end.
-        start: Where the robot's base stands at first: x [m], y [m], yaw [rad]; None if not known.
-        others: Objects with URDF files of their own, which are copied with their meshes.
-        sure: How sure a scan is of objects and of their labels, by name.
+        pieces: The furniture; a single box needs no URDF.
+        floor: Corners of the floor in the world, counterclockwise [m]; None if unbounded.
+        start: Initial pose of the base: x [m], y [m], yaw [rad]; None if unknown.
+        others: Objects with their own URDF files, which are copied with their meshes.
+        sure: Confidences of a scan in objects and in their labels, by name.
 
     Returns:
         `out`.
 
     Raises:
-        InputError: The place cannot be written to, or the URDF folder holds files of another kind.
+        InputError: The files cannot be written, or the URDF folder contains other files.
     """
     folder = out.parent / f"{out.stem}_urdf"
-    foreign = [path.name for path in folder.glob("*") if path.suffix not in (".urdf", COPIED)]
+    foreign = [
+        path.name for path in folder.glob("*") if path.suffix not in (".urdf", COPIED_SUFFIX)
+    ]
     if foreign:
-        raise InputError(f"{folder} is not a folder of URDF files: it holds {foreign[0]}")
+        raise InputError(f"{folder} is not a folder of URDF files: it contains {foreign[0]}")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as temporary:
@@ -73,7 +75,7 @@ def write_kitchen(
                     (new / f"{piece.name}.urdf").write_text(text, encoding="utf-8")
             entries = [_object(piece, folder.name) for piece in pieces]
             for item in others:
-                target = new / f"{item.name}{COPIED}"
+                target = new / f"{item.name}{COPIED_SUFFIX}"
                 source = item.model.urdf.path
                 assert source is not None
                 urdf = copy_files([item.model], target)[source].relative_to(new)
@@ -93,7 +95,7 @@ def write_kitchen(
 
 
 def _swap_in(new: Path, folder: Path, scene: Path, out: Path) -> None:
-    """Move a finished folder and scene file to their places; on failure put back what was there."""
+    """Move a new folder and scene file to their places; restore the old ones on failure."""
     old = new.with_name("old")
     if folder.exists():
         folder.rename(old)
@@ -109,7 +111,7 @@ def _swap_in(new: Path, folder: Path, scene: Path, out: Path) -> None:
 
 
 def is_single_box(piece: Piece) -> bool:
-    """Whether the scene file can hold the piece without a URDF."""
+    """Return whether the scene file can contain the piece without a URDF."""
     return len(piece.parts) == 1 and len(piece.parts[0].boxes) == 1
 
 
@@ -119,7 +121,7 @@ def scene_text(
     floor: Sequence[tuple[float, float]] | None,
     start: tuple[float, float, float] | None,
 ) -> str:
-    """Write the text of a scene file, one object a line; the arguments are `write_kitchen`'s."""
+    """Return the text of a scene file, one object per line; see `write_kitchen`."""
     text = json.dumps({"format": "momapos-scene", "version": 1, "name": name})[:-1]
     if floor is not None:
         corners = [[round(float(value), 5) + 0.0 for value in corner] for corner in floor]
@@ -132,7 +134,6 @@ def scene_text(
 
 
 def _copied(item: SceneObject, urdf: str) -> dict[str, Any]:
-    """The entry of an object that has a URDF of its own."""
     wxyz = Rotation.from_matrix(item.T_world_object[:3, :3]).as_quat(scalar_first=True)
     xyz = vec(item.T_world_object[:3, 3])
     return {
@@ -146,7 +147,6 @@ def _copied(item: SceneObject, urdf: str) -> dict[str, Any]:
 
 
 def _object(piece: Piece, folder: str) -> dict[str, Any]:
-    """The entry of a piece in the scene file."""
     entry: dict[str, Any] = {"name": piece.name, "category": piece.category}
     xyz = np.array(piece.xyz)
     box = piece.parts[0].boxes[0]
@@ -163,7 +163,7 @@ def _object(piece: Piece, folder: str) -> dict[str, Any]:
     }
     entry |= {"urdf": f"{folder}/{piece.name}.urdf", "scale": 1.0, "joints": joints}
     hypotheses = {
-        joint_name(part): hypotheses_to_json(_ended(part.hypotheses, part.motion.upper))
+        joint_name(part): hypotheses_to_json(_with_limit(part.hypotheses, part.motion.upper))
         for part in piece.parts
         if part.motion is not None and part.hypotheses
     }
@@ -171,7 +171,7 @@ def _object(piece: Piece, folder: str) -> dict[str, Any]:
 
 
 def confidence_of(seen: float, label: float, piece: Piece | None) -> Confidence:
-    """How sure a scan is of an object: of itself, of its label, of its parts."""
+    """Return the confidence of a scan in an object, its label and its parts."""
     parts = [part for part in (piece.parts if piece else ()) if part.motion is not None]
     return Confidence(
         seen,
@@ -181,20 +181,20 @@ def confidence_of(seen: float, label: float, piece: Piece | None) -> Confidence:
     )
 
 
-def _ended(found: Sequence[Hypothesis], upper: float) -> list[Hypothesis]:
-    """Hypotheses of which the first ends where the part's own motion does."""
+def _with_limit(found: Sequence[Hypothesis], upper: float) -> list[Hypothesis]:
+    """Return the hypotheses, the first with the limit of the part's own motion."""
     return [replace(found[0], upper=upper), *found[1:]]
 
 
 def joint_name(part: FurniturePart) -> str:
-    """Name of the joint that moves a part."""
+    """Return the name of the joint that moves a part."""
     if part.motion is None:
         return f"{part.name}_mount"
     return f"{part.name}_{'hinge' if part.motion.kind == 'revolute' else 'slide'}"
 
 
 def urdf_text(piece: Piece) -> str:
-    """Write a piece as a URDF; the handle of a part is a link of its own, fixed to the part."""
+    """Return a piece as a URDF; handles are separate links, fixed to their parts."""
     body = piece.parts[0]
     lines = ['<?xml version="1.0"?>', f'<robot name="{piece.name}">']
     for color, rgba in COLORS.items():
@@ -212,7 +212,6 @@ def urdf_text(piece: Piece) -> str:
 
 
 def _joint(part: FurniturePart, parent: str, origin: Vec) -> list[str]:
-    """The lines of the joint between a part and its parent."""
     kind = "fixed" if part.motion is None else part.motion.kind
     lines = [
         f'  <joint name="{joint_name(part)}" type="{kind}">',
@@ -229,7 +228,7 @@ def _joint(part: FurniturePart, parent: str, origin: Vec) -> list[str]:
 
 
 def _link(name: str, boxes: Sequence[Box], origin: Vec, color: str) -> list[str]:
-    """The lines of a link; its boxes are moved from the piece's frame to the link's."""
+    """Return the lines of a link, with boxes converted from the piece's frame to the link's."""
     lines = [f'  <link name="{name}">', _inertial(boxes, origin)]
     for box, center, half in zip(boxes, *centers_and_halves(boxes), strict=True):
         shape = (
@@ -242,13 +241,12 @@ def _link(name: str, boxes: Sequence[Box], origin: Vec, color: str) -> list[str]
 
 
 def _inertial(boxes: Sequence[Box], origin: Vec) -> str:
-    """Mass and inertia of boxes of one density."""
     centers, halves = centers_and_halves(boxes)
     masses = DENSITY * np.prod(2 * halves, axis=1)
     mass = masses.sum()
     center = masses @ centers / mass
     offset = centers - center
-    # a box of half sizes h turns like its mass at +-h/sqrt(3) along each of its axes
+    # The inertia of a box with half sizes h equals that of masses at +-h/sqrt(3) on its axes.
     second = np.einsum("n,ni,nj->ij", masses, offset, offset) + np.diag(masses @ halves**2 / 3)
     I = np.trace(second) * np.eye(3) - second  # noqa: E741
     terms = " ".join(
@@ -261,5 +259,4 @@ def _inertial(boxes: Sequence[Box], origin: Vec) -> str:
 
 
 def _text(values: Sequence[float] | np.ndarray) -> str:
-    """Three numbers as a URDF writes them."""
     return " ".join(f"{value:g}" for value in vec(values))

@@ -1,0 +1,272 @@
+"""State of a run in physics, and the elementary actions of the robot in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from momapos.core import SceneError
+from momapos.core.geometry import invert
+from momapos.model import Trajectory
+from momapos.model.records import Hold, Motion, Task
+from momapos.model.scene import SceneObject
+
+from .approach import PacedTrajectory
+from .arm_control import EVERYWHERE, CompliantArm, Reference
+from .avoidance import CollisionAvoidance
+from .config import Ending, ExecutionConfig, Stage
+from .feel import sense_forces
+from .geoms import ROBOT, matrix_quat
+from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
+from .observer import Observer
+from .payload import Payload
+from .run_record import Collision
+from .simulated_room import Seal
+from .simulation import Simulation
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Watch = Callable[[Simulation, float, Stage], None]
+"""Callback after every control step, with the time [s] and the stage."""
+MAX_START_OVERLAP = 3e-3
+"""Maximum overlap of the robot with its surroundings at the start, as a plan may have it [m]."""
+MAX_OVERLOAD_STEPS = 5
+"""Control steps for which a force must exceed its limit to count [-]."""
+
+
+@dataclass(frozen=True)
+class JointBelief:
+    """Joint of the part, as the robot believes it to be."""
+
+    axis: Axis
+    closed: float
+    """Closed value of the joint [rad] or [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Section of the motion with one grasp throughout, or with a free hand."""
+
+    plan: Trajectory
+    motion: Motion
+    """States of the section."""
+    hold: Hold | None
+    """None for a free hand."""
+    between: PacedTrajectory | None = None
+    """For a free hand between two grasps, the trajectory slowed down near obstacles; else None."""
+
+    @property
+    def pushes(self) -> bool:
+        """Whether the part is pushed instead of grasped."""
+        return self.hold is not None and self.hold.family == "push"
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether one finger under load is enough."""
+        return self.hold is not None and self.hold.family == "hook"
+
+
+class ExecutionRun:
+    """A run in progress."""
+
+    def __init__(
+        self,
+        world: Simulation,
+        motion: Motion,
+        task: Task,
+        config: ExecutionConfig,
+        seal: Seal,
+        belief: JointBelief | None,
+        known: Simulation,
+        watch: Watch | None,
+        touched: Mapping[tuple[str, str], Collision] | None = None,
+        doubt: JointDoubt | None = None,
+    ) -> None:
+        """`touched` holds the collisions of earlier attempts; None for the first attempt."""
+        self.doubt = doubt
+        self.again = touched is not None
+        self.world, self.motion, self.task, self.config = world, motion, task, config
+        self.seal, self.belief, self.watch = seal, belief, watch
+        self.step = config.timestep * config.substeps
+        self.observer = Observer(world, config, dict(touched or {}))
+        self.T_part_first = world.T_world_part
+        self.arm = CompliantArm(world, config.compliance, self.step)
+        self.avoidance = CollisionAvoidance(known, config.compliance)
+        self.payload = Payload(config.compliance.weight_time, self.step)
+        self.estimate: JointEstimate | None = None
+        self.touch = sense_forces(world)
+        self.held, self.strained, self.unloaded = False, 0, 0
+        self.lateral_offset, self.side, self.tries = 0.0, 0.0, 0
+        """Offset of the hand from the plan along its closing axis [m], the sign of its side, and
+        the number of retries [-]."""
+        self.max_load = 1.0
+        """Share of the allowed joint load at which the arm stops [-]."""
+        self.releasing = False
+        """Whether the hand is letting go of the part, so that forces on it do not end the run."""
+        self.learned: LearnedPart | None = None
+        """None if the hand has not moved the part."""
+        self.forward_offset = np.zeros(3)
+        """Offset of the hand from the planned grasp after it searched ahead [m]."""
+        self.passed = 0.0
+        """Position of the arm on the approach, in samples [-]."""
+        self.spent = dict.fromkeys(Stage, 0)
+        self.detail = ""
+        """Figures that explain the ending."""
+        self.usual_push: float | None = None
+        """Push toward the end of the path when the last section begins [N]; None before."""
+
+    @property
+    def time(self) -> float:
+        """Time since the start of the run [s]."""
+        return sum(self.spent.values()) * self.step
+
+    def carry(self, item: SceneObject) -> None:
+        """Put the object into the hand as planned for its placement."""
+        world = self.world
+        T_tool_part = invert(self.motion.Ts_world_tool[0]) @ item.T_world_object
+        T = world.T_world_tool @ T_tool_part
+        pose = [*T[:3, 3], *matrix_quat(T[:3, :3])]
+        world.data.qpos[world.part_q : world.part_q + 7] = pose
+        mujoco.mj_forward(world.model, world.data)
+        world.attach()
+        self.held = True
+
+    def check_start(self) -> None:
+        """Check that the robot starts free of collisions.
+
+        Raises:
+            SceneError: The robot overlaps an obstacle, which the message names.
+        """
+        contact, world = self.world.data.contact, self.world
+        for geoms, dist in zip(np.array(contact.geom), np.array(contact.dist), strict=True):
+            if dist < -MAX_START_OVERLAP and np.isin(world.kinds[geoms], ROBOT).any():
+                one, other = sorted(world.names[g] for g in geoms)
+                raise SceneError(
+                    f"start in collision: {one} overlaps {other} by {-1000 * dist:.0f} mm"
+                )
+
+    def tick(self, stage: Stage) -> Ending | None:
+        """Advance by one control step; return the ending it causes, or None."""
+        world, w = self.world, self.config.control.bandwidth
+        # The motors push in proportion to the error; this lead makes them follow without lag.
+        lead = 2 / w * self.arm.v + self.arm.a / w**2 + self.payload.lead(self.world)
+        world.data.ctrl[world.arm_motor] = self.arm.q + lead
+        if self.seal.outward:
+            value = float(world.data.qpos[world.part_q])
+            world.data.qfrc_applied[world.part_v] = self.seal.force(value)
+        mujoco.mj_step(world.model, world.data, nstep=self.config.substeps)
+        self.spent[stage] += 1
+        if self.watch is not None:
+            self.watch(world, self.time, stage)
+        if self.observer.diverged:
+            self.detail = f"after {self.time:.2f} s"
+            return Ending.DIVERGED
+        self.touch = sense_forces(world)
+        carried = self.held and self.belief is None
+        self.arm.update_forces(self.payload.remove_weight(self.touch, carried=carried))
+        self.observer.record_step(self.arm.q, self.time, stage, self.touch)
+        return self._check_overload()
+
+    def _check_overload(self) -> Ending | None:
+        """Break the weld, or stop the arm, if the load at the hand stays too high."""
+        grip, most = self.config.gripper, self.config.compliance
+        force, torque = self.touch.size
+        welded = self.held and self.world.welded
+        if welded and (force > grip.weld_force or torque > grip.weld_torque):
+            self.strained += 1
+            if self.strained >= MAX_OVERLOAD_STEPS:
+                self.world.release()
+                self.detail = f"at {force:.0f} N and {torque:.1f} Nm"
+                return Ending.BROKE
+            return None
+        force, torque = (float(np.linalg.norm(v)) for v in np.split(self.arm.wrench, 2))
+        hard = not self.releasing and (force > most.force or torque > most.torque)
+        blocked = self.arm.load > self.max_load
+        self.strained = self.strained + 1 if hard or blocked else 0
+        if self.strained < MAX_OVERLOAD_STEPS:
+            return None
+        if blocked:
+            self.detail = f"a joint is at {100 * self.arm.load:.0f} % of its allowed load"
+            return Ending.BLOCKED
+        self.detail = (
+            f"{force:.0f} N and {torque:.1f} Nm, limits {most.force:g} N and {most.torque:g} Nm"
+        )
+        return Ending.TOO_HARD
+
+    def rest(self, stage: Stage, seconds: float) -> Ending | None:
+        """Keep the arm still for some time; return the ending it causes, or None."""
+        self.arm.go(self.arm.q, np.zeros_like(self.arm.q))
+        for _ in range(max(1, round(seconds / self.step))):
+            ending = self.tick(stage)
+            if ending is not None:
+                return ending
+        return None
+
+    def offset_pose(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """Return a planned tool pose with the offsets that the hand has found on its way in."""
+        moved = T.copy()
+        moved[:3, 3] += self.lateral_offset * T[:3, :3] @ self.world.hand.axis + self.forward_offset
+        return moved
+
+    def close_fingers(
+        self, q: Float[np.ndarray, " n"], *, one_sided: bool = False, gives: bool = True
+    ) -> Ending | None:
+        """Close the fingers until the pads of both sides bear a load.
+
+        Args:
+            q: Arm state [rad] or [m].
+            one_sided: One finger under load is enough.
+            gives: Make the arm compliant along the closing axis.
+        """
+        grip, arm, still = self.config.gripper, self.arm, np.zeros_like(q)
+        T = self.offset_pose(arm.kinematics.at(q)[0])
+        closing = T[:3, :3] @ self.world.hand.axis
+        across = np.outer(closing, closing)  # the fingers center the hand along this axis only
+        reference = Reference(q, still, T, np.zeros(6), EVERYWHERE, across)
+        way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
+        enough, firm = grip.loaded * self.world.hand.force, 0
+        for k in range(round((way / grip.speed + grip.patience) / self.step)):
+            self.command_fingers(grip.speed * k * self.step)
+            if gives:
+                arm.follow(reference)
+            else:
+                arm.go(q, still)
+            ending = self.tick(Stage.GRIP)
+            if ending is not None:
+                return ending
+            firm = firm + 1 if min(self.touch.pads) > enough else 0
+            if firm * self.step >= grip.patience / 2:
+                return None
+        one = max(self.touch.pads) > enough
+        if one and one_sided:
+            return None
+        return Ending.ONE_SIDED if one else Ending.NOTHING_HELD
+
+    def command_fingers(self, way: float) -> None:
+        """Set the closing travel of each pad from its open position [m]; inf for full force."""
+        grip = self.config.gripper
+        for finger, motor in self.world.fingers:
+            sign = np.sign(finger.closed - finger.open)
+            press = self.world.hand.force / grip.stiffness / finger.lever
+            most = abs(finger.closed - finger.open) + press
+            self.world.data.ctrl[motor] = finger.open + sign * min(way / finger.lever, most)
+
+    def let_go(self) -> Ending | None:
+        """Open the fingers and the weld; return the ending it causes, or None."""
+        self.held = False
+        self.observer.let_go()
+        self.world.release()
+        self.command_fingers(0.0)
+        return self.rest(Stage.GRIP, self.config.grip)
+
+    def check_grasp(self) -> Ending | None:
+        """Return SLIPPED if the pads have borne no load for too long."""
+        if not self.held or self.config.hold != "contact":
+            return None
+        self.unloaded = self.unloaded + 1 if max(self.touch.pads) < 1.0 else 0
+        return Ending.SLIPPED if self.unloaded * self.step > self.config.gripper.lost else None
