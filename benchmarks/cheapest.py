@@ -25,7 +25,7 @@ from momapos.apps.bench.disturbances import works_disturbed
 from momapos.core.cache import default_cache_dir
 from momapos.model.robots.robot import load_robot
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
@@ -41,7 +41,7 @@ VARIANTS = {
     "grid with robustness": PlaceConfig(method="exhaustive", weight_room=100.0),
     "grid": PlaceConfig(method="exhaustive", weight_room=0.0),
 }
-NUM_NEIGHBORS = 4
+NEIGHBORS = 4
 """Number of base poses near each answer, at 2 cm and at 5 cm [-]."""
 
 
@@ -68,15 +68,15 @@ def main() -> None:
         spent = np.median([row[variant]["seconds"] for row in rows])
         at_2cm, at_5cm = np.mean([row[variant]["nearby"] for row in rows], axis=0)
         print(
-            f"{variant}: {drives.mean():.3f} m on average, {drives.sum() / grid.sum() - 1.0:+.1%} in "
-            f"all, {np.median(drives / grid) - 1.0:+.1%} at the median; {spent:.2f} s of "
+            f"{variant}: {drives.mean():.3f} m on average, {drives.sum() / grid.sum() - 1.0:+.1%} "
+            f"in all, {np.median(drives / grid) - 1.0:+.1%} at the median; {spent:.2f} s of "
             f"processor; feasible nearby {at_2cm:.0%}, {at_5cm:.0%}"
         )
     keep_rows(rows, args.out, "cheapest")
 
 
 def answers(of_robot: str, name: str, item: str, joint: str) -> dict[str, Any] | None:
-    """Return drive, time and robustness of each answer to one opening; None if any is infeasible."""
+    """Return drive, time and robustness of each answer to an opening; None if any fails."""
     row: dict[str, Any] = {"robot": of_robot, "scene": name, "object": item, "joint": joint}
     scene, robot = scene_of(name), load_robot(of_robot)
     reach = load_reach_map(robot, default_cache_dir(), None)
@@ -88,9 +88,7 @@ def answers(of_robot: str, name: str, item: str, joint: str) -> dict[str, Any] |
         row[variant] = {"drive": plan.navigation_cost, "seconds": time.process_time() - began}
         if plan.motion is None:
             return None
-        works = works_disturbed(
-            plan, scene, robot, reach, count=NUM_NEIGHBORS, config=config, seed=0
-        )
+        works = works_disturbed(plan, scene, robot, reach, count=NEIGHBORS, config=config, seed=0)
         row[variant]["nearby"] = works.mean(1).tolist()
     return row
 

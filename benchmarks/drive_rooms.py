@@ -93,7 +93,7 @@ def questions(nav_map: NavigationMap, scene: Scene, rng: np.random.Generator) ->
 def connected(
     nav_map: NavigationMap, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
 ) -> bool:
-    """Return whether a fine grid of free poses connects start and goal by steps of one cell or turn.
+    """Return whether a fine grid of free poses connects two poses, by steps of one cell or turn.
 
     It ignores the kinematics of the base, so it may find a path that the base cannot drive.
     """
@@ -138,7 +138,7 @@ class People:
         self.robot, self.radius, self.time = start[:2], nav_map.prisms.radius, 0.0
         self.begin, self.toward, self.length = self._walks(nav_map, rng)
         self.pace = rng.uniform(*PACE, size=2)
-        self.gone, self.direction, self.waited = np.zeros(2), np.ones(2), np.zeros(2)
+        self.gone, self.sense, self.waited = np.zeros(2), np.ones(2), np.zeros(2)
 
     def _walks(
         self, nav_map: NavigationMap, rng: np.random.Generator
@@ -168,17 +168,16 @@ class People:
         where = self.begin + self.toward * self.gone[:, None]
         to_robot = self.robot - where
         near = np.hypot(*to_robot.T) < self.radius + PERSON + AWAY
-        ahead = self.direction * (to_robot * self.toward).sum(1) > 0
+        ahead = self.sense * (to_robot * self.toward).sum(1) > 0
         stopped = near & ahead
         self.waited = np.where(stopped, self.waited + dt, 0.0)
         turned = self.waited > PATIENCE
-        self.gone += np.where(stopped, 0.0, self.direction * self.pace * dt)
-        turned |= (self.gone >= self.length) & (self.direction > 0) | (self.gone <= 0) & (
-            self.direction < 0
-        )
-        self.direction = np.where(turned, -self.direction, self.direction)
+        self.gone += np.where(stopped, 0.0, self.sense * self.pace * dt)
+        at_end = (self.gone >= self.length) & (self.sense > 0)
+        turned |= at_end | (self.gone <= 0) & (self.sense < 0)
+        self.sense = np.where(turned, -self.sense, self.sense)
         self.waited[turned] = 0.0
         self.gone = np.clip(self.gone, 0.0, self.length)
-        velocity = np.where(stopped, 0.0, self.direction * self.pace)[:, None] * self.toward
+        velocity = np.where(stopped, 0.0, self.sense * self.pace)[:, None] * self.toward
         where = self.begin + self.toward * self.gone[:, None]
         return np.column_stack([where, velocity, np.full(2, PERSON)])

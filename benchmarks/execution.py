@@ -34,7 +34,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.navigation.driving import DriveConfig
 from momapos.planning.reachability.map_store import load_reach_map

@@ -2,9 +2,9 @@
 
     python benchmarks/films.py [--out docs/images]
 
-The demo's plan is executed in physics, and its run is written as a filmstrip (`film.png`), a GIF and
-an MP4, both 1280 x 720. With `--out` the strip and a smaller GIF (`demo.gif`) are stored there; the
-README and docs/execution.md show them.
+The demo's plan is executed in physics, and its run is written as a filmstrip (`film.png`), a GIF
+and an MP4, both 1280 x 720. With `--out` the strip and a smaller GIF (`demo.gif`) are stored there;
+the README and docs/execution.md show them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from PIL import Image, ImageSequence
 
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
 from momapos.simulation.film import write_film

@@ -229,9 +229,8 @@ def whole_page(browser: Any) -> Image.Image:
         tab = browser.new_page(viewport=dict(zip(("width", "height"), DRAWN, strict=True)))
         tab.goto(address)
         tab.get_by_text("Solved").wait_for(timeout=1000 * LONG)
-        remark = tab.locator(
-            ".mantine-Notification-closeButton"
-        )  # warning of a browser without a GPU
+        # A browser without a GPU shows a warning.
+        remark = tab.locator(".mantine-Notification-closeButton")
         if remark.count():
             remark.first.click(force=True, timeout=1000 * LONG)
         before, ends = b"", time.monotonic() + LONG

@@ -39,16 +39,16 @@ REAL = (
 )  # fmt: skip
 
 
-def boxes(count: int, *, strewn: bool) -> Scene:
+def boxes(count: int, *, scattered: bool) -> Scene:
     """Build a room of boxes."""
     rng = np.random.default_rng(0)
     items = []
     for k in range(count):
         size = tuple(rng.uniform(0.1, 0.8, 3))
-        x, y = rng.uniform(0, 0.8 * np.sqrt(count), 2) * strewn
+        x, y = rng.uniform(0, 0.8 * np.sqrt(count), 2) * scattered
         model = Articulated(box_urdf(f"box_{k}", size))
         items.append(SceneObject(f"box_{k}", "box", pose((x, y, size[2] / 2)), model))
-    return Scene(f"{count} boxes {'strewn' if strewn else 'at one place'}", tuple(items))
+    return Scene(f"{count} boxes {'scattered' if scattered else 'at one place'}", tuple(items))
 
 
 def milliseconds(work: Callable[[], object], repeats: int) -> float:
@@ -100,8 +100,8 @@ def main() -> None:
         folder = folder / "data"
     if folder is not None and (folder / "bestman").is_dir():
         scenes += [load_scene(folder / "bestman" / name) for name in REAL]
-    scenes += [boxes(30, strewn=True), boxes(100, strewn=True), boxes(1000, strewn=True)]
-    scenes.append(boxes(1000, strewn=False))
+    scenes += [boxes(30, scattered=True), boxes(100, scattered=True), boxes(1000, scattered=True)]
+    scenes.append(boxes(1000, scattered=False))
     rank(scenes[0], scenes[0].objects[0].name)  # compiles the kernels
     head = ["room", "objects", " / ".join(KINDS), "first graph", "graph", *SCORERS, "seeds"]
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")

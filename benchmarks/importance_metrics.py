@@ -124,7 +124,7 @@ def summary(tasks: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Format the measures as Markdown: by source for the default share, over all rooms for others."""
+    """Format the measures as Markdown: by source for the default share, else over all rooms."""
     lines: list[str] = []
     group: tuple[str, ...] = ()
     for r in rows:

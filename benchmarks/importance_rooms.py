@@ -16,7 +16,7 @@ from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
-from momapos.planning.grasps.tasks import openable
+from momapos.planning.grasps.task_requests import openable
 from placement import SCENES, shared
 
 OBJECTS = 30

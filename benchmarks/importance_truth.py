@@ -37,7 +37,7 @@ from momapos.model.scene.scene import Scene, SceneObject
 from momapos.planning.arm_motion.feasibility import Feasibility, collision_free_grasps
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import hand_path, make_task
+from momapos.planning.grasps.task_requests import hand_path, make_task
 from momapos.planning.importance.config import ImportanceConfig, ScorerName
 from momapos.planning.importance.ranking import rank
 from momapos.planning.placement.area import BaseStatus, base_pose_status, sampling_box, task_frame

@@ -1,11 +1,11 @@
-"""Appliances that Infinigen draws shut, as URDFs with the joint of their door.
+"""Export appliances that Infinigen generates closed, as URDFs with the joint of their door.
 
     drawn/bin/python benchmarks/infinigen_draw.py oven 0 14 --out drawn/urdf
 
-Runs in the environment with Infinigen, see `infinigen_objects.py`, and knows nothing of momapos.
-Infinigen turns a door only inside what it draws: one mesh, shut. So each is drawn shut and open:
-the pieces that move are the door, and their motion is the joint's. Edges stay sharp and
-hobs are electric, since bevels and the cuts for burners differ between the two.
+Runs in the environment with Infinigen, see `infinigen_objects.py`, without momapos. Infinigen
+exports one closed mesh without a joint, so each appliance is generated closed and open: the pieces
+that move are the door, and their motion gives the joint. Edges stay sharp and hobs are electric,
+since bevels and the cuts for burners differ between the two.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ KINDS = {
     "oven": "oven.OvenFactory",
     "beveragefridge": "beverage_fridge.BeverageFridgeFactory",
 }
-"""Where in Infinigen's appliances each is drawn."""
+"""Module and factory of each appliance in Infinigen."""
 OPEN = 1.0
-"""How far a door is turned to see what moves [rad]; small enough for one turn to be told."""
+"""Opening of the door in the second mesh [rad]."""
 WIDE = 1.57
-"""How far a door goes [rad]."""
+"""Upper limit of a door [rad]."""
 MOVED = 1e-5
-"""What counts as moved [drawing units]."""
+"""Minimum displacement of a moved vertex [units of Infinigen]."""
 
 
 def draw(kind: str, seed: int, folder: Path) -> None:
     """Write one appliance, its meshes and its joint."""
-    import bpy  # noqa: F401, without it there is no bmesh for what follows
+    import bpy  # noqa: F401, the following imports need its bmesh
     from infinigen.assets.utils.decorate import read_co, remove_vertices
     from infinigen.core.util import blender
     from infinigen.tools.export import export_sim_ready
@@ -51,13 +51,13 @@ def draw(kind: str, seed: int, folder: Path) -> None:
     setattr(sys.modules[type(factory).__module__], "add_bevel", _sharp)  # noqa: B010, not typed
     opened = _asset(factory, seed, OPEN)
     body = _asset(factory, seed, 0.0)
-    after, shut = read_co(opened), read_co(body)
+    after, closed = read_co(opened), read_co(body)
     blender.delete(opened)
-    if len(after) != len(shut):
-        raise ValueError(f"{kind} {seed}: {len(shut)} points shut, {len(after)} open")
+    if len(after) != len(closed):
+        raise ValueError(f"{kind} {seed}: {len(closed)} points closed, {len(after)} open")
     own = _pieces(body)
-    moves = np.isin(own, own[np.linalg.norm(after - shut, axis=1) > MOVED])
-    pivot, axis = _turn(shut[moves], after[moves])
+    moves = np.isin(own, own[np.linalg.norm(after - closed, axis=1) > MOVED])
+    pivot, axis = _turn(closed[moves], after[moves])
     door = blender.deep_clone_obj(body, keep_materials=True)
     remove_vertices(body, moves)
     remove_vertices(door, ~moves)
@@ -69,13 +69,13 @@ def draw(kind: str, seed: int, folder: Path) -> None:
 
 
 def _sharp(solid: Any, edges: list[int], offset: float = 0.0) -> Any:
-    """In place of Infinigen's bevel."""
+    """Replace Infinigen's bevel."""
     del edges, offset
     return solid
 
 
 def _asset(factory: Any, seed: int, angle: float) -> Any:
-    """What the factory draws with its door at an angle."""
+    """Generate the asset with its door at an angle."""
     from infinigen.core.util.math import FixedSeed
 
     inputs = getattr(factory, "geometry_node_params", factory.params)
@@ -85,7 +85,7 @@ def _asset(factory: Any, seed: int, angle: float) -> Any:
 
 
 def _pieces(solid: Any) -> np.ndarray:
-    """Which connected piece each vertex is of: of a door, those on its axis stay in place."""
+    """Return the connected piece of each vertex; a door's vertices on its axis do not move."""
     from infinigen.assets.utils.decorate import read_edges
 
     edges, n = read_edges(solid), len(solid.data.vertices)
@@ -93,21 +93,21 @@ def _pieces(solid: Any) -> np.ndarray:
     return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def _turn(shut: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A point of the axis and its direction, of the turn from some points to others."""
-    center, other = shut.mean(axis=0), after.mean(axis=0)
-    turn, _ = Rotation.align_vectors(after - other, shut - center)
+def _turn(closed: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a point on the axis and its direction, of the rotation between two point sets."""
+    center, other = closed.mean(axis=0), after.mean(axis=0)
+    turn, _ = Rotation.align_vectors(after - other, closed - center)
     R, vector = turn.as_matrix(), turn.as_rotvec()
     t = other - R @ center
     pivot = np.linalg.lstsq(np.eye(3) - R, t, rcond=1e-6)[0]
-    error = np.abs(shut @ R.T + t - after).max()
+    error = np.abs(closed @ R.T + t - after).max()
     if error > MOVED * 100:
-        raise ValueError(f"what moves does not turn as one, {error:g} off")
+        raise ValueError(f"the moving vertices do not turn as one rigid part, error {error:g}")
     return pivot, vector / np.linalg.norm(vector)
 
 
 def _urdf(kind: str, pivot: np.ndarray, axis: np.ndarray) -> ET.ElementTree:
-    """A body and a door below a root without a mesh, as Infinigen writes it."""
+    """Build the URDF of a body and a door below a root without a mesh, as Infinigen writes it."""
     root = ET.Element("robot", name=kind)
     ET.SubElement(root, "link", name="world")
     for link, at in (("body", np.zeros(3)), ("door", -pivot)):
@@ -123,7 +123,7 @@ def _urdf(kind: str, pivot: np.ndarray, axis: np.ndarray) -> ET.ElementTree:
 
 
 def _joint(root: ET.Element, links: tuple[str, str], kind: str, at: np.ndarray) -> ET.Element:
-    """A joint from one link to another, at a point of the first."""
+    """Add a joint from one link to another, at a point of the first."""
     joint = ET.SubElement(root, "joint", name=f"of_{links[1]}", type=kind)
     ET.SubElement(joint, "parent", link=links[0])
     ET.SubElement(joint, "child", link=links[1])

@@ -1,4 +1,4 @@
-"""Appliances that Infinigen draws, as URDFs that `scan_objects.py` takes.
+"""Convert Infinigen's appliances to URDFs for `scan_objects.py`.
 
     python3.11 -m venv drawn && drawn/bin/pip install infinigen==1.15.5
     for seed in $(seq 0 13); do drawn/bin/python -c "if True:
@@ -9,10 +9,10 @@
     python benchmarks/infinigen_objects.py drawn/urdf --out FOLDER
     python benchmarks/scan_objects.py --models FOLDER --no-answers
 
-Doors, handles, buttons and materials are drawn by a program of others, so that nothing here was
-tuned to them. What moves and is no door, a knob, a rack inside, is made fast. Each is as high as
-such an appliance usually is, and has one color a triangle, that of its texture. A hash of the name
-says which set may be examined, as in `objects.py`.
+Doors, handles, buttons and materials come from an independent generator, so momapos is not tuned to
+them. Moving parts other than doors, such as knobs and racks, are fixed. Each appliance gets the
+usual height of its kind, and one color per triangle, from its texture. A hash of the name decides
+whether it is in the development or the test set, as in `objects.py`.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ KINDS = {
     "oven": Usual(1.2, 0.0),  # with the panel behind its hob
     "beveragefridge": USUAL["MiniFridge"],
 }
-"""What is taken, and how large it is and stands; most of what Infinigen draws is in no unit."""
+"""Converted kinds with their usual size and height; most of Infinigen's assets have no unit."""
 DOOR = "door"
-"""What in the name of a mesh says that a joint is a door's."""
+"""Text in the mesh name of a door."""
 LEVELS = 32
-"""Shades of each color [-]."""
+"""Number of levels per color channel [-]."""
 _TURNED = pose_planar(np.array([0.0, 0.0, -np.pi / 2]))
-"""From a front toward +x to one toward -y, as in `object_rooms`."""
+"""Turns a front toward +x to -y, as in `object_rooms`."""
 
 
 def write(file: Path, usual: Usual, home: Path) -> Path:
-    """Write what Infinigen drew as an appliance that stands in a kitchen.
+    """Write an asset of Infinigen as a kitchen appliance.
 
     Args:
-        file: The URDF as drawn.
-        usual: Its size.
+        file: Infinigen's URDF.
+        usual: Its usual size.
         home: Folder for the URDF and its meshes.
 
     Returns:
@@ -76,7 +76,7 @@ def write(file: Path, usual: Usual, home: Path) -> Path:
 
 
 def _joint(joint: Joint, urdf: Urdf) -> Joint:
-    """The joint of a door as it is, others fast; what hangs from the root is turned."""
+    """Return a joint: that of a door unchanged, others fixed; children of the root are turned."""
     T = _TURNED @ joint.T_parent_joint if joint.parent == urdf.root else joint.T_parent_joint
     names = [shape.mesh.stem for shape in urdf.links[joint.child].visuals if shape.mesh]
     turns = joint.kind == "revolute" and any(DOOR in name for name in names)
@@ -84,13 +84,13 @@ def _joint(joint: Joint, urdf: Urdf) -> Joint:
 
 
 def _solid(urdf: Urdf) -> Urdf:
-    """With what is seen as what is touched: Infinigen draws the one alone."""
+    """Copy visual to collision geometry, which Infinigen does not write."""
     links = {name: replace(link, collisions=link.visuals) for name, link in urdf.links.items()}
     return replace(urdf, links=links)
 
 
 def _painted(shape: Geometry, home: Path) -> Geometry:
-    """A mesh whose colors are in a material file beside it instead of in a texture."""
+    """Replace the texture of a mesh by colors in a material file."""
     assert shape.mesh is not None
     mesh = trimesh.load(shape.mesh, force="mesh", process=False)
     visual = mesh.visual if isinstance(mesh.visual, ColorVisuals) else mesh.visual.to_color()
@@ -113,7 +113,7 @@ def _words(values: np.ndarray) -> str:
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("drawn", type=Path, help="folder with what Infinigen drew")
+    parser.add_argument("drawn", type=Path, help="folder of Infinigen's assets")
     parser.add_argument("--out", type=Path, required=True, help="folder for the URDFs")
     args = parser.parse_args()
     rows = []
@@ -126,7 +126,7 @@ def main() -> None:
                 {"name": name, "urdf": path, "above": usual.above, "counter": usual.counter}
             )
     if not rows:
-        sys.exit(f"{args.drawn}: nothing of Infinigen is there; see --help")
+        sys.exit(f"{args.drawn}: no assets of Infinigen; see --help")
     (args.out / "models.json").write_text(json.dumps(rows, indent=1) + "\n")
     print(f"{dict(Counter(set_of(str(row['name'])) for row in rows))} in {args.out}")
 

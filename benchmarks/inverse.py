@@ -1,11 +1,11 @@
-"""How many of the tool poses that an arm takes inverse kinematics finds, and in what time.
+"""Measure the recall and time of inverse kinematics on reachable tool poses.
 
     pip download --no-deps -d DIR example-robot-data hello-robot-stretch-urdf
     for f in DIR/*.whl; do unzip -qo $f -d DIR; done
     python benchmarks/inverse.py DIR [--count 4000]
 
-Arm states are drawn at random within the joints' limits, and the tool poses that they give are
-asked for. Without DIR only the library's robots are measured.
+Arm states are drawn at random within the joint limits, and inverse kinematics is solved for their
+tool poses. Without DIR only the library's robots are measured.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ class Arm:
     """An arm of a URDF."""
 
     urdf: str
-    """Its file, below the folder."""
+    """Its file, relative to the folder."""
     base: str
     tool: str
     joints: tuple[str, ...]
     """Base to tool."""
     follows: tuple[tuple[str, str], ...] = ()
-    """Joints that follow others."""
+    """Mimic joints, each with the joint that it follows."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What inverse kinematics finds."""
+    """Results of inverse kinematics."""
 
     by: str
-    """How it solves."""
+    """Name of the solver."""
     share: float
-    """Of the tool poses [-]."""
+    """Share of tool poses with a solution [-]."""
     solutions: float
-    """For each of them [-]."""
+    """Mean number of solutions per tool pose [-]."""
     seconds: float
-    """Processor time of each [s]."""
+    """Processor time per tool pose [s]."""
 
 
 def _numbered(pattern: str, count: int, *first: str) -> tuple[str, ...]:
@@ -108,7 +108,7 @@ def main(folder: tyro.conf.Positional[Path | None] = None, count: int = 4_000) -
     """Print a table.
 
     Args:
-        folder: Where the packages are unpacked.
+        folder: Folder of the unpacked packages.
         count: Tool poses per arm.
     """
     chains = {name: load_robot(name).chain for name in library_names()}
@@ -128,7 +128,7 @@ def chain_of(arm: Arm, folder: Path) -> Chain:
 
 
 def row(name: str, chain: Chain, count: int) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     own = found_of(chain, count)
     cells = [
         name,
@@ -143,7 +143,7 @@ def row(name: str, chain: Chain, count: int) -> str:
 
 
 def found_of(chain: Chain, count: int) -> Found:
-    """Ask planning's inverse kinematics for the tool poses of random arm states."""
+    """Solve planning's inverse kinematics for the tool poses of random arm states."""
     lower, upper = bounded(chain)
     q = np.random.default_rng(7).uniform(lower, upper, (count, chain.size))
     Ts, ik = chain.tool_poses(q), build_ik(chain)

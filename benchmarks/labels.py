@@ -1,12 +1,11 @@
-"""What the things of a real kitchen are called, against a list that a person made of its images.
+"""Compare the labels of objects in a real kitchen with a list made by a person.
 
     python benchmarks/labels.py SHARED [--detector FILE]
 
-SHARED is the folder that holds redkitchen/ and models/. Each thing of the list is pointed at by a
-pixel of the depth image (color is shifted against it by some 20 pixels), and is right where the box
-found there has one of the names that a person would give it, not named where it is an "object", and
-wrong else. Nothing in this kitchen is an appliance, as far as its images show: every thing that is
-called one is counted.
+SHARED is the folder of redkitchen/ and models/. A pixel of the depth image identifies each listed
+object (the color image is shifted by about 20 pixels). Its label is right if the box found there
+has one of the listed names, not named if it is "object", and wrong otherwise. The images show no
+appliances, so every object labeled as one is counted.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ THINGS: tuple[tuple[str, str, tuple[int, int, int], tuple[str, ...]], ...] = (
     ("base cabinets, left row", "other", (160, 330, 270), ("cabinet",)),
     ("base cabinets, back row", "other", (740, 330, 250), ("cabinet",)),
 )
-"""What it is, its group, the number of an image and the pixel in it, and its names."""
+"""Description, group, image number and pixel, and correct names."""
 APPLIANCES = {"fridge", "oven", "microwave", "dishwasher", "range hood", "toaster"}
 
 
@@ -64,7 +63,7 @@ def main() -> None:
 
 
 def report(seen: Survey) -> None:
-    """Print each thing of the list, the counts by group, and what is called an appliance."""
+    """Print each listed object, the counts by group, and objects labeled as appliances."""
     counts: dict[str, Counter[str]] = {}
     for name, group, (number, u, v), labels in THINGS:
         item = found(seen, PixelOf(f"frame-{number:06d}", u, v))
@@ -75,11 +74,11 @@ def report(seen: Survey) -> None:
     for group, count in counts.items():
         print(f"    {group:<8} {', '.join(f'{n} {verdict}' for verdict, n in count.items())}")
     called = [item.name for item in seen.detections if item.label in APPLIANCES]
-    print(f"    called an appliance: {', '.join(called) or 'nothing'}")
+    print(f"    labeled as an appliance: {', '.join(called) or 'none'}")
 
 
 def found(seen: Survey, where: PixelOf) -> Detection | None:
-    """The thing that a pixel shows."""
+    """Return the detection at a pixel."""
     try:
         return pointed_at(where, seen.detections, seen.frames)
     except InputError:
@@ -87,7 +86,7 @@ def found(seen: Survey, where: PixelOf) -> Detection | None:
 
 
 def judged(item: Detection | None, labels: tuple[str, ...]) -> str:
-    """Whether a thing has one of its names."""
+    """Return whether a detection has one of the correct names."""
     if item is None:
         return "not found"
     return "right" if item.label in labels else "not named" if item.label == "object" else "wrong"

@@ -1,11 +1,11 @@
-"""A large room on the page: how long it takes to draw, and how many bytes go to a browser.
+"""Measure a large room on the web page: time to draw, and bytes sent to a browser.
 
     python benchmarks/large_page.py [--objects 1000] [--points 2000000]
 
-The browser is a connection that counts. After the first load only what changes may be sent: what
-rest, a drag of the base, a motion that plays, another active object, and more points of the scan
-cost is printed apart, and how many meshes and clouds were among it. What a picture of the room
-costs `page_pictures.py` tells.
+A counting connection stands in for the browser. After the first load only changes may be sent. The
+bytes of rest, dragging the base, playing a motion, another active object, and more points of the
+scan are printed separately, with the number of meshes and clouds. `page_pictures.py` measures the
+time of a frame.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from momapos.perception.records import Decision, Modeled
 from pages import CAMERA, Tab
 
 QUIET = 2.0
-"""Nothing more is sent when nothing has come for so long [s]."""
+"""Time without data after which sending counts as finished [s]."""
 WATCHED = 5.0
-"""Rest, and a motion that plays, are watched for so long [s]."""
+"""Duration of measuring rest and a playing motion [s]."""
 SPREAD = 36.0
-"""Edge of the hall [m]; with the kitchen beside it a robot may still drive there, in 2,500 m^2."""
+"""Edge of the hall [m]; with the kitchen it stays below the limit of 2,500 m^2 for driving."""
 
 
 def crowded(count: int, rng: np.random.Generator) -> Scene:
-    """A large hall: the built-in kitchen, and boxes all about it."""
+    """Build a large hall: the built-in kitchen surrounded by boxes."""
     kitchen = load_scene("kitchen_small")
     places = rng.uniform([8.0, 0.0], [8.0 + SPREAD, SPREAD], (count, 2))
     boxes = tuple(
@@ -56,13 +56,13 @@ def crowded(count: int, rng: np.random.Generator) -> Scene:
 
 
 def scanned(scene: Path, count: int, rng: np.random.Generator) -> Modeled:
-    """A cloud of that many points in it, in a hundred things."""
+    """Build a point cloud of the hall, in 100 objects."""
     points = rng.uniform([0.0, -4.0, 0.0], [SPREAD, SPREAD, 2.5], (count, 3))
     cloud = Cloud(points, np.tile([0.0, 0.0, 1.0], (count, 1)),
                   rng.integers(0, 255, (count, 3)).astype(np.uint8))  # fmt: skip
     decisions = tuple(
         Decision(
-            Detection(f"thing_{k}", "box", 1.0,
+            Detection(f"object_{k}", "box", 1.0,
                       UprightBox(points[k], np.array([0.5, 0.5, 0.5]), 0.0), members),
             None, None, (), None, "",
         )
@@ -72,20 +72,20 @@ def scanned(scene: Path, count: int, rng: np.random.Generator) -> Modeled:
 
 
 async def settled(tab: Tab) -> float:
-    """Wait until nothing comes any more; how long anything came [s]."""
+    """Wait until no more data arrives; return the time until the last data [s]."""
     began = time.monotonic()
-    while time.monotonic() - max(tab.told.last, began) < QUIET:
+    while time.monotonic() - max(tab.seen.last, began) < QUIET:
         await asyncio.sleep(0.05)
-    return max(tab.told.last - began, 0.0)
+    return max(tab.seen.last - began, 0.0)
 
 
 async def measured(page: Page, address: str) -> None:
-    """Open a page, change things, and tell what was sent."""
+    """Open a page, act on it, and print what was sent."""
     tab = Tab(address, 0)
     await tab.open()
     took = await settled(tab)
-    print(f"a page that is opened: {tab.told.received / 1e6:6.1f} MB in {took:.1f} s, "
-          f"{len(tab.told.nodes)} nodes")  # fmt: skip
+    print(f"opening a page: {tab.seen.received / 1e6:6.1f} MB in {took:.1f} s, "
+          f"{len(tab.seen.nodes)} nodes")  # fmt: skip
 
     async def rest() -> None:
         await asyncio.sleep(WATCHED)
@@ -99,7 +99,7 @@ async def measured(page: Page, address: str) -> None:
     async def place() -> None:
         await tab.press("Place")
         await asyncio.sleep(0.5)
-        while tab.told.busy:
+        while tab.seen.busy:
             await asyncio.sleep(0.1)
         if page.shown.story is None:
             raise RuntimeError(page.panel.result.content)
@@ -125,26 +125,26 @@ async def measured(page: Page, address: str) -> None:
     few, more, every = POINTS
     changes: dict[str, Callable[[], Awaitable[None]]] = {
         f"{WATCHED:.0f} s of rest": rest, "the base is dragged": drag,
-        "an answer is searched": place, f"{WATCHED:.0f} s of motion": play,
-        "another object is asked about": activate, "a slow camera moves and rests": turn,
+        "planning": place, f"{WATCHED:.0f} s of motion": play,
+        "another active object": activate, "a slow camera moves and rests": turn,
         f"{more} points": partial(show, more), f"{every} points": partial(show, every),
         f"{few} again": partial(show, few), f"{every} again": partial(show, every),
     }  # fmt: skip
     for name, change in changes.items():
-        before, nodes, own = tab.told.received, tab.told.drawn, time.process_time()
+        before, nodes, own = tab.seen.received, tab.seen.drawn, time.process_time()
         began = time.monotonic()
         await change()
         await settled(tab)
-        sent = (tab.told.received - before) / 1e3
-        print(f"{name:30} {sent:9.1f} kB and {tab.told.drawn - nodes:3} nodes "
-              f"in {max(tab.told.last - began, 0.0):.2f} s, "
+        sent = (tab.seen.received - before) / 1e3
+        print(f"{name:30} {sent:9.1f} kB and {tab.seen.drawn - nodes:3} nodes "
+              f"in {max(tab.seen.last - began, 0.0):.2f} s, "
               f"{time.process_time() - own:.2f} s of processor", flush=True)  # fmt: skip
     await tab.close()
 
 
 @contextmanager
 def serving(objects: int, points: int) -> Iterator[tuple[Page, str]]:
-    """Serve the room and its scan; the page, and its address."""
+    """Serve the room and its scan; yield the page and its address."""
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hall.json"

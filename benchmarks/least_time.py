@@ -1,12 +1,11 @@
-"""What no method can leave out of an answer: its time with the base pose told.
+"""Measure the minimum time of an answer: the time with a given base pose.
 
     python benchmarks/least_time.py DIR [--methods ours m3 ...] [--limit 60] [--out bench_out]
 
-DIR is a results folder of `momapos bench run`. Of its tasks of one step that move a joint and that
-all methods solve, each is asked again by each method, and once more with the base pose that the
-method chose as the only one that is proposed: what is left is what every method pays, however it
-chooses. "least": of each task the quickest of these. Processor time by stage of the second of two
-answers, so that what a process keeps of a room and a task is there.
+DIR is a results folder of `momapos bench run`. Its one-step tasks that move a joint and that all
+methods solve are planned again by each method, and once more with the method's base pose as the
+only candidate: this time does not depend on how a method chooses. "least" is the smallest such time
+of each task. Processor time by stage of the second of two answers, with warm caches.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.placement.pose_search import search_in_order
 from momapos.planning.query import PlacementQuery
@@ -49,20 +48,20 @@ if TYPE_CHECKING:
 TIMEOUT = 20.0
 """Processor time for one answer [s]."""
 PLAIN = method_config("m3", TIMEOUT)
-"""Neither a way on nor terms of a cost are asked for, as of every method but ours."""
+"""Without departure check and cost terms, as for every method but ours."""
 
 
 @lru_cache(maxsize=16)
 def room(path: Path) -> Scene:
-    """A scene of the suite, kept as a worker of the benchmark keeps it."""
+    """Load a scene of the suite, cached as in a worker of the benchmark."""
     return load_scene(path)
 
 
-def told(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> PlacementResult:
-    """The answer where one base pose is proposed; in more than one hold where one does not do.
+def answer_from(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> PlacementResult:
+    """Plan from one base pose, with more than one grasp if one is not enough.
 
     Args:
-        query: What is asked.
+        query: The question.
         base: x [m], y [m], yaw [rad].
     """
     with query.watch.stage("model"):
@@ -81,9 +80,9 @@ def told(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> PlacementResult
 
 
 def measure(folder: Path, task: SuiteTask, methods: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Seconds by stage of each method's answer, and of the one with its base pose told.
+    """Return the seconds by stage of each method's answer, and with its base pose given.
 
-    Nothing where a method does not solve the task.
+    Empty if a method does not solve the task.
     """
     robot = load_robot(task.robot)
     reach = load_reach_map(robot, default_cache_dir(), None)
@@ -92,7 +91,7 @@ def measure(folder: Path, task: SuiteTask, methods: Sequence[str]) -> dict[str, 
     wanted = make_task(scene, task.verb, task.object, task.joint, task.to)
     start = None if task.start is None else np.array(task.start)
 
-    def asked(config: PipelineConfig) -> PlacementQuery:
+    def query_with(config: PipelineConfig) -> PlacementQuery:
         watch = Stopwatch(time.process_time)
         return PlacementQuery(
             scene, robot, wanted, reach, start, config, seed=task.seed, watch=watch
@@ -108,17 +107,17 @@ def measure(folder: Path, task: SuiteTask, methods: Sequence[str]) -> dict[str, 
             ).plan  # fmt: skip
             if plan.status != "solved" or plan.base_pose is None:
                 return {}
-            least = told(asked(PLAIN), np.array(plan.base_pose)).plan
+            least = answer_from(query_with(PLAIN), np.array(plan.base_pose)).plan
         if least.status != "solved":
             return {}
-        found[method], found[f"{method}, told"] = dict(plan.timing), dict(least.timing)
-    least_of = min((f"{method}, told" for method in methods), key=lambda n: found[n]["total"])
+        found[method], found[f"{method}, given pose"] = dict(plan.timing), dict(least.timing)
+    least_of = min((f"{method}, given pose" for method in methods), key=lambda n: found[n]["total"])
     found["least"] = found[least_of]
     return found
 
 
 def report(measured: Sequence[dict[str, dict[str, float]]]) -> str:
-    """Medians as Markdown [ms]."""
+    """Format the medians as Markdown [ms]."""
     columns: dict[str, list[dict[str, float]]] = defaultdict(list)
     for one in measured:
         for name, timing in one.items():
@@ -137,7 +136,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--methods", nargs="+", default=["ours", "m3"])
-    parser.add_argument("--limit", type=int, default=60, help="tasks, drawn evenly from all")
+    parser.add_argument(
+        "--limit", type=int, default=60, help="number of tasks, spaced evenly over all"
+    )
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     contents = read_folder(args.folder)

@@ -1,14 +1,14 @@
-"""Rooms in MJCF: does every door and drawer of ours move as in MuJoCo?
+"""Check that every door and drawer of converted MJCF rooms moves as in MuJoCo.
 
     python -m pip install --no-deps --target FOLDER gymnasium-robotics metaworld robosuite
     python benchmarks/mjcf_rooms.py FOLDER [--out FILE]
 
-Rooms are those of the packages in FOLDER, one that is put together from a table and doors of
-robosuite by MuJoCo's own means, and the built-in kitchens as our writer has them. Each room is
-converted; then each hinge and slide that has bounds and moves something solid (but those of the
-robot, which actuators drive, and joints that follow others) is set to both ends of its range, in
-MuJoCo's model of the file and in our scene. It is right where each geom that it moves, handles
-among them, reaches equally far along 26 directions, to 5 mm, and both ends are alike to 1e-3.
+Rooms: those of the packages in FOLDER, one composed of a table and doors of robosuite with MuJoCo,
+and the built-in kitchens as our writer exports them. Each room is converted. Then each bounded
+hinge and slide of a solid body (except actuated robot joints and joints that follow others) is set
+to both ends of its range, in MuJoCo's model of the file and in our scene. It is right if the
+extents of each moved geom, handles included, agree to 5 mm along 26 directions, and its limits
+agree to 1e-3.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from momapos.model.scene.formats.mjcf_writer import write_mjcf
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
 
-NEAR = 5e-3
-"""A geom is right where it differs by less [m]."""
-SAME = 1e-3
-"""So is a limit [rad] or [m]."""
+MAX_GEOM_ERROR = 5e-3
+"""Maximum error of a right geom [m]."""
+MAX_LIMIT_ERROR = 1e-3
+"""Maximum error of a right joint limit [rad] or [m]."""
 PACKAGES = {
     "gymnasium_robotics/envs/assets": (
         "kitchen_franka/kitchen_assets/kitchen_env_model.xml",
@@ -47,12 +47,12 @@ PACKAGES = {
         )
     ),
 }  # fmt: skip
-"""Rooms by the folder that their files stay in."""
+"""Rooms by the folder of their files."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """A room, and the folder that its files stay in."""
+    """A room, and the folder of its files."""
 
     name: str
     path: Path
@@ -60,7 +60,7 @@ class Room:
 
 
 def rooms(folder: Path, made: Path) -> Iterator[Room]:
-    """All rooms; those that are made go into a folder of their own."""
+    """Yield all rooms; generated ones are written to a folder of their own."""
     for base, names in PACKAGES.items():
         for name in names:
             yield Room(Path(name).stem, folder / base / name, folder / base)
@@ -71,7 +71,7 @@ def rooms(folder: Path, made: Path) -> Iterator[Room]:
 
 
 def _robosuite(assets: Path, made: Path) -> Path:
-    """A table with two doors of robosuite on it."""
+    """Write a table with two doors of robosuite on it."""
     spec = mujoco.MjSpec.from_file(str(assets / "arenas/table_arena.xml"))
     for number, name in enumerate(("door", "door_lock")):
         door = mujoco.MjSpec.from_file(str(assets / f"objects/{name}.xml"))
@@ -85,24 +85,24 @@ def _robosuite(assets: Path, made: Path) -> Path:
 
 
 def _bare(spec: Any) -> Any:
-    """A model without textures, whose files lie elsewhere."""
+    """Return a model without textures, whose files are in another folder."""
     for geom in spec.geoms:
         geom.material = ""
-    for thing in [*spec.materials, *spec.textures]:
-        spec.delete(thing)
+    for element in [*spec.materials, *spec.textures]:
+        spec.delete(element)
     return spec
 
 
 def right(one: Found) -> bool:
-    """Whether a joint moves its part in our scene as in MuJoCo."""
-    return one.error < NEAR and one.limits < SAME
+    """Return whether a joint moves its part in our scene as in MuJoCo."""
+    return one.error < MAX_GEOM_ERROR and one.limits < MAX_LIMIT_ERROR
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", type=Path, help="where the packages are")
+    parser.add_argument("folder", type=Path, help="folder of the packages")
     parser.add_argument("--out", type=Path, help="write the figures into this JSON file")
     args = parser.parse_args()
     rows: list[dict[str, Any]] = []

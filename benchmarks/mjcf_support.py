@@ -1,6 +1,6 @@
-"""Where the parts of an MJCF room are: as MuJoCo has it, and as our scene has it.
+"""Compare the part poses of an MJCF room in MuJoCo and in our scene.
 
-Each geom is compared by how far it reaches along 26 directions, in closed form on both sides.
+Geoms are compared by their extents along 26 directions, in closed form on both sides.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _JOINTS = mujoco.mjtJoint
 
 
 def reach(kind: str, size: Float[np.ndarray, " n"], R: Float[np.ndarray, "3 3"]) -> Any:
-    """How far a shape reaches from its center along the directions [m].
+    """Return the extents of a shape from its center along the directions [m].
 
     Args:
         kind: box, sphere, cylinder, capsule or ellipsoid.
-        size: MuJoCo's: half edges, or radius and half length.
+        size: MuJoCo's size: half edges, or radius and half length.
         R: Its orientation.
     """
     local = DIRECTIONS @ R
@@ -50,19 +50,19 @@ def reach(kind: str, size: Float[np.ndarray, " n"], R: Float[np.ndarray, "3 3"])
 
 @dataclass(frozen=True)
 class Found:
-    """A joint of a room, and how well our scene has it."""
+    """A joint of a room, and the errors of our scene."""
 
     name: str
     ours: str | None
-    """OBJECT/JOINT of ours; None where there is none."""
+    """OBJECT/JOINT of our scene; None if missing."""
     error: float
-    """Greatest difference of a geom that it moves, at either end of its range [m]."""
+    """Maximum error of a moved geom, at either end of the range [m]."""
     limits: float
-    """Greatest difference of its limits [rad] or [m]."""
+    """Maximum error of its limits [rad] or [m]."""
 
 
 class Truth:
-    """A room as MuJoCo reads it from its own file."""
+    """A room as read by MuJoCo."""
 
     def __init__(self, path: Path) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(path))
@@ -70,18 +70,17 @@ class Truth:
 
     @cached_property
     def floor(self) -> float:
-        """Height of the lowest plane that is level [m]; 0 where there is none."""
+        """Return the height of the lowest horizontal plane [m]; 0 if there is none."""
         mujoco.mj_kinematics(self.model, self.data)
         planes = self.model.geom_type == _KINDS.mjGEOM_PLANE
         level = planes & (self.data.geom_xmat[:, 8] > 0.999)
         return float(min(self.data.geom_xpos[level, 2], default=0.0))
 
     def parts(self) -> list[int]:
-        """The hinges and slides with bounds whose part is solid; not those of a robot, nor those
-        that follow others."""
+        """Return bounded hinges and slides of solid parts, without robot joints and followers."""
         m = self.model
         kinds = (int(_JOINTS.mjJNT_HINGE), int(_JOINTS.mjJNT_SLIDE))
-        # All joints of a chain that an actuator drives one of are those of a robot.
+        # All joints of a chain with an actuated joint belong to a robot.
         motors = m.actuator_trnid[m.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0]
         robots = {int(m.body_rootid[m.jnt_bodyid[joint]]) for joint in motors}
         follows = {one for one, _, _ in self.coupled()}
@@ -96,7 +95,7 @@ class Truth:
         ]
 
     def coupled(self) -> list[tuple[int, int, Float[np.ndarray, "5"]]]:
-        """The joints that follow another one: that one, and the coefficients of the polynomial."""
+        """Return joints that follow another one, with that one and the polynomial coefficients."""
         m = self.model
         kind = int(mujoco.mjtEq.mjEQ_JOINT)
         rows = range(m.neq)
@@ -106,7 +105,7 @@ class Truth:
         return [(int(m.eq_obj1id[k]), int(m.eq_obj2id[k]), m.eq_data[k, :5]) for k in found]
 
     def below(self, body: int) -> list[int]:
-        """A body and all that hang from it."""
+        """Return a body and its descendants."""
         m, found = self.model, {body}
         for other in range(body + 1, m.nbody):
             if int(m.body_parentid[other]) in found:
@@ -114,13 +113,13 @@ class Truth:
         return sorted(found)
 
     def solid(self, body: int) -> list[int]:
-        """The geoms of a body that anything can touch."""
+        """Return the geoms of a body that can collide."""
         m = self.model
         geoms = range(m.body_geomadr[body], m.body_geomadr[body] + m.body_geomnum[body])
         return [g for g in geoms if m.geom_contype[g] or m.geom_conaffinity[g]]
 
     def set(self, joint: int, value: float) -> None:
-        """Set one joint and what follows it; all others are as in the file."""
+        """Set one joint and its followers; all others keep the values of the file."""
         m = self.model
         self.data.qpos = m.qpos0
         address = m.jnt_qposadr
@@ -133,7 +132,7 @@ class Truth:
         mujoco.mj_kinematics(m, self.data)
 
     def reach(self, geom: int) -> Float[np.ndarray, " d"]:
-        """How far a geom reaches from the floor's origin along the directions [m]."""
+        """Return the extents of a geom from the floor's origin along the directions [m]."""
         m, R = self.model, self.data.geom_xmat[geom].reshape(3, 3)
         center = self.data.geom_xpos[geom] - [0, 0, self.floor]
         kind = _KINDS(int(m.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
@@ -146,7 +145,7 @@ class Truth:
 
 
 def our_reach(shape: Geometry, T_world_link: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " d"]:
-    """How far a shape of ours reaches along the directions [m]."""
+    """Return the extents of a shape of our scene along the directions [m]."""
     T = T_world_link @ shape.T_link_geometry
     if shape.mesh is not None:
         points = apply(T, mesh_points(shape.mesh) * shape.size)
@@ -157,7 +156,7 @@ def our_reach(shape: Geometry, T_world_link: Float[np.ndarray, "4 4"]) -> Float[
 
 
 def compare(truth: Truth, scene: Scene) -> Iterator[Found]:
-    """Move each part of a room to both ends of its range, there and in our scene."""
+    """Move each part to both ends of its range, in MuJoCo and in our scene."""
     m = truth.model
     for joint in truth.parts():
         name, body = m.joint(joint).name, int(m.jnt_bodyid[joint])
@@ -177,19 +176,19 @@ def compare(truth: Truth, scene: Scene) -> Iterator[Found]:
 
 
 def _owner(scene: Scene, name: str) -> SceneObject | None:
-    """The object that has a joint; None where none has."""
+    """Return the object with a joint; None if there is none."""
     head, _, joint = name.rpartition("/")
     owners = [item for item in scene.objects if joint in item.model.joints]
     return next((item for item in owners if item.name == head), next(iter(owners), None))
 
 
 def _bare(name: str) -> str:
-    """A name without what a program that put models together set before it."""
+    """Return a name without the prefixes of composed models."""
     return name.rpartition("/")[2]
 
 
 def _difference(truth: Truth, body: int, item: SceneObject, joint: str, value: float) -> float:
-    """Greatest difference of the geoms of a body [m]; infinite where their number differs."""
+    """Return the maximum error of a body's geoms [m]; infinite if their number differs."""
     link = _bare(truth.model.body(body).name) or f"body_{body}"
     geoms = truth.solid(body)
     if link not in item.model.urdf.links:

@@ -1,16 +1,16 @@
-"""How far the model of a fridge is off: the paper's table, on synthetic scans of PartNet fridges.
+"""Measure the modeling error of fridges: the paper's table, on synthetic scans of PartNet fridges.
 
     python benchmarks/modeling_error.py [--frames 30] [--out bench_out]
 
-Every fridge of the shared data stands before a wall, is scanned with the noise of a RealSense
-435 and modeled three times. The error is the mean of the distance of the handle from its true
-place and of the differences of the box's three sides (MoMa-Pos, table on modeling).
+Every fridge of the shared data is placed at a wall, scanned with the noise of a RealSense 435 and
+modeled in three ways. The error is the mean of the handle's position error and the errors of the
+box's three sides (MoMa-Pos, table on modeling).
 
-- cube of 1 m: the parts on a cube about the fridge's true middle. It stands for a network that sees
-  one picture and tells no size; the edge of the cube sets the result (0.6 m: 0.55, 1 m: 0.37,
-  1.5 m: 0.49), so that this is no measurement of such a network;
-- disturbed rectangle: the true rectangle of the fridge in the straightest whole picture, its edges
-  disturbed as a detector's are, set on the floor, its depth that of a usual fridge;
+- cube of 1 m: the parts on a cube at the fridge's true center. It represents a network that sees
+  one image and estimates no size. The edge determines the result (0.6 m: 0.55, 1 m: 0.37, 1.5 m:
+  0.49), so this does not measure such a network;
+- disturbed rectangle: the true rectangle of the fridge in the most frontal complete image, with the
+  edge noise of a detector, on the floor, with the usual depth of a fridge;
 - box from points: ours.
 """
 
@@ -41,21 +41,21 @@ from momapos.perception.views.front_view import FrontView, cosines_to
 from momapos.perception.views.projection import projection
 from momapos.planning.grasps.handle_shapes import HANDLE_WORD
 from momapos.planning.grasps.handles import has_handle
-from momapos.planning.grasps.tasks import hand_path
+from momapos.planning.grasps.task_requests import hand_path
 from momapos.workflows.scan import scan_to_scene
 from placement import shared
 
 FRIDGES = ("Fridge/10144", "Fridge/11299", "Fridge/12248", "MiniFridge/10797",
            "MiniFridge/11178", "MiniFridge/11709", "MiniFridge/12252")  # fmt: skip
 USUAL_DEPTH = 0.65
-"""Depth of a fridge that no picture from the front tells [m]."""
+"""Depth of a fridge, which a frontal image does not show [m]."""
 PIXELS = 0.02
-"""Error of a 2-D detector's edges, as a share of the size of its box [-]."""
+"""Edge error of a 2-D detector, as a share of the size of its box [-]."""
 METHODS = ("cube of 1 m", "disturbed rectangle", "box from points")
 
 
 def room(name: str) -> Scene:
-    """A fridge before a wall, its front toward -x."""
+    """Build a room: a fridge at a wall, its front toward -x."""
     models = shared() / "bestman" / "Asset" / "Scene" / "Kitchen_models" / "models"
     model = Articulated(_as_drawn(read_urdf(models / name / "mobility.urdf")))
     raw = SceneObject("fridge", "fridge", np.eye(4), model)
@@ -69,10 +69,10 @@ def room(name: str) -> Scene:
 
 
 def _as_drawn(urdf: Urdf) -> Urdf:
-    """The same object with the collision shapes of handles put where the handles are drawn.
+    """Return the object with the collision shapes of handles moved to their visual meshes.
 
-    A scan sees what is drawn. The handles of 10797 and 11709 collide 4 to 6 cm before that place,
-    which no scan can tell.
+    A scan sees visual meshes. The collision shapes of the handles of 10797 and 11709 are 4 to 6 cm
+    in front of them, which no scan can detect.
     """
     links = {
         name: replace(
@@ -89,14 +89,14 @@ def _as_drawn(urdf: Urdf) -> Urdf:
 
 
 def handle_of(scene: Scene, name: str) -> list[np.ndarray]:
-    """Where the handles of an object are [m]."""
+    """Return the handle positions of an object [m]."""
     item = scene.object(name)
     doors = [joint for joint in item.model.joints if has_handle(item.model, joint)]
     return [hand_path(scene, name, joint)[0] for joint in doors]
 
 
 def whole_in(frames: Sequence[Frame], face: Face, box: UprightBox) -> Frame:
-    """The straightest picture of a face that was taken upright and shows all of its box."""
+    """Return the most frontal upright image of a face that shows all of its box."""
     upright = [frame for frame in frames if frame.T_world_camera[2, 1] < -0.5]
     whole = []
     for frame in upright:
@@ -106,10 +106,10 @@ def whole_in(frames: Sequence[Frame], face: Face, box: UprightBox) -> Frame:
     return whole[int(np.argmax(cosines_to(face, whole)))]
 
 
-def box_from_picture(frame: Frame, box: UprightBox, rng: np.random.Generator) -> UprightBox:
-    """A box of usual depth where the picture's rectangle meets the floor.
+def box_from_image(frame: Frame, box: UprightBox, rng: np.random.Generator) -> UprightBox:
+    """Return a box of usual depth where the image's rectangle meets the floor.
 
-    The rectangle is the true one with a detector's error; the camera's pose is known.
+    The rectangle is the true one with a detector's error; the camera pose is known.
     """
     rectangle = projection(box, frame)
     assert rectangle is not None
@@ -127,7 +127,7 @@ def box_from_picture(frame: Frame, box: UprightBox, rng: np.random.Generator) ->
 
 
 def on_box(decision: Decision, view: FrontView, box: UprightBox, out: Path) -> Scene:
-    """The same parts on another box."""
+    """Place the same parts on another box."""
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
     turned = abs(np.sin(facing - box.yaw)) > 0.5
     width = box.size[0] if turned else box.size[1]
@@ -139,11 +139,11 @@ def on_box(decision: Decision, view: FrontView, box: UprightBox, out: Path) -> S
 
 
 def error(truth: Scene, seen: UprightBox, made: Scene) -> float:
-    """Mean of the handle's distance and of the differences of the sides, handles and all [m].
+    """Return the mean of the handle's position error and the errors of the sides with handles [m].
 
     Args:
         truth: The room.
-        seen: The box around what is drawn of the fridge; it stands on the floor.
+        seen: The box around the fridge's visual meshes, on the floor.
         made: The model.
     """
     size = np.array([*seen.size[:2], top(seen)])
@@ -154,7 +154,7 @@ def error(truth: Scene, seen: UprightBox, made: Scene) -> float:
 
 
 def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
-    """The three errors of one fridge."""
+    """Return the three errors of one fridge."""
     scene = room(name)
     plan = synthetic_scan(scene, frames=frames, seed=1, sensor=DepthSensor())
     result = scan_to_scene(Scan(name, tuple(plan.frames())), folder / "scene.json")
@@ -167,10 +167,10 @@ def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
     view = decision.view
     assert view is not None
     ground, there = np.array([place[0], place[1], 0.5]), replace(box, center=place)
-    picture = whole_in(result.frames, view.face, there)
+    image = whole_in(result.frames, view.face, there)
     boxes = (
         UprightBox(ground, np.ones(3)),
-        box_from_picture(picture, there, np.random.default_rng(0)),
+        box_from_image(image, there, np.random.default_rng(0)),
         decision.detection.box,
     )
     errors = {}

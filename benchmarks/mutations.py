@@ -1,14 +1,14 @@
-"""Spoiled plans: does our check refuse all that an independent one refuses?
+"""Check that `momapos verify` rejects all corrupted plans that an independent checker rejects.
 
     python benchmarks/mutations.py [--count 500] [--plans 25] [--set development|test] [--kitchens]
                                    [--robots fetch ...] [--verifier verify_plan.py] [--out DIR]
 
-Takes plans of the objects of `objects.py`, or of the built-in kitchens, in which the hand turns
-about a bar or takes hold a second time, spoils each in random ways and by random amounts, and
-checks the spoiled files with `momapos verify` and with an independent program, which is imported
-where one is named. A spoiled plan that the other refuses and ours does not is a miss. What both let
-pass was spoiled by less than the tolerances. Tool poses are computed anew where arm states change,
-so that the states are judged and not the poses beside them.
+Plans of the objects of `objects.py`, or of the built-in kitchens, in which the hand turns about a
+bar or regrasps, are corrupted in random ways and by random amounts. The files are checked with
+`momapos verify` and with an independent program, which --verifier names. A corrupted plan that only
+the other program rejects is a miss. Plans that both accept were changed by less than the
+tolerances. Tool poses are recomputed after a change of arm states, so that the states themselves
+are checked.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.verification.plan_check import verify_files
@@ -45,65 +45,65 @@ from objects import CONFIG, SETS, tasks
 from placement import ROBOTS, machine
 from rows import keep_rows
 
-Spoil = Callable[[dict[str, Any], np.random.Generator], bool]
-"""Changes the content of a plan file; False where the plan has nothing of the kind."""
-SPOILS: dict[str, Spoil] = {}
+Corruption = Callable[[dict[str, Any], np.random.Generator], bool]
+"""Changes the content of a plan file; returns False if it does not apply to the plan."""
+CORRUPTIONS: dict[str, Corruption] = {}
 ROWS = ("q", "object_q", "T_world_tool")
 ACCEPTED, REFUSED = "accepted", "refused"
 
 
-def spoil(function: Spoil) -> Spoil:
-    """Register a way to spoil a plan under its name."""
-    SPOILS[function.__name__] = function
+def corruption(function: Corruption) -> Corruption:
+    """Register a corruption under its name."""
+    CORRUPTIONS[function.__name__] = function
     return function
 
 
 def amount(rng: np.random.Generator, low: float, high: float) -> float:
-    """A random size of random sign, as many small ones as large ones."""
+    """Draw a log-uniform size with random sign."""
     return float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def tools_anew(plan: dict[str, Any], robot: Robot) -> None:
-    """Tool poses that fit the arm states and the base pose."""
+def recompute_tool_poses(plan: dict[str, Any], robot: Robot) -> None:
+    """Recompute the tool poses from the arm states and the base pose."""
     base, motion = plan["base_pose"], plan["manipulation"]
     T_world_base = pose_planar(np.array([base["x"], base["y"], base["yaw"]]))
     motion["T_world_tool"] = (T_world_base @ robot.chain.tool_poses(np.array(motion["q"]))).tolist()
 
 
-def some_hold(plan: dict[str, Any], rng: np.random.Generator) -> tuple[int, int, int]:
-    """The index of a hold, and its first and last state."""
+def random_grasp(plan: dict[str, Any], rng: np.random.Generator) -> tuple[int, int, int]:
+    """Return the index of a random grasp interval, and its first and last state."""
     k = int(rng.integers(len(plan["manipulation"]["holds"])))
     return k, *plan["manipulation"]["holds"][k]
 
 
-@spoil
+@corruption
 def base_moved(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """By 5 mm to 20 cm, or by 0.5 to 20 degrees."""
+    """Move the base by 5 mm to 20 cm, or by 0.5 to 20 degrees."""
     key = str(rng.choice(["x", "y", "yaw"]))
     plan["base_pose"][key] += amount(rng, 0.009, 0.35) if key == "yaw" else amount(rng, 0.005, 0.2)
     return True
 
 
-@spoil
+@corruption
 def one_state_off(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """One joint of one state, by 0.01 to 0.5."""
+    """Change one joint of one state by 0.01 to 0.5."""
     q = plan["manipulation"]["q"]
     q[rng.integers(len(q))][rng.integers(len(q[0]))] += amount(rng, 0.01, 0.5)
     return True
 
 
-@spoil
+@corruption
 def one_tool_pose_off(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The pose beside one state, by 1 to 100 mm."""
+    """Move one tool pose by 1 to 100 mm."""
     T = plan["manipulation"]["T_world_tool"]
     T[rng.integers(len(T))][rng.integers(3)][3] += amount(rng, 0.001, 0.1)
     return True
 
 
-@spoil
+@corruption
 def hand_twists(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """Over one hold a joint of the wrist turns more and more, to 1 to 30 degrees."""
-    _, first, last = some_hold(plan, rng)
+    """Add a linearly growing turn of 1 to 30 degrees to a wrist joint during one grasp."""
+    _, first, last = random_grasp(plan, rng)
     q = np.array(plan["manipulation"]["q"])
     if last - first < 2:
         return False
@@ -114,9 +114,9 @@ def hand_twists(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-@spoil
+@corruption
 def door_lags_behind(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The part's values are bent between the same ends, by 1 to 50 %."""
+    """Distort the part's values between the same ends, by 1 to 50 %."""
     value = np.array(plan["manipulation"]["object_q"])
     share = (value - value[0]) / (value[-1] - value[0])
     bent = share ** (1 + abs(amount(rng, 0.01, 0.5)))
@@ -124,18 +124,18 @@ def door_lags_behind(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-@spoil
-def hold_begins_elsewhere(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The first or last state of a hold is 1 to 10 states earlier or later."""
-    k, *ends = some_hold(plan, rng)
+@corruption
+def hold_shifted(plan: dict[str, Any], rng: np.random.Generator) -> bool:
+    """Shift the first or last state of a grasp by 1 to 10 states."""
+    k, *ends = random_grasp(plan, rng)
     ends[rng.integers(2)] += int(rng.choice([-1, 1]) * rng.integers(1, 11))
     plan["manipulation"]["holds"][k] = ends
     return True
 
 
-@spoil
+@corruption
 def one_hold_for_all(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The plan does not say that the hand lets go."""
+    """Replace two grasps by one, without a release."""
     motion = plan["manipulation"]
     if len(motion["holds"]) < 2:
         return False
@@ -146,9 +146,9 @@ def one_hold_for_all(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-@spoil
-def no_way_between_holds(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The states between two holds are left out, all or some of them."""
+@corruption
+def no_path_between_holds(plan: dict[str, Any], rng: np.random.Generator) -> bool:
+    """Remove some or all states between two grasps."""
     motion = plan["manipulation"]
     if len(motion["holds"]) < 2:
         return False
@@ -161,9 +161,9 @@ def no_way_between_holds(plan: dict[str, Any], rng: np.random.Generator) -> bool
     return True
 
 
-@spoil
-def way_between_holds_cut(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """Some states between two holds lie on the straight line between their neighbors."""
+@corruption
+def waypoints_between_holds_cut(plan: dict[str, Any], rng: np.random.Generator) -> bool:
+    """Replace some states between two grasps by a straight line."""
     motion = plan["manipulation"]
     if len(motion["holds"]) < 2 or motion["holds"][1][0] - motion["holds"][0][1] < 4:
         return False
@@ -176,9 +176,9 @@ def way_between_holds_cut(plan: dict[str, Any], rng: np.random.Generator) -> boo
     return True
 
 
-@spoil
+@corruption
 def part_moves_untouched(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The part goes on by 0.001 to 0.05 while the hand is away."""
+    """Move the part by 0.001 to 0.05 while the hand is away."""
     motion = plan["manipulation"]
     if len(motion["holds"]) < 2:
         return False
@@ -188,9 +188,9 @@ def part_moves_untouched(plan: dict[str, Any], rng: np.random.Generator) -> bool
     return True
 
 
-@spoil
+@corruption
 def another_axis(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The axis about which the hand may turn is tilted by 5 to 90 degrees, or gone."""
+    """Tilt the axis about which the hand may turn by 5 to 90 degrees, or remove it."""
     axes = plan["manipulation"]["turn_axes"]
     with_axis = [i for i, axis in enumerate(axes) if axis is not None]
     if not with_axis:
@@ -207,9 +207,9 @@ def another_axis(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-@spoil
+@corruption
 def stops_early(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The last 1 to 30 % of the states are missing."""
+    """Remove the last 1 to 30 % of the states."""
     motion = plan["manipulation"]
     count = len(motion["q"])
     left = count - max(1, int(rng.uniform(0.01, 0.3) * count))
@@ -219,10 +219,10 @@ def stops_early(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-@spoil
+@corruption
 def states_left_out(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """Some states in the middle of a hold are missing: a wider step, or a jump."""
-    k, first, last = some_hold(plan, rng)
+    """Remove some states within a grasp: a wider step, or a jump."""
+    k, first, last = random_grasp(plan, rng)
     if last - first < 8:
         return False
     gone = int(rng.integers(1, min(30, last - first - 4)))
@@ -237,9 +237,9 @@ def states_left_out(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-@spoil
+@corruption
 def two_states_exchanged(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """Two states, 1 to 10 apart, change places."""
+    """Swap two states that are 1 to 10 apart."""
     motion = plan["manipulation"]
     i = int(rng.integers(len(motion["q"]) - 1))
     j = min(len(motion["q"]) - 1, i + int(rng.integers(1, 11)))
@@ -248,9 +248,9 @@ def two_states_exchanged(plan: dict[str, Any], rng: np.random.Generator) -> bool
     return True
 
 
-@spoil
+@corruption
 def approach_cut(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """Some of the states on the way to the grasp are left out."""
+    """Remove some states of the approach."""
     approach = plan["approach"]
     if len(approach) < 4:
         return False
@@ -260,15 +260,15 @@ def approach_cut(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-@spoil
+@corruption
 def another_goal(plan: dict[str, Any], rng: np.random.Generator) -> bool:
-    """The task asks for 1 to 30 % more or less."""
+    """Change the task's value by 1 to 30 %."""
     plan["task"]["to"] *= 1 + amount(rng, 0.01, 0.3)
     return True
 
 
 def openings(args: argparse.Namespace) -> Iterator[tuple[str, Scene, str, str]]:
-    """Robot, room, object and joint of what is opened."""
+    """Yield robot, room, object and joint of each opening."""
     if not args.kitchens:
         for name, _, scene, joint in tasks(args.set, args.robots):
             yield name, scene, "object", joint
@@ -281,7 +281,7 @@ def openings(args: argparse.Namespace) -> Iterator[tuple[str, Scene, str, str]]:
 
 
 def plans(args: argparse.Namespace, folder: Path) -> Iterator[tuple[Path, Robot]]:
-    """Plan files of openings in which the hand turns or takes hold a second time."""
+    """Yield plan files of openings in which the hand turns or regrasps."""
     robots = {name: load_robot(name) for name in args.robots}
     found = 0
     for k, (name, scene, item, joint) in enumerate(openings(args)):
@@ -308,7 +308,7 @@ def plans(args: argparse.Namespace, folder: Path) -> Iterator[tuple[Path, Robot]
 
 
 def loaded(verifier: Path) -> ModuleType:
-    """The independent program as a module."""
+    """Import the independent program."""
     sys.path.insert(0, str(verifier.resolve().parent))
     spec = importlib.util.spec_from_file_location(verifier.stem, verifier)
     if spec is None or spec.loader is None:
@@ -319,7 +319,7 @@ def loaded(verifier: Path) -> ModuleType:
 
 
 def ours(file: Path) -> tuple[str, str]:
-    """What `momapos verify` says of a plan file, and its first reason."""
+    """Return the verdict of `momapos verify` on a plan file, and its first reason."""
     try:
         bad = verify_files(file, Path("/")).violations
     except MomaposError as error:
@@ -328,7 +328,7 @@ def ours(file: Path) -> tuple[str, str]:
 
 
 def theirs(module: ModuleType, file: Path) -> tuple[str, str]:
-    """What the independent program says."""
+    """Return the verdict of the independent program, and its first reason."""
     options = argparse.Namespace(skip_approach=False, allow_hinge_grasp=True)
     try:
         report, _ = module.verify(json.loads(file.read_text()), file.parent, "/", options)
@@ -338,25 +338,25 @@ def theirs(module: ModuleType, file: Path) -> tuple[str, str]:
     return (REFUSED, bad[0]["check"]) if bad else (ACCEPTED, "")
 
 
-def spoiled(
+def corrupted(
     content: dict[str, Any], robot: Robot, rng: np.random.Generator
 ) -> tuple[str, dict[str, Any]]:
-    """A way to spoil a plan that it has something for, and the spoiled content."""
+    """Return the name of a random corruption that applies to a plan, and the corrupted content."""
     while True:
-        name = str(rng.choice(sorted(SPOILS)))
+        name = str(rng.choice(sorted(CORRUPTIONS)))
         changed = copy.deepcopy(content)
-        if SPOILS[name](changed, rng):
+        if CORRUPTIONS[name](changed, rng):
             poses = (plan["manipulation"]["T_world_tool"] for plan in (content, changed))
             if operator.eq(*poses):
-                tools_anew(changed, robot)
+                recompute_tool_poses(changed, robot)
             return name, changed
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """A table by way of spoiling."""
-    lines = [f"machine: {machine()}", f"{len(rows)} spoiled plans"]
-    lines += ["| spoiled by | plans | refused | by the other | missed |", "|---|---|---|---|---|"]
-    for name in [*sorted(SPOILS), "all"]:
+    """Return a table by corruption."""
+    lines = [f"machine: {machine()}", f"{len(rows)} corrupted plans"]
+    lines += ["| corruption | plans | rejected | by the other | missed |", "|---|---|---|---|---|"]
+    for name in [*sorted(CORRUPTIONS), "all"]:
         mine = [row for row in rows if name in ("all", row["spoil"])]
         refused = sum(row["ours"] == REFUSED for row in mine)
         other = Counter(row["theirs"] for row in mine)[REFUSED]
@@ -368,8 +368,8 @@ def report(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=500, help="spoiled plans")
-    parser.add_argument("--plans", type=int, default=25, help="plans to spoil")
+    parser.add_argument("--count", type=int, default=500, help="number of corrupted plans")
+    parser.add_argument("--plans", type=int, default=25, help="number of plans to corrupt")
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--set", choices=SETS, help="only the objects of one set")
     parser.add_argument("--kitchens", action="store_true", help="the built-in kitchens")
@@ -383,17 +383,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         sources = list(plans(args, Path(name)))
         if not sources:
-            sys.exit("no plan turns or takes hold twice; ask for more --robots")
+            sys.exit("no plan turns or regrasps; use more --robots")
         for k in range(args.count):
             source, robot = sources[k % len(sources)]
-            kind, content = spoiled(json.loads(source.read_text()), robot, rng)
-            file = source.with_name("spoiled.json")
+            kind, content = corrupted(json.loads(source.read_text()), robot, rng)
+            file = source.with_name("corrupted.json")
             file.write_text(json.dumps(content))
             verdict, why = ours(file)
-            said, reason = ("", "") if other is None else theirs(other, file)
+            their_verdict, reason = ("", "") if other is None else theirs(other, file)
             row = {"spoil": kind, "plan": source.stem, "ours": verdict, "why": why}
-            rows.append({**row, "theirs": said, "their_why": reason})
-            if said == REFUSED and verdict == ACCEPTED:
+            rows.append({**row, "theirs": their_verdict, "their_why": reason})
+            if their_verdict == REFUSED and verdict == ACCEPTED:
                 print(json.dumps(rows[-1]), flush=True)
     print(report(rows))
     keep_rows(rows, args.out, "mutations")

@@ -1,4 +1,4 @@
-"""Rooms with known furniture: one object alone, or many along the walls of a kitchen."""
+"""Build rooms with known furniture: one object alone, or many along the walls of a kitchen."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.scene.scene import Scene, SceneObject
 
 BETWEEN = 0.08
-"""Free wall between two objects of a kitchen [m]."""
+"""Free width between two objects of a kitchen [m]."""
 AISLE = 2.4
-"""Between the fronts of the two rows [m]."""
+"""Distance between the fronts of the two rows [m]."""
 WALL = 0.1
 """Thickness of walls [m]."""
 CEILING = 2.6
-"""Their height [m]."""
+"""Height of walls [m]."""
 
 
 @dataclass(frozen=True)
@@ -27,22 +27,22 @@ class Place:
     name: str
     scene: Scene
     objects: dict[str, tuple[str, np.ndarray]]
-    """Of each by its name in the room: its name in the list of objects, and the transform from the
-    room's frame to the object's own, in which its front is toward -x."""
+    """By name in the room: the name in the list of objects, and the transform from the room's frame
+    to the object's own, in which its front is toward -x."""
 
 
 def kitchen(name: str, alone: Sequence[tuple[str, Scene]]) -> Place:
-    """Stand objects in two rows along opposite walls, in turn, with what carries them.
+    """Place objects and their counters in two rows along opposite walls, in turn.
 
     Args:
-        name: Of the room.
-        alone: Each object's name, and its own room as `objects.room` makes it: its front toward
-            -x, a wall behind it, for small ones a counter below.
+        name: Name of the room.
+        alone: Each object's name and its own room from `objects.room`: its front toward -x, a
+            wall behind it, for small ones a counter below.
     """
     rows = (alone[0::2], alone[1::2])
     depth = max(-_span(scene)[0][0] for _, scene in alone)
     ends = AISLE / 2 + depth
-    things: list[SceneObject] = []
+    items: list[SceneObject] = []
     objects: dict[str, tuple[str, np.ndarray]] = {}
     lengths = [sum(_wide(scene) for _, scene in row) for row in rows]
     for row, length, turn in zip(rows, lengths, (0.0, np.pi), strict=True):
@@ -55,11 +55,11 @@ def kitchen(name: str, alone: Sequence[tuple[str, Scene]]) -> Place:
             T = T_room_row @ pose_planar(shift)
             own = f"object_{len(objects) + 1}"
             objects[own] = (object_name, invert(T))
-            for thing in scene.objects:
-                if thing.name != "wall":
-                    new = own if thing.name == "object" else f"{thing.name}_{len(objects)}"
-                    where = T @ thing.T_world_object
-                    things.append(replace(thing, name=new, T_world_object=where))
+            for item in scene.objects:
+                if item.name != "wall":
+                    new = own if item.name == "object" else f"{item.name}_{len(objects)}"
+                    where = T @ item.T_world_object
+                    items.append(replace(item, name=new, T_world_object=where))
             at += wide
     y = max(lengths) / 2 + 0.5
     x = ends + max(_behind(scene) for _, scene in alone)
@@ -72,24 +72,24 @@ def kitchen(name: str, alone: Sequence[tuple[str, Scene]]) -> Place:
         ),
         start=1,
     ):
-        things.append(SceneObject.box(f"wall_{k}", (*size, CEILING), (*middle, CEILING / 2)))
+        items.append(SceneObject.box(f"wall_{k}", (*size, CEILING), (*middle, CEILING / 2)))
     floor = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-    return Place(name, Scene(name, tuple(things), floor_polygon=floor), objects)
+    return Place(name, Scene(name, tuple(items), floor_polygon=floor), objects)
 
 
 def _span(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the object of a room and of what carries it [m]."""
-    corners = [thing.bounds for thing in scene.objects if thing.name != "wall"]
+    """Return the corners of a room's object with its counter [m]."""
+    corners = [item.bounds for item in scene.objects if item.name != "wall"]
     lows, highs = zip(*corners, strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 def _behind(scene: Scene) -> float:
-    """How far the wall of a room is behind its object [m]."""
+    """Return the distance of a room's wall behind its object [m]."""
     return float(scene.object("wall").bounds[0][0])
 
 
 def _wide(scene: Scene) -> float:
-    """How much of a wall an object takes, with what carries it [m]."""
+    """Return the width along the wall of an object with its counter [m]."""
     low, high = _span(scene)
     return float(high[1] - low[1]) + BETWEEN

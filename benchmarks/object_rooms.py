@@ -1,4 +1,4 @@
-"""Furniture of a list that another program wrote, as `objects.room` takes it."""
+"""Read furniture lists of other programs for `objects.room`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 from objects import Usual
 
 FRONT = (0.0, -1.0)
-"""Where the front of every listed model is toward, in its own frame."""
+"""Direction of the front of every listed model, in its own frame."""
 _NAME = re.compile(r"[\w .-]+(?:/[\w .-]+)+")
-_HIGHEST = 10.0
-"""No furniture hangs higher [m]."""
+_MAX_HEIGHT = 10.0
+"""Maximum height of hanging furniture [m]."""
 
 
 def listed(folder: Path) -> list[tuple[str, Path, Usual]]:
-    """Articulated objects that a folder lists: name, URDF, and how they stand.
+    """Read the articulated objects of a folder's list: name, URDF and placement.
 
-    The program ends with a line where the list cannot be used.
+    Exits with a one-line message if the list is invalid.
 
     Args:
         folder: Holds `models.json`, a list of records: `name` with its kind before the last slash,
@@ -49,7 +49,7 @@ def listed(folder: Path) -> list[tuple[str, Path, Usual]]:
 
 
 def _why_not(row: Any, folder: Path) -> str:
-    """Why a record cannot be used; "" where it can."""
+    """Return why a record is invalid; "" if it is valid."""
     if not isinstance(row, dict):
         return "is not a record"
     name, urdf = row.get("name"), row.get("urdf")
@@ -58,10 +58,10 @@ def _why_not(row: Any, folder: Path) -> str:
         return "name must be words with a slash between them, such as Maker/fridge/1"
     if not isinstance(row.get("counter"), bool):
         return "counter must be true or false"
-    if type(above) not in (int, float) or not 0.0 <= above <= _HIGHEST:
-        return f"above must be a height from 0 to {_HIGHEST:g} m"
+    if type(above) not in (int, float) or not 0.0 <= above <= _MAX_HEIGHT:
+        return f"above must be a height from 0 to {_MAX_HEIGHT:g} m"
     if row["counter"] and not above:
-        return "above must be more than 0 of what stands on a counter"
+        return "above must be more than 0 for a model on a counter"
     if not isinstance(urdf, str) or "\0" in urdf:
         return "urdf must name a file"
     if not (folder / urdf).resolve().is_relative_to(folder.resolve()):

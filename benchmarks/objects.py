@@ -1,20 +1,20 @@
-"""Real articulated objects, each alone in a small kitchen of its own, opened by contact.
+"""Open real articulated objects by contact, each alone in a small kitchen.
 
     python benchmarks/objects.py [--robots fetch ...] [--set development|test] [--hold contact|weld]
                                  [--tasks 40] [--seeds 3] [--verifier verify_plan.py] [--out DIR]
                                  [--errors] [--families]
 
-The simulator's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to the size
-that such things have, and stand against a wall, the small ones on a counter or on the wall. Every
-door and drawer is opened by every robot: planned, checked by an independent program where one is
-named, driven to and executed with noise. A hash of an object's name puts it into one of two sets:
-`development` may be examined, `test` is only counted.
+The simulator's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to their
+usual size and placed at a wall, small ones on a counter or on the wall. Every robot opens every
+door and drawer: the opening is planned, checked by an independent program (--verifier), driven to
+and executed with noise. A hash of an object's name puts it into one of two sets: `development` may
+be examined, `test` is only counted.
 
 With --errors the world differs from the scene, as in execution.py: handle 1 cm, hinge 3 cm and 5
 degrees, mass and friction 50 % off.
 
-With --families nothing is executed: each opening is asked of ever more families of grasps, until
-one opens it, and those that none opens are told with the farthest opening.
+With --families nothing is executed: grasp families are added one by one until an opening is
+feasible; infeasible ones are printed with their maximum opening.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from momapos.model.urdf.reader import Joint, read_urdf
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig
 from momapos.planning.grasps.handles import has_handle, opening_direction
-from momapos.planning.grasps.tasks import make_task, slides
+from momapos.planning.grasps.task_requests import make_task, slides
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.partial_opening import add_max_opening
 from momapos.planning.reachability.map_store import load_reach_map
@@ -62,30 +62,30 @@ FAMILIES: dict[str, GraspConfig] = {
     "pinch": GraspConfig(families=("pinch",), turning=False),
     "hook": GraspConfig(families=("pinch", "hook"), turning=False),
     "turning": GraspConfig(families=("pinch", "hook")),
-    "two holds": GraspConfig(),
+    "two grasps": GraspConfig(),
 }
-"""Sets of families, each with all of the one before; the last is the default."""
+"""Sets of families, each including the previous ones; the last is the default."""
 OBVIOUS = ("beyond the arm's reach", "base in collision", "base off the floor")
-"""Why most poses of any grid are none; others say more."""
+"""Reasons that reject most poses of any grid; other reasons say more about a task."""
 SETS = ("development", "test")
-LEAST_SIZE, LEAST_TRAVEL = 0.2, 0.1
-"""What is smaller or moves less is a knob or a button [m], [m] or [rad]."""
+MIN_SIZE, MIN_TRAVEL = 0.2, 0.1
+"""Minimum size and travel of a door or drawer; smaller ones are knobs [m], [m] or [rad]."""
 MARGIN = 0.05
-"""Between an object's box and the wall [m]."""
+"""Gap between an object's box and the wall [m]."""
 
 
 @dataclass(frozen=True)
 class Usual:
-    """How large a kind of furniture is, and how high it stands."""
+    """Usual size and height above the floor of a kind of furniture."""
 
     height: float
     """[m]"""
     above: float
-    """Floor to its lower side [m]."""
+    """Height of its lower side above the floor [m]."""
     counter: bool = False
-    """Whether it stands on something."""
+    """Whether it stands on a counter."""
     front: tuple[float, float] | None = None
-    """Where its front is toward, in its own frame; None where its parts tell by opening there."""
+    """Direction of its front in its own frame; None to derive it from the opening parts."""
 
 
 USUAL = {
@@ -118,10 +118,10 @@ def set_of(name: str) -> str:
 
 
 def objects() -> Iterator[tuple[str, Path, Usual]]:
-    """Articulated objects of the BestMan simulator: name, URDF and usual size."""
+    """Yield the articulated objects of the BestMan simulator: name, URDF and usual size."""
     root = shared() / "bestman" / "Asset" / "Scene"
     if not root.is_dir():
-        sys.exit(f"{root} is not there; MOMAPOS_SHARED names the folder of the real data")
+        sys.exit(f"{root} does not exist; MOMAPOS_SHARED names the folder of the real data")
     files = sorted(root.glob("Kitchen_models/models/*/*/mobility.urdf"))
     files += sorted(root.glob("URDF_models/B512/*/*.urdf"))
     files += sorted(root.glob("Kitchen_models/models*/*/urdf/*.urdf"))
@@ -131,21 +131,21 @@ def objects() -> Iterator[tuple[str, Path, Usual]]:
 
 
 def parts(model: Articulated) -> Iterator[Joint]:
-    """The doors and drawers of an object."""
+    """Yield the doors and drawers of an object."""
     for joint in model.joints.values():
         points = [h.vertices for link in model.moved_by(joint.name) for h in model.hulls[link]]
         size = np.ptp(np.concatenate(points), axis=0).max() if points else 0.0
-        if size > LEAST_SIZE and LEAST_TRAVEL < joint.upper - joint.lower < np.inf:
+        if size > MIN_SIZE and MIN_TRAVEL < joint.upper - joint.lower < np.inf:
             yield joint
 
 
 def room(name: str, file: Path, usual: Usual) -> Scene | None:
-    """A kitchen with one object, its front toward -x; None of things with no door or drawer."""
+    """Build a kitchen with one object, its front toward -x; None without a door or drawer."""
     bare = Articulated(read_urdf(file))
     if not list(parts(bare)) or (file.name == "mobility.urdf" and usual is AS_THEY_ARE):
         return None
     low, high = SceneObject(name, "", np.eye(4), bare).bounds
-    # What is in meters already has a usual size.
+    # Objects in meters already have a usual size.
     scale = usual.height / (high[2] - low[2]) if file.name == "mobility.urdf" else 1.0
     item = SceneObject.from_urdf("object", file, (0.0, 0.0, 0.0), scale=scale, category=name)
     item = replace(item, category=name.split("/")[-2].lower())
@@ -169,7 +169,7 @@ def room(name: str, file: Path, usual: Usual) -> Scene | None:
 
 
 def tasks(subset: str | None, robots: list[str]) -> list[tuple[str, str, Scene, str]]:
-    """Robot, name of the object, room and joint of every opening, in a random order."""
+    """Return robot, object name, room and joint of every opening, in random order."""
     found = []
     for name, file, usual in objects():
         if subset in (None, set_of(name)):
@@ -214,7 +214,7 @@ def measure(
 
 
 def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str, Any]:
-    """By which family of grasps an opening is first opened, and how far where by none."""
+    """Return the first grasp family that opens a part, else the maximum opening."""
     reach = load_reach_map(robot, default_cache_dir(), None)
     task = make_task(scene, "open", "object", joint)
     row: dict[str, Any] = {
@@ -225,14 +225,14 @@ def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str,
         plan = plan_base_placement(scene, robot, task, reach, config=config).plan
         if plan.status == "solved":
             return {**row, "family": family}
-    told = [reason for reason in plan.candidates.rejections if reason not in OBVIOUS]
-    row |= {"status": plan.status, "reason": ", ".join(told[:2]), "to": task.to}
+    informative = [reason for reason in plan.candidates.rejections if reason not in OBVIOUS]
+    row |= {"status": plan.status, "reason": ", ".join(informative[:2]), "to": task.to}
     farthest = add_max_opening(plan, scene, robot, reach, config=CONFIG)
     return {**row, "slides": slides(scene, task), "feasible_to": farthest.feasible_to}
 
 
 def family_table(rows: list[dict[str, Any]]) -> str:
-    """Count by family, for each set and robot, as Markdown; of the development set every "no"."""
+    """Count by family, set and robot, as Markdown; list infeasible openings (development set)."""
     names = (*FAMILIES, "no")
     lines = [f"| set | robot | openings | {' | '.join(names)} |", "|---" * (len(names) + 3) + "|"]
     for subset in SETS:
@@ -240,7 +240,7 @@ def family_table(rows: list[dict[str, Any]]) -> str:
             mine = [r["family"] or "no" for r in rows if (r["set"], r["robot"]) == (subset, robot)]
             counts = " | ".join(str(mine.count(name)) for name in names)
             lines.append(f"| {subset} | {robot} | {len(mine)} | {counts} |")
-    lines += ["", "| opening that is a no | robots: farthest | asked | why |", "|---|---|---|---|"]
+    lines += ["", "| infeasible opening | robots: maximum | goal | reason |", "|---|---|---|---|"]
     groups: dict[tuple[str, ...], list[str]] = {}
     for row in sorted(rows, key=lambda r: (r["object"], r["joint"], r["robot"])):
         if row["family"] is None and row["set"] == SETS[0]:
@@ -253,7 +253,7 @@ def family_table(rows: list[dict[str, Any]]) -> str:
 
 
 def _opened(row: dict[str, Any], key: str) -> str:
-    """A value of a joint in words."""
+    """Format a joint value."""
     if row[key] is None:
         return "not at all"
     return f"{100 * row[key]:.0f} cm" if row["slides"] else f"{np.degrees(row[key]):.0f} deg"
@@ -264,7 +264,7 @@ def _count(item: tuple[str, int]) -> int:
 
 
 def independent(plan: PlacementPlan, verifier: Path, folder: Path) -> tuple[bool, list[str]]:
-    """What another program says about a plan."""
+    """Check a plan with another program."""
     file = folder / "plan.json"
     write_plan(plan, file)
     command = [sys.executable, str(verifier), str(file), "--scene-root", "/"]
@@ -278,7 +278,7 @@ def independent(plan: PlacementPlan, verifier: Path, folder: Path) -> tuple[bool
 def execute(
     plan: PlacementPlan, scene: Scene, robot: Robot, reach: Any, physics: ExecutionConfig, seed: int
 ) -> dict[str, Any]:
-    """Drive to a base pose and open the part there, with noise."""
+    """Drive to the base pose and open the part, with noise."""
     begun = time.process_time()
     try:
         record = run_plan(
@@ -298,7 +298,7 @@ def execute(
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """Summarize in words, each set by itself."""
+    """Summarize each set."""
     lines = [f"machine: {machine()}"]
     for subset in SETS:
         mine = [r for r in rows if r["set"] == subset]
@@ -332,10 +332,10 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--set", choices=SETS, help="only the objects of one set")
     parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
-    parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
-    parser.add_argument("--seeds", type=int, default=3, help="runs of every plan")
-    parser.add_argument("--errors", action="store_true", help="the world is not as modeled")
-    parser.add_argument("--families", action="store_true", help="by which grasps they open")
+    parser.add_argument("--tasks", type=int, help="number of openings, drawn at random")
+    parser.add_argument("--seeds", type=int, default=3, help="number of runs per plan")
+    parser.add_argument("--errors", action="store_true", help="simulate with modeling errors")
+    parser.add_argument("--families", action="store_true", help="count by grasp family only")
     parser.add_argument("--verifier", type=Path, help="independent check of plan files")
     parser.add_argument("--out", type=Path, help="folder for objects.json")
     args = parser.parse_args()

@@ -1,8 +1,8 @@
-"""How soon the page answers: from the command to a page, and while the base is dragged.
+"""Measure the response of the web page: from the command to a page, and while dragging the base.
 
     python benchmarks/page.py [--poses 200] [--start]
 
-Bases are drawn about the answer's, as a hand drags them; half of them stand too far or too near.
+Base poses are drawn around that of the answer, like a dragged base; half of them are infeasible.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from momapos.apps.web.follow import DRAG_TIME_LIMIT
 from momapos.apps.web.probe import Probe
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
 from pages import Tab
@@ -35,19 +35,19 @@ TASKS = (
 )  # fmt: skip
 ROBOTS = ("segway_ur5e", "fetch", "tiago")
 SPREAD = np.array([0.25, 0.25, 0.5])
-"""Standard deviation of the bases about the answer's [m, m, rad]."""
+"""Standard deviation of the base poses around that of the answer [m, m, rad]."""
 
 
 def dragging(poses: int, seed: int) -> np.ndarray:
-    """Times until a dragged base is answered, and processor times [s], of all robots and tasks."""
+    """Return wall and processor times of the answers to dragged bases [s], all robots and tasks."""
     scene, rng, times = load_scene("kitchen_small"), np.random.default_rng(seed), []
     for name in ROBOTS:
         robot = load_robot(name)
         reach = load_reach(robot)
-        for thing, joint in TASKS:
-            task = make_task(scene, "open", thing, joint)
+        for item, joint in TASKS:
+            task = make_task(scene, "open", item, joint)
             base = plan_base_placement(scene, robot, task, reach).plan.base_pose
-            if base is None:  # there is nowhere to drag it about
+            if base is None:  # no answer, so no base pose to drag
                 continue
             probe = Probe(scene, robot, task, reach)
             probe.prepare()
@@ -57,13 +57,13 @@ def dragging(poses: int, seed: int) -> np.ndarray:
                 probe.at(pose, time.perf_counter, within=DRAG_TIME_LIMIT)
                 ended = time.perf_counter(), time.process_time()
                 own.append((ended[0] - began[0], ended[1] - began[1]))
-            print(f"{name:12} {thing + '/' + joint:32} {told(np.array(own))}", flush=True)
+            print(f"{name:12} {item + '/' + joint:32} {percentiles(np.array(own))}", flush=True)
             times += own
     return np.array(times)
 
 
-def told(times: np.ndarray) -> str:
-    """Median, 95th percentile and worst; of processor time, which others do not lengthen, too."""
+def percentiles(times: np.ndarray) -> str:
+    """Format median, 95th percentile and maximum of wall and processor time."""
     low, high, worst = 1000 * np.quantile(times[:, 0], [0.5, 0.95, 1.0])
     own = 1000 * np.quantile(times[:, 1], [0.5, 0.95])
     return (
@@ -73,17 +73,19 @@ def told(times: np.ndarray) -> str:
 
 
 async def ready(address: str) -> None:
-    """Open a page, and wait until room and robot are drawn and it says what can be done."""
+    """Open a page and wait until room and robot are drawn and it is ready."""
     tab = Tab(address, 0)
     await tab.open()
-    while not any(words.startswith(READY) for words in tab.told.words):
+    while not any(words.startswith(READY) for words in tab.seen.words):
         await asyncio.sleep(0.01)
     await tab.close()
 
 
 def usable() -> tuple[float, float]:
-    """Time from the command until a question can be asked, and processor time of it [s]; kernels
-    compiled, and without the time that a browser takes to start and to draw."""
+    """Return wall and processor time from the command to a ready page [s], with compiled kernels.
+
+    The start and drawing of a browser are excluded.
+    """
     command = [
         sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()", "view",
         "kitchen_small", "--port", "0",
@@ -104,14 +106,14 @@ def usable() -> tuple[float, float]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--poses", type=int, default=200, help="a task and robot")
+    parser.add_argument("--poses", type=int, default=200, help="number of poses per task and robot")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--start", action="store_true", help="measure the start only")
     args = parser.parse_args()
-    usable()  # what is compiled once is compiled now
+    usable()  # compile the kernels
     runs = [usable() for _ in range(3)]
     wall, own = (sorted(each)[1] for each in zip(*runs, strict=True))
     print(f"from the command to a page: {wall:.1f} s, {own:.1f} s of processor", flush=True)
     if args.start:
         sys.exit()
-    print(f"all: {told(dragging(args.poses, args.seed))}")
+    print(f"all: {percentiles(dragging(args.poses, args.seed))}")

@@ -1,12 +1,12 @@
-"""What a picture of the page costs: nothing, the demo kitchen, a large room, in one run.
+"""Measure the cost of a frame of the web page: empty, the demo kitchen, and a large room.
 
     python benchmarks/page_pictures.py [--objects 1000] [--points 2000000] [--rounds 2]
                                        [--only nothing|cloud|kitchen|hall ...]
 
-A Chromium draws, 1280 x 720, while the mouse turns the room; how many pictures come a second, what
-each takes of the processor, and what is drawn for it. By what it draws is printed: without a
-graphics card a program does, and nothing is drawn faster than an empty page. On a machine that has
-other work the ratios count, not the pictures a second.
+Chromium renders 1280 x 720 while the mouse rotates the room. Prints the frame rate, the processor
+time per frame, and the draw calls and primitives, with the name of the renderer. Without a GPU a
+software renderer is used, and an empty page is the upper bound. On a busy machine compare ratios,
+not frame rates.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from momapos.core.cache import user_cache
 
 LOOKS = ("nothing", "cloud", "kitchen", "hall")
 SIZES = (0.001, 0.012, 0.024, 0.05)
-"""Of points whose cost is measured [m]."""
+"""Point sizes that are measured [m]."""
 WINDOW = {"width": 1280, "height": 720}
 START, WAY = (300, 360), 300
-"""Where the mouse takes hold of the room, and how far it then drags it round [px]."""
+"""Start of the mouse drag that rotates the room, and its length [px]."""
 QUIET, SETTLED = 2.0, 30.0
-"""A browser gets at least and at most so long to take in what is new [s]."""
+"""Minimum and maximum time for the browser to process new data [s]."""
 COUNT = """(() => {
-  const all = {calls: 0, triangles: 0, points: 0, pictures: 0, done: 0, seen: 0};
+  const all = {calls: 0, triangles: 0, points: 0, frames: 0, done: 0, seen: 0};
   const gl = WebGL2RenderingContext.prototype;
   const watch = (name, at, copies) => {
     const draw = gl[name];
@@ -62,17 +62,18 @@ COUNT = """(() => {
   const clear = gl.clear;
   gl.clear = function (...given) { all.done += 1; return clear.apply(this, given); };
   const next = () => {
-    if (all.done > all.seen) all.pictures += 1;
+    if (all.done > all.seen) all.frames += 1;
     all.seen = all.done;
     window.whole = {...all};
     requestAnimationFrame(next);
   };
   requestAnimationFrame(next);
 })();"""
-"""A page draws only when something changes, so that its pictures are those in which it drew; what
-was counted is read between two of them."""
-LEAST, LONGEST = 3, 6.0
-"""So many pictures are waited for [-], so many times longer at most than others are watched [-]."""
+"""Counts frames with draw calls, since a page draws only after a change. The counts are read
+between two frames."""
+MIN_FRAMES, MAX_FACTOR = 3, 6.0
+"""Minimum number of frames per measurement [-], and how many times longer than --seconds it may
+therefore take [-]."""
 STEADY = """most => new Promise(done => {
   const began = performance.now();
   let last = began, good = 0;
@@ -84,7 +85,7 @@ STEADY = """most => new Promise(done => {
   };
   requestAnimationFrame(next);
 })"""
-"""What is new is taken in when the page has had time for 30 pictures in a row."""
+"""Resolves once the page has rendered 30 consecutive frames in time."""
 RENDERER = """() => {
   const gl = document.querySelector("canvas").getContext("webgl2");
   return gl.getParameter(gl.getExtension("WEBGL_debug_renderer_info").UNMASKED_RENDERER_WEBGL);
@@ -92,14 +93,14 @@ RENDERER = """() => {
 
 
 class Watch:
-    """Measures looks, and tells what each is of the kitchen and of an empty page."""
+    """Measure views of pages, and print their cost."""
 
     def __init__(self, browser: Any, seconds: float) -> None:
         self._browser, self._seconds = browser, seconds
         self._tab: Any = None
 
     def open(self, address: str) -> None:
-        """Look at another page."""
+        """Open a page."""
         self.close()
         self._tab = self._browser.new_page(viewport=WINDOW)
         self._tab.add_init_script(COUNT)
@@ -107,18 +108,18 @@ class Watch:
         self._tab.locator("canvas").first.wait_for(timeout=1000 * SETTLED)
 
     def close(self) -> None:
-        """Look at nothing any more."""
+        """Close the page."""
         if self._tab is not None:
             self._tab.close()
             self._tab = None
 
     @property
     def renderer(self) -> str:
-        """What draws."""
+        """Return the name of the renderer."""
         return str(self._tab.evaluate(RENDERER))
 
     def turn(self, name: str) -> None:
-        """Drag the room round once, and tell what its pictures cost."""
+        """Rotate the room once with the mouse, and print the cost of its frames."""
         tab = self._tab
         tab.wait_for_timeout(1000 * QUIET)
         tab.evaluate(STEADY, 1000 * SETTLED)
@@ -127,18 +128,18 @@ class Watch:
         tab.mouse.down()
         first, used, began = self._counted(), processor_time(), time.monotonic()
         last, share = first, 0.0
-        while share < 1.0 or (last["pictures"] - first["pictures"] < LEAST and share < LONGEST):
+        while share < 1.0 or (last["frames"] - first["frames"] < MIN_FRAMES and share < MAX_FACTOR):
             tab.mouse.move(x + WAY * (share % 1.0), y)
             share = (time.monotonic() - began) / self._seconds
             last = self._counted()
         took = time.monotonic() - began
         spent = processor_time() - used
         tab.mouse.up()
-        drawn = max(last["pictures"] - first["pictures"], 1)
+        drawn = max(last["frames"] - first["frames"], 1)
         calls, triangles, points = (
             (last[key] - first[key]) / drawn for key in ("calls", "triangles", "points")
         )
-        print(f"{name:44} {drawn / took:5.1f} a second, {1000 * spent / drawn:4.0f} ms of "
+        print(f"{name:44} {drawn / took:5.1f} frames/s, {1000 * spent / drawn:4.0f} ms of "
               f"processor: {calls:4.0f} calls, {triangles:6.0f} triangles, {points:7.0f} points",
               flush=True)  # fmt: skip
 
@@ -148,10 +149,10 @@ class Watch:
 
 
 def processor_time() -> float:
-    """Of all processes that this one has begun, the browser's among them [s]."""
+    """Return the processor time of all child processes, including the browser [s]."""
     used: dict[int, tuple[int, float]] = {}
     for file in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):  # it has ended meanwhile
+        with suppress(OSError):  # the process has ended
             fields = file.read_text().rpartition(")")[2].split()
             ticks = int(fields[11]) + int(fields[12])
             used[int(file.parent.name)] = int(fields[1]), ticks / os.sysconf("SC_CLK_TCK")
@@ -163,13 +164,13 @@ def processor_time() -> float:
 
 
 def light(page: Page, *, plain: bool) -> None:
-    """Light the room."""
+    """Set the light of the room."""
     page.panel.plain.value = plain
     page.light.changed()
 
 
 def points(page: Page, coloring: str, number: str = "") -> None:
-    """Show points of the scan; "none": nothing of it."""
+    """Show the points of the scan; "none" hides them."""
     page.panel.cloud.value, page.panel.boxes.value = coloring, coloring != "none"
     if number:
         page.panel.points.value = number
@@ -177,7 +178,7 @@ def points(page: Page, coloring: str, number: str = "") -> None:
 
 
 def empty(watch: Watch) -> None:
-    """A page without a room."""
+    """Measure a page without a room."""
     server = open_server("127.0.0.1", 0)
     watch.open(f"http://127.0.0.1:{server.get_port()}")
     print(f"drawn by {watch.renderer}", flush=True)
@@ -188,7 +189,7 @@ def empty(watch: Watch) -> None:
 
 
 def cloud(watch: Watch) -> None:
-    """Points and nothing else: what their number costs, and what their size."""
+    """Measure points only, by number and size."""
     server = open_server("127.0.0.1", 0)
     server.scene.configure_default_lights(cast_shadow=False)
     server.scene.configure_environment_map(None)
@@ -209,7 +210,7 @@ def cloud(watch: Watch) -> None:
 
 
 def kitchen(watch: Watch) -> None:
-    """The demo kitchen, in both lights."""
+    """Measure the demo kitchen in both lights."""
     with tempfile.TemporaryDirectory() as folder, served(
         host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=("segway_ur5e",),
         scene="kitchen_small", robot="segway_ur5e", cache=user_cache(), folder=Path(folder),
@@ -223,24 +224,24 @@ def kitchen(watch: Watch) -> None:
 
 
 def hall(watch: Watch, page: Page, address: str, rounds: int) -> None:
-    """The large room, each time with one cost less, then with the points of its scan."""
+    """Measure the large room with its costs removed step by step, then with its scan."""
     points(page, "none")
     watch.open(address)
     for _ in range(rounds):
         light(page, plain=False)
         one_by_one(page, apart=True)
-        watch.turn("large room, each thing by itself")
+        watch.turn("large room, one mesh per object")
         one_by_one(page, apart=False)
-        watch.turn("large room, many things in one mesh")
+        watch.turn("large room, merged meshes")
         light(page, plain=True)
-        watch.turn("large room, plain light too")
+        watch.turn("large room, merged meshes, plain light")
     first, second, _ = POINTS
     for number in (first, second):
         points(page, "by object", number)
         with all_drawn():
             watch.turn(f"and its scan, {number} points all the time")
     points(page, "by object", first)
-    watch.turn("the page finds that this browser is slow")
+    watch.turn("the page detects a slow browser")
     for number in POINTS:
         points(page, "by object", number)
         watch.turn(f"and its scan, {number} points at rest")
@@ -253,7 +254,7 @@ def hall(watch: Watch, page: Page, address: str, rounds: int) -> None:
 
 @contextmanager
 def all_drawn() -> Iterator[None]:
-    """No browser counts as slow."""
+    """Treat every browser as fast."""
     slow, moving.SLOW_FRAME_TIME = moving.SLOW_FRAME_TIME, math.inf
     try:
         yield
@@ -262,7 +263,7 @@ def all_drawn() -> Iterator[None]:
 
 
 def one_by_one(page: Page, *, apart: bool) -> None:
-    """Draw each thing of a large room by itself, or many in one mesh."""
+    """Draw a large room with one mesh per object, or with merged meshes."""
     scene, active, most = page.room.scene, page.room.active, room_view.MAX_SEPARATE_OBJECTS
     assert scene is not None
     room_view.MAX_SEPARATE_OBJECTS = len(scene.objects) if apart else most
@@ -278,7 +279,7 @@ if __name__ == "__main__":
     parser.add_argument("--objects", type=int, default=1000)
     parser.add_argument("--points", type=int, default=2_000_000)
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--seconds", type=float, default=5.0, help="of each look")
+    parser.add_argument("--seconds", type=float, default=5.0, help="duration of each measurement")
     parser.add_argument("--only", nargs="*", choices=LOOKS, default=LOOKS)
     parser.add_argument("--chromium", default=shutil.which("chromium") or "chromium")
     args = parser.parse_args()

@@ -1,12 +1,12 @@
-"""Many pages at once, each acting: memory, exceptions, and whether all see the same.
+"""Test many concurrent web pages: memory, exceptions, and whether all show the same.
 
     python benchmarks/pages.py [--pages 20] [--minutes 10]
 
-The server runs as `momapos view` does. A page is what a browser is to it: a connection that keeps
-what it is told, and acts about every two seconds: drags the base, asks, changes the question,
-switches layers, plays, keeps, forgets, reloads. Now and then all wait until nothing changes any
-more; then every page, and one that is opened then, must show the same, and what is answered must be
-what is asked. Exit status 1 where anything is wrong.
+The server runs like `momapos view`. A page is a connection that acts like a browser: it stores the
+messages it receives, and acts about every two seconds: it drags the base, plans, changes the task,
+toggles layers, plays, adds and removes answers, reloads. From time to time all wait until nothing
+changes; then every page, and a newly opened one, must show the same, and the answer must match the
+task. Exit status 1 if anything is wrong.
 """
 
 from __future__ import annotations
@@ -30,16 +30,15 @@ from websockets.typing import Origin, Subprotocol
 
 SPOKEN = Subprotocol(f"viser-v{viser.__version__}")
 PAUSE = (1.0, 3.0)
-"""Between what one page does and what it does next [s]."""
+"""Range of pauses between two actions of a page [s]."""
 ROUND = 20.0
-"""All act for so long, then all are compared [s]."""
+"""Time of acting before all pages are compared [s]."""
 QUIET = 1.5
-"""Nothing changes any more when nothing has come for so long [s]."""
+"""Time without messages after which nothing changes [s]."""
 LONG = 120.0
-"""Work that goes on for longer hangs [s]."""
+"""Maximum time of work; longer work counts as hanging [s]."""
 GROWTH = 1.25
-"""Memory is flat where the last third of the time takes at most so many times what the middle one
-takes [-]."""
+"""Maximum ratio of the memory in the last third of the time to that in the middle third [-]."""
 ROBOTS = ("segway_ur5e", "fetch")
 TARGETS = ("fridge/door_hinge", "oven/door_hinge", "cabinet_right/drawer_top_slide",
            "microwave/door_hinge", "wall_cabinet/door_left_hinge")  # fmt: skip
@@ -47,8 +46,8 @@ LABELS = ("Importance, scene graph", "Arm reachability", "Free area", "Potential
           "Waypoints and grasps", "Start and base path", "Base-pose tolerance",
           "Collision spheres")  # fmt: skip
 KINDS = {"drag": 6, "layer": 4, "place": 3, "target": 3, "play": 3, "keep": 1, "forget": 1,
-         "stop": 1, "reload": 1, "robot": 1, "beside": 1}  # fmt: skip
-"""What pages do, and how often."""
+         "stop": 1, "reload": 1, "robot": 1, "side_by_side": 1}  # fmt: skip
+"""Actions of pages, and their weights."""
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (3.0, 3.0, 3.0),
     "fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 720, "image_width": 1280,
@@ -57,20 +56,20 @@ CAMERA = {
 
 
 @dataclass
-class Told:
-    """What a page was told so far: the properties of every control and of every node."""
+class PageState:
+    """Messages received by a page: the properties of every control and node."""
 
     controls: dict[str, dict[str, Any]] = field(default_factory=dict)
     nodes: set[str] = field(default_factory=set)
     received: int = 0
-    """[B]"""
+    """Received bytes [B]."""
     drawn: int = 0
-    """How many nodes came, those that came again among them."""
+    """Number of received nodes, including repeated ones."""
     last: float = 0.0
-    """When anything came."""
+    """Time of the last message."""
 
     def take(self, frame: bytes) -> None:
-        """Take in what the server sends."""
+        """Process a frame from the server."""
         self.received += len(frame)
         self.last = time.monotonic()
         size = int.from_bytes(frame[8:16], "little")
@@ -93,27 +92,27 @@ class Told:
                 self.drawn += 1
 
     def named(self, label: str) -> str:
-        """The control with a label."""
+        """Return the id of the control with a label."""
         return next(u for u, one in self.controls.items() if one.get("label") == label)
 
     def value(self, label: str) -> Any:
-        """What a control says."""
+        """Return the value of a control."""
         return self.controls[self.named(label)].get("value")
 
     @property
     def busy(self) -> bool:
-        """Whether there is work that could be stopped."""
+        """Return whether work is running."""
         return not self.controls[self.named("Stop")]["disabled"]
 
     @property
     def words(self) -> list[str]:
-        """All that is said, the control that is at work now and then apart."""
+        """Return all texts, without answer times."""
         texts = [one["_markdown"] for one in self.controls.values() if "_markdown" in one]
         return [re.sub(r"answered in \d+ ms", "", text) for text in texts]
 
     @property
     def state(self) -> dict[str, Any]:
-        """All that all pages must see alike."""
+        """Return everything that must be equal on all pages."""
         values = {one.get("label"): one.get("value") for one in self.controls.values()
                   if one.get("value") is not None and one.get("label")}  # fmt: skip
         return {"values": values, "words": sorted(self.words), "nodes": sorted(self.nodes)}
@@ -125,14 +124,14 @@ class Tab:
 
     address: str
     number: int
-    told: Told = field(default_factory=Told)
+    seen: PageState = field(default_factory=PageState)
     acts: int = 0
     _line: ClientConnection | None = None
     _hears: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Connect, as a browser does that opens or reloads the page."""
-        self.told = Told(last=time.monotonic())
+        """Connect like a browser that opens or reloads the page."""
+        self.seen = PageState(last=time.monotonic())
         self._line = await connect(
             self.address.replace("http", "ws"), origin=Origin(self.address), max_size=None,
             subprotocols=[SPOKEN],
@@ -141,7 +140,7 @@ class Tab:
         self._hears = asyncio.create_task(self._hear(self._line))
 
     async def close(self) -> None:
-        """Go away."""
+        """Disconnect."""
         if self._line is not None:
             await self._line.close()
         if self._hears is not None:
@@ -151,28 +150,28 @@ class Tab:
         try:
             async for frame in line:
                 assert isinstance(frame, bytes)
-                self.told.take(frame)
+                self.seen.take(frame)
         except ConnectionClosed:
             return
 
     async def send(self, message: dict[str, Any]) -> None:
-        """Say something to the server."""
+        """Send a message to the server."""
         assert self._line is not None
         await self._line.send(msgspec.msgpack.encode(message))
 
     async def set(self, label: str, value: Any) -> None:
-        """Set a control; the server tells it to all others only."""
-        uuid = self.told.named(label)
-        self.told.controls[uuid]["value"] = value
+        """Set a control; the server sends it to all other pages only."""
+        uuid = self.seen.named(label)
+        self.seen.controls[uuid]["value"] = value
         await self.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}})
 
     async def press(self, label: str) -> None:
         """Press a button."""
-        uuid = self.told.named(label)
+        uuid = self.seen.named(label)
         await self.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": True}})
 
     async def drag(self, rng: random.Random) -> None:
-        """Drag the base along a short way."""
+        """Drag the base along a short path."""
         x, y = rng.uniform(0.4, 3.0), rng.uniform(-2.5, -1.0)
         for step in range(8):
             await self.send({
@@ -182,7 +181,7 @@ class Tab:
             await asyncio.sleep(0.04)
 
     async def act(self, rng: random.Random) -> None:
-        """Do what people do."""
+        """Perform a random action of a user."""
         self.acts += 1
         kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
         buttons = {"place": "Place", "keep": "Add this answer", "stop": "Stop",
@@ -193,18 +192,18 @@ class Tab:
             await self.set("Object", rng.choice(TARGETS))
         elif kind == "robot":
             await self.set("Robot", rng.choice(ROBOTS))
-        elif kind == "beside":
-            await self.set("Side by side", not self.told.value("Side by side"))
+        elif kind == "side_by_side":
+            await self.set("Side by side", not self.seen.value("Side by side"))
         elif kind == "layer":
             label = rng.choice(LABELS)
-            await self.set(label, not self.told.value(label))
+            await self.set(label, not self.seen.value(label))
         elif kind == "play":
-            labels = {one.get("label") for one in self.told.controls.values()}
+            labels = {one.get("label") for one in self.seen.controls.values()}
             await self.press("Play" if "Play" in labels else "Pause")
         elif kind == "reload":
             await self.close()
             await self.open()
-            while not self.told.controls:
+            while not self.seen.controls:
                 await asyncio.sleep(0.05)
             await asyncio.sleep(0.5)
         else:
@@ -219,7 +218,7 @@ async def acting(tab: Tab, rng: random.Random, until: float) -> None:
 
 
 async def compared(tabs: list[Tab]) -> tuple[list[str], int]:
-    """Wait until nothing changes; what is wrong then, and what a page costs that is opened [B]."""
+    """Wait until nothing changes; return the errors, and the bytes of opening a page [B]."""
     await tabs[0].press("Stop")
     await asyncio.sleep(0.5)
     wanted = random.Random(tabs[0].acts).choice(TARGETS)
@@ -229,8 +228,8 @@ async def compared(tabs: list[Tab]) -> tuple[list[str], int]:
     ends = time.monotonic() + LONG
     while time.monotonic() < ends:
         await asyncio.sleep(0.2)
-        still = time.monotonic() - max(tab.told.last for tab in tabs) > QUIET
-        if still and not any(tab.told.busy for tab in tabs):
+        still = time.monotonic() - max(tab.seen.last for tab in tabs) > QUIET
+        if still and not any(tab.seen.busy for tab in tabs):
             break
     else:
         return [f"work goes on for more than {LONG:.0f} s"], 0
@@ -238,23 +237,23 @@ async def compared(tabs: list[Tab]) -> tuple[list[str], int]:
     await fresh.open()
     await asyncio.sleep(QUIET)
     wrong = []
-    expected = fresh.told.state
+    expected = fresh.seen.state
     for tab in tabs:
-        seen = tab.told.state
+        seen = tab.seen.state
         for key in expected:
             if seen[key] != expected[key]:
                 what = different(seen, expected, key)
                 wrong.append(f"page {tab.number} shows other {key}: {what}")
-    answered = [text for text in fresh.told.words if "candidates, " in text]
+    answered = [text for text in fresh.seen.words if "candidates, " in text]
     name = wanted.replace("_", "\\_")
     if not answered or name not in answered[0]:
-        wrong.append(f"{wanted} was asked, and the page says {answered or fresh.told.words}")
+        wrong.append(f"{wanted} was requested, but the page shows {answered or fresh.seen.words}")
     await fresh.close()
-    return wrong, fresh.told.received
+    return wrong, fresh.seen.received
 
 
 def different(seen: dict[str, Any], expected: dict[str, Any], key: str) -> str:
-    """Where two pages differ."""
+    """Return the differences between two pages."""
     if isinstance(seen[key], dict):
         keys = [k for k in {*seen[key], *expected[key]} if seen[key].get(k) != expected[key].get(k)]
         return ", ".join(f"{k}: {seen[key].get(k)!r} for {expected[key].get(k)!r}" for k in keys)
@@ -264,18 +263,18 @@ def different(seen: dict[str, Any], expected: dict[str, Any], key: str) -> str:
 
 
 def memory(pid: int) -> float:
-    """What a process holds in memory [MB]."""
+    """Return the memory of a process [MB]."""
     with open(f"/proc/{pid}/status") as file:
         (line,) = (line for line in file if line.startswith("VmRSS"))
     return int(line.split()[1]) / 1024
 
 
 async def run(address: str, pid: int, pages: int, minutes: float, seed: int) -> list[str]:
-    """All of it; what went wrong."""
+    """Run the test; return the errors."""
     tabs = [Tab(address, k) for k in range(pages)]
     for tab in tabs:
         await tab.open()
-    while not all(tab.told.nodes and tab.told.controls for tab in tabs):
+    while not all(tab.seen.nodes and tab.seen.controls for tab in tabs):
         await asyncio.sleep(0.1)
     rng, wrong, held = random.Random(seed), [], []
     began = time.monotonic()
@@ -287,7 +286,7 @@ async def run(address: str, pid: int, pages: int, minutes: float, seed: int) -> 
         held.append(memory(pid))
         acts = sum(tab.acts for tab in tabs)
         print(f"{time.monotonic() - began:5.0f} s: {acts} acts, {held[-1]:.0f} MB, "
-              f"{cost / 1e6:.2f} MB to a page that is opened, "
+              f"{cost / 1e6:.2f} MB to open a page, "
               f"{len(wrong)} wrong", flush=True)  # fmt: skip
         if wrong:
             break
@@ -320,8 +319,8 @@ if __name__ == "__main__":
         assert found is not None
         failed = asyncio.run(run(found[0], server.pid, args.pages, args.minutes, args.seed))
         server.terminate()
-        said = server.stderr.read()
-    if said:
-        failed.append(f"the server said:\n{said}")
-    print("\n".join(failed) if failed else "all pages saw the same; no exception")
+        errors = server.stderr.read()
+    if errors:
+        failed.append(f"the server printed:\n{errors}")
+    print("\n".join(failed) if failed else "all pages show the same; no exception")
     sys.exit(bool(failed))

@@ -1,12 +1,12 @@
-"""The paper's four tasks in its laboratory, with the table moved at random, in physics.
+"""Run the paper's four tasks in its laboratory in physics, with random table poses.
 
     python benchmarks/paper_tasks.py [--trials 50] [--methods ours] [--seed 0] [--out bench_out]
 
 Grasp an apple, grasp a cup, open the right-hinged fridge and the left-hinged microwave by 90
-degrees, with a Ranger Mini and an RM63 in `b512.json`. In each trial the table moves, and so do the
-things on it; the fridge and the robot's start stay. Every method meets the same worlds: it is asked
-for a base pose, the robot drives there with noise, plans the arm's motion anew and executes it.
-Prints, and writes as JSON, time without driving, cost and success beside the paper's numbers.
+degrees, with a Ranger Mini and an RM63 in `b512.json`. In each trial the table and the objects on
+it are moved; the fridge and the robot's start stay. Every method gets the same worlds: it plans a
+base pose, the robot drives there with noise, replans the arm's motion and executes it. Prints, and
+writes as JSON, time without driving, cost and success next to the paper's numbers.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
@@ -44,7 +44,7 @@ ROBOT = "ranger_rm63"
 def trial(
     scene: Scene, robot: Robot, reach: ReachScorer, task: Task, method: str, seed: int
 ) -> dict[str, object]:
-    """Ask for a base pose, drive there, do it."""
+    """Plan a base pose, drive there and execute the task."""
     config = PipelineConfig(
         place=PlaceConfig(method=method),  # type: ignore[arg-type]
         timeout=120.0,
@@ -72,7 +72,7 @@ def trial(
 
 
 def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict[str, Any]]:
-    """All trials, the same worlds for every method."""
+    """Run all trials, with the same worlds for every method."""
     data = shared_data()
     robot, room, small = load_robot(ROBOT), load_scene(data / ROOM), small_objects(data)
     reach = load_reach_map(robot, default_cache_dir(), None)
@@ -92,7 +92,7 @@ def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[di
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """A table as Markdown, the paper's rows after ours."""
+    """Return a table as Markdown, the paper's rows after ours."""
     lines = [f"machine: {machine()}", ""]
     lines += ["| task | method | trials | planning CPU s | with the arm's motion s | cost m | "
               "driven m | success % |", "|---|---|---|---|---|---|---|---|"]  # fmt: skip

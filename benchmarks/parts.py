@@ -1,14 +1,13 @@
-"""How well the front network finds doors, drawers and handles on faces it never saw.
+"""Evaluate the front network on unseen faces: doors, drawers and handles.
 
     PYTHONPATH=. python benchmarks/parts.py [--drawn 100] [--variants 3] [--pictures DIR]
                                             [--set development|test] [--walls 250]
 
-Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered, of one set
-(`objects.py`) if so asked; and real photos. Of the test set only sums are printed. With
---walls these are two sets, drawn cabinets that may hang and wall cabinets, many of whose doors are
-lifted, seen without and with how high they hang.
-A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
-where the middle of the predicted one lies within it.
+Four sets: newly drawn faces, ordinary and hard; rendered simulator objects, optionally of one set
+(`objects.py`); and real photos. Only sums are printed for the test set. With --walls there are two
+sets instead: drawn low cabinets, and wall cabinets with many lifted doors, each evaluated with and
+without knowledge of the height. A part is located if a predicted part of any kind overlaps it with
+an IoU of 0.5; a handle, if the center of the predicted one lies within it.
 """
 
 from __future__ import annotations
@@ -34,10 +33,10 @@ from objects import SETS
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
 from placement import shared as default_shared
 
-LOW = 1.05
-"""What is lower than this may hang on a wall [m]."""
+MAX_HUNG_HEIGHT = 1.05
+"""Lower cabinets may hang on a wall [m]."""
 LIFTED = generator.Mix({cabinets.hung: 1.0}, bare=generator.HUNG.bare)
-"""Wall cabinets alone."""
+"""Wall cabinets only."""
 COLORS = {
     "door_left": "red",
     "door_right": "lime",
@@ -62,10 +61,10 @@ class Tally:
     faces: int = 0
     seconds: list[float] = field(default_factory=list)
     wrong: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """How often a part of the first kind is taken for the second."""
+    """Number of parts of the first kind that are classified as the second."""
 
     def row(self, name: str) -> str:
-        """One line of the table."""
+        """Return one line of the table."""
         return (
             f"| {name} | {self.faces} | {_share(self.located, self.parts)} "
             f"| {_share(self.located, self.found)} | {_share(self.kinds, self.located)} "
@@ -78,7 +77,7 @@ def _share(part: int, whole: int) -> str:
 
 
 def matches(true: TrueFace, front: Front) -> list[tuple[int, int]]:
-    """Pairs of true and predicted parts that cover each other, the best first."""
+    """Return pairs of overlapping true and predicted parts, the best first."""
     if not true.parts or not front.parts:
         return []
     common = overlaps(
@@ -102,13 +101,13 @@ def count(true: TrueFace, front: Front, tallies: Iterable[Tally]) -> None:
         tally.located += len(pairs)
         tally.handles += sum(bool(p.handles) for p in true.parts)
         for i, j in pairs:
-            part, said = true.parts[i], front.parts[j]
-            tally.kinds += part.kind == said.kind
-            tally.wrong[str(part.kind), said.kind] += part.kind != said.kind
+            part, predicted = true.parts[i], front.parts[j]
+            tally.kinds += part.kind == predicted.kind
+            tally.wrong[str(part.kind), predicted.kind] += part.kind != predicted.kind
             if part.kind in ("door_left", "door_right"):
                 tally.doors += 1
-                tally.hinges += part.kind == said.kind
-            tally.held += said.handle is not None and _within(said.handle, part)
+                tally.hinges += part.kind == predicted.kind
+            tally.held += predicted.handle is not None and _within(predicted.handle, part)
 
 
 def _within(handle: tuple[float, float, float, float], part: TruePart) -> bool:
@@ -117,16 +116,16 @@ def _within(handle: tuple[float, float, float, float], part: TruePart) -> bool:
 
 
 def drawn_faces(number: int, seed: int, mix: generator.Mix) -> Iterator[TrueFace]:
-    """Faces that the generator draws, none of them drawn in training."""
+    """Yield faces of the generator that training did not use."""
     return itertools.islice(_drawn(seed, mix), number)
 
 
 def wall_faces(number: int, seed: int) -> Iterator[TrueFace]:
-    """Drawn cabinets that may hang: low, with doors and flaps alone."""
+    """Yield drawn cabinets that may hang: low, with doors and flaps only."""
 
     def hangs(true: TrueFace) -> bool:
         kinds = {part.kind for part in true.parts}
-        low = true.name == "cabinet" and true.face.height < LOW
+        low = true.name == "cabinet" and true.face.height < MAX_HUNG_HEIGHT
         return low and bool(kinds) and "drawer" not in kinds
 
     return itertools.islice(filter(hangs, _drawn(seed, generator.ORDINARY)), number)
@@ -139,8 +138,8 @@ def _drawn(seed: int, mix: generator.Mix) -> Iterator[TrueFace]:
         yield TrueFace(drawn.family, drawn.face, parts)
 
 
-def picture(true: TrueFace, front: Front, side: int = 320) -> Image.Image:
-    """A face with its true parts (left) and the predicted ones (right)."""
+def comparison(true: TrueFace, front: Front, side: int = 320) -> Image.Image:
+    """Return an image of a face with its true (left) and predicted parts (right)."""
     sheet = Image.new("RGB", (2 * side + 4, side))
     image = Image.fromarray(true.face.color).resize((side, side))
     right = image.copy()
@@ -166,7 +165,7 @@ def evaluate(
     *,
     sums: bool = False,
 ) -> None:
-    """Print a table of one set; one line where only the sums are wanted."""
+    """Print a table of one set, or its sums only."""
     tallies: defaultdict[str, Tally] = defaultdict(Tally)
     whole = Tally()
     right = [0, 0, 0, 0]
@@ -180,16 +179,17 @@ def evaluate(
         right[2 * real + 1] += (front.score > 0.5) == real
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
-            picture(true, front).save(out / f"{name}_{i:03d}.png")
+            comparison(true, front).save(out / f"{name}_{i:03d}.png")
     print(f"\n| {name} | faces | located | precision | kind | hinge side | handles |")
     print("|---|---|---|---|---|---|---|")
     for key in () if sums else sorted(tallies):
         print(tallies[key].row(key))
     print(whole.row("all"))
-    for (kind, said), times in () if sums else (+whole.wrong).most_common():
-        print(f"{times} {kind} taken for {said}")
+    for (kind, predicted), times in () if sums else (+whole.wrong).most_common():
+        print(f"{times} {kind} classified as {predicted}")
     print(
-        f"fronts told: {_share(right[3], right[2])}, others told: {_share(right[1], right[0])}; "
+        f"fronts recognized: {_share(right[3], right[2])}, "
+        f"others recognized: {_share(right[1], right[0])}; "
         f"{1000 * float(np.median(whole.seconds)):.0f} ms a face, "
         f"slowest {1000 * max(whole.seconds):.0f} ms"
     )
@@ -207,14 +207,14 @@ def main(
     """Print a table of each set.
 
     Args:
-        shared: Folder of the real data, by default that of MOMAPOS_SHARED; its sets are left out
-            where it is missing.
-        drawn: Number of freshly drawn faces of each of the two mixes.
-        variants: How often each real object is rendered.
-        seed: Of drawn faces, light, view and noise; training used others.
-        pictures: Folder for a picture of each face.
-        subset: Of the real objects only those of one set, see `objects.py`.
-        walls: So many drawn cabinets that may hang instead of all else.
+        shared: Folder of the real data, by default that of MOMAPOS_SHARED; its sets are skipped
+            if it is missing.
+        drawn: Number of newly drawn faces of each of the two mixes.
+        variants: Number of renderings of each real object.
+        seed: Seed of drawn faces, light, view and noise; training used others.
+        pictures: Folder for an image of each face.
+        subset: Only the real objects of one set, see `objects.py`.
+        walls: Number of drawn cabinets that may hang; they replace all other sets.
     """
     network = FrontNetwork()
 
@@ -229,13 +229,13 @@ def main(
         ):
             faces = list(more)
             evaluate(name, faces, network, pictures)
-            evaluate(f"{name}, above the eyes", faces, hung, None)
+            evaluate(f"{name}, height known", faces, hung, None)
         return
     evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
     evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)
     data = default_shared() if shared is None else shared
     if not (data / "bestman").is_dir():
-        print(f"\nno simulator objects and no photos: {data / 'bestman'} is not there")
+        print(f"\nno simulator objects and no photos: {data / 'bestman'} does not exist")
         return
     objects, sums = real_faces(data, variants, seed, subset), subset == SETS[1]
     kept = None if sums else pictures

@@ -1,7 +1,7 @@
-"""Faces with known parts that training never saw: simulator objects, rendered, and real photos.
+"""Faces with known parts that training never used: rendered simulator objects and real photos.
 
-The objects are meshes with joints. A camera in front of one sees its closed face; what moves is
-told by the joint of the mesh that each ray hits, so that nobody had to draw a box by hand.
+The objects are meshes with joints. A camera in front of one sees its closed face; the joint of the
+mesh that each ray hits identifies the moving parts, so no box is drawn by hand.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from objects import set_of
 
 PIXEL = 0.003
 """Size of a rendered pixel [m]."""
-LEAST_AREA = 0.01
-"""Share of the face from which on a moving piece is a part."""
+MIN_AREA = 0.01
+"""Minimum share of the face of a part [-]."""
 FAMILIES = ("Cabinet", "Fridge", "MiniFridge", "Microwave", "Oven", "Dishwasher", "Sink", "Kitchen")
 OTHER_AXES = ("CabinetTop",)
-"""Models that do not have x right, y up and z toward the viewer."""
+"""Models whose axes are not x right, y up and z toward the viewer."""
 
 Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class TruePart:
-    """A part as it really is; boxes are fractions of the face."""
+    """A true part; boxes are fractions of the face."""
 
     kind: PartKind | None
-    """None where it is not known."""
+    """None if unknown."""
     box: Box
     handles: tuple[Box, ...]
 
@@ -53,13 +53,13 @@ class TrueFace:
 
 @dataclass(frozen=True)
 class _Solid:
-    """All visible triangles of an object, and what each belongs to."""
+    """All visible triangles of an object, with their joints."""
 
     mesh: trimesh.Trimesh
     colors: np.ndarray
     """(faces, 3) in [0, 1]."""
     moving: np.ndarray
-    """(faces,) index of the joint that moves a triangle, -1 where none does."""
+    """(faces,) index of the joint that moves a triangle, -1 if none."""
     grips: np.ndarray
     """(faces,) whether it belongs to a handle."""
     kinds: list[tuple[str, np.ndarray, np.ndarray]]
@@ -73,8 +73,8 @@ def real_faces(
 
     Args:
         shared: Folder of the real data.
-        variants: How often each is rendered, in other light and from another side.
-        seed: Of light, view and noise.
+        variants: Number of renderings of each, with different light and view.
+        seed: Seed of light, view and noise.
         subset: Only the objects of one set, see `objects.py`.
     """
     scene = shared / "bestman" / "Asset" / "Scene"
@@ -92,7 +92,7 @@ def real_faces(
 
 
 def _scales(scene: Path) -> dict[str, float]:
-    """Scale of each model in the kitchens that use it."""
+    """Return the scale of each model in the kitchens that use it."""
     found: dict[str, float] = {}
     for path in sorted((scene / "Scene").glob("*.json")):
         for item in json.loads(path.read_text()):
@@ -120,7 +120,7 @@ def _load(path: Path, scale: float) -> _Solid:
         for joint in urdf.robot.joints:
             if joint.child not in carried and joint.parent in carried:
                 carried[joint.child] = carried[joint.parent]
-    # The root is turned to z up by one fixed joint; below it is the frame of the meshes.
+    # One fixed joint turns the root to z up; its child is the frame of the meshes.
     body = next(j.child for j in urdf.robot.joints if j.parent == urdf.base_link)
     meshes, colors, moving, grips = [], [], [], []
     for link in urdf.robot.links:
@@ -148,18 +148,18 @@ def _load(path: Path, scale: float) -> _Solid:
 
 
 def _color(piece: trimesh.Trimesh) -> np.ndarray:
-    """Mean color of a piece."""
+    """Return the mean color of a piece."""
     material = getattr(piece.visual, "material", None)
-    picture = getattr(material, "image", None)
-    if picture is not None:
-        return np.asarray(picture.convert("RGB"), float).reshape(-1, 3).mean(axis=0) / 255
+    texture = getattr(material, "image", None)
+    if texture is not None:
+        return np.asarray(texture.convert("RGB"), float).reshape(-1, 3).mean(axis=0) / 255
     if material is not None:
         return np.asarray(material.main_color, float)[:3] / 255
     return np.full(3, 0.6)
 
 
 def _render(name: str, solid: _Solid, rng: np.random.Generator, *, straight: bool) -> TrueFace:
-    """See the front of an object, rectified onto the front of its box."""
+    """Render the front of an object, rectified onto the front of its box."""
     low, high = solid.mesh.bounds
     size = high - low
     columns, rows = (np.clip(size[:2] / PIXEL, 60, 640)).astype(int)
@@ -216,30 +216,30 @@ def _face(
 
 
 def _parts(solid: _Solid, hit: np.ndarray) -> tuple[TruePart, ...]:
-    """Rectangles of what moves, from the triangle that each pixel shows."""
+    """Return the rectangles of moving parts from the triangle of each pixel."""
     owner = np.where(hit >= 0, solid.moving[hit], -1)
     grip = (hit >= 0) & solid.grips[hit]
     parts = []
     for i, (kind, axis, origin) in enumerate(solid.kinds):
         mask = owner == i
-        if mask.mean() < LEAST_AREA:
+        if mask.mean() < MIN_AREA:
             continue
         bare = mask & ~grip
         box = _bounds(bare if bare.any() else mask, 0.003)
         low, high = solid.mesh.bounds
         center = np.array([(box[0] + box[2]) / 2, 1 - (box[1] + box[3]) / 2])
         center = low[:2] + center * (high - low)[:2]
-        way = _way(kind, axis, origin[:2] - center)
-        if way is None:
+        opens = _part_kind(kind, axis, origin[:2] - center)
+        if opens is None:
             continue
         pieces, count = ndimage.label(ndimage.binary_dilation(mask & grip, iterations=4))
         handles = [_bounds((pieces == k) & mask & grip, 0.0) for k in range(1, count + 1)]
-        parts.append(TruePart(way, box, tuple(handles)))
+        parts.append(TruePart(opens, box, tuple(handles)))
     return tuple(parts)
 
 
 def _bounds(mask: np.ndarray, tail: float) -> Box:
-    """Rectangle around most pixels of a mask, as fractions."""
+    """Return the rectangle around most pixels of a mask, as fractions."""
     rows, columns = np.nonzero(mask)
     left, right = np.quantile(columns, (tail, 1 - tail))
     top, bottom = np.quantile(rows, (tail, 1 - tail))
@@ -247,8 +247,8 @@ def _bounds(mask: np.ndarray, tail: float) -> Box:
     return _four(np.array([left, top, right + 1, bottom + 1]) / (width, height, width, height))
 
 
-def _way(kind: str, axis: np.ndarray, hinge: np.ndarray) -> PartKind | None:
-    """How a part opens; `hinge` is from its center to its axis, x right and y up."""
+def _part_kind(kind: str, axis: np.ndarray, hinge: np.ndarray) -> PartKind | None:
+    """Return the kind of a part; `hinge` points from its center to its axis, x right and y up."""
     main = int(np.abs(axis).argmax())
     if kind == "prismatic":
         return "drawer" if main == 2 else None
@@ -260,10 +260,10 @@ def _way(kind: str, axis: np.ndarray, hinge: np.ndarray) -> PartKind | None:
 
 
 def photo_faces(shared: Path) -> Iterator[TrueFace]:
-    """The photos with boxes drawn by hand; a small box within a large one is its handle.
+    """Yield the photos with hand-drawn boxes; a small box within a large one is its handle.
 
-    The hand wrote no kinds. A handle far from the middle is that of a door, hinged on the other
-    side, which holds for all of them.
+    Kinds are not labeled. A handle far from the center is that of a door hinged on the other side,
+    which is true for all of them.
     """
     for path in sorted((shared / "cabinet_photos").glob("*.boxes.json")):
         rows = np.array(json.loads(path.read_text())["part_boxes_yxhw_normalized"])

@@ -1,10 +1,10 @@
-"""Every door and drawer with a handle in five kitchens of the BestMan simulator, for four robots.
+"""Plan every door and drawer with a handle in five BestMan kitchens, for four robots.
 
     python benchmarks/placement.py [--robots fetch ...] [--scenes kitchen_small ...] [--exhaustive]
         [--only fridge] [--out docs/data]
 
-Prints, and writes as JSON, for each task: the answer, its time, and with --exhaustive whether
-a grid of 5 cm and 10 degrees can solve it.
+Prints the answer of each task, its time and, with --exhaustive, whether a grid of 5 cm and 10
+degrees solves it; also writes JSON.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
@@ -46,18 +46,18 @@ ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
 
 
 def shared() -> Path:
-    """The folder of real data that holds bestman/."""
+    """Return the folder of real data that holds bestman/."""
     given = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).resolve().parents[2] / "shared"))
     return given / "data" if (given / "data").is_dir() else given
 
 
 def scene_of(name: str) -> Scene:
-    """A built-in kitchen by its name, or a scene of the real data."""
+    """Load a built-in kitchen, or a scene of the real data, by name."""
     return load_scene(name if name in builtin_names() else shared() / "bestman" / name)
 
 
 def openings(robots: Sequence[str]) -> list[tuple[str, str, str, str]]:
-    """Robot, scene, object and joint of every door and drawer of the kitchens."""
+    """Return robot, scene, object and joint of every door and drawer of the kitchens."""
     return [
         (robot, name, item, joint)
         for robot in robots
@@ -67,7 +67,7 @@ def openings(robots: Sequence[str]) -> list[tuple[str, str, str, str]]:
 
 
 def machine() -> str:
-    """The processor and the number of cores this runs on."""
+    """Return the processor and the number of cores."""
     model = platform.processor() or platform.machine()
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("model name"):
@@ -79,7 +79,7 @@ def machine() -> str:
 def run(
     robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool, only: str = ""
 ) -> list[dict[str, Any]]:
-    """Answer every task with a text in its name once to warm up and once for the clock."""
+    """Answer every task with a text in its name, once to warm up and once for the time."""
     rows = []
     for robot_name in robots:
         robot = load_robot(robot_name)
@@ -143,7 +143,7 @@ def report(rows: list[dict[str, Any]]) -> str:
     if len(done):
         lines += [
             f"all: {sum(r['status'] == 'solved' for r in done)} of {len(done)} solved; processor "
-            f"time, which other work stretches less, median {np.median(used):.0f} ms, 95th "
+            f"time (less affected by other programs): median {np.median(used):.0f} ms, 95th "
             f"percentile {np.percentile(used, 95):.0f} ms"
         ]
     for name in dict.fromkeys(r["robot"] for r in done):
@@ -155,7 +155,7 @@ def report(rows: list[dict[str, Any]]) -> str:
             f"{1000 * np.median(seconds):.0f} ms, 95th percentile "
             f"{1000 * np.percentile(seconds, 95):.0f} ms"
             + (
-                f" (solved alone: {1000 * np.median(seconds[solved]):.0f} and "
+                f" (solved only: {1000 * np.median(seconds[solved]):.0f} and "
                 f"{1000 * np.percentile(seconds[solved], 95):.0f} ms)"
                 if solved.any()
                 else ""

@@ -1,13 +1,13 @@
-"""Every method of base placement beside ours: same tasks, checks, arm motions and time.
+"""Compare all base placement methods: same tasks, checks, arm motions and time.
 
     python benchmarks/placers.py [--robots segway_ur5e ...] [--scenes kitchen_small ...]
         [--methods ours habitat ...] [--seed 0] [--timeout 20] [--out bench_out]
 
-Tasks are the doors and drawers of the rooms and the things in them that fit the hand. An exhaustive
-grid of 5 cm and 10 degrees, complete for one robot and task but for what lies between its poses,
-says which can be solved at all and from which cheapest pose; the methods are asked those. Every
-plan is verified again in the whole room. Times are processor time of an answer, warm; where a task
-is solved from the first pose that a method proposes, it needs no check but its own.
+Tasks are the doors and drawers of the rooms and the objects in them that fit the hand. An
+exhaustive grid of 5 cm and 10 degrees determines which tasks are feasible, and the cheapest base
+pose; the methods get the feasible tasks. Every plan is verified again in the whole room. Times are
+processor times of an answer, warm. "From its first pose" counts tasks that a method solves with the
+first pose that it proposes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_names import builtin_names
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task, openable, slides
+from momapos.planning.grasps.task_requests import make_task, openable, slides
 from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.placement.config import Method, PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
@@ -40,27 +40,27 @@ from placement import machine, scene_of
 METHODS = tuple(method for method in get_args(Method) if method != "exhaustive")
 KINDS = ("door", "drawer", "pick")
 GRID_TIMEOUT = 120.0
-"""Time for the grid to answer one task [s]."""
+"""Time limit of the grid for one task [s]."""
 
 
 def tasks_of(scene: Scene) -> Iterator[tuple[str, str, Task]]:
-    """Kind, name and task: all that opens, and all rigid things that stand on something."""
+    """Yield kind, name and task of all openings, and of all rigid objects on surfaces."""
     for item, joint in openable(scene):
         task = make_task(scene, "open", item, joint)
         yield "drawer" if slides(scene, task) else "door", f"{item}/{joint}", task
-    for thing in scene.objects:
+    for rigid in scene.objects:
         try:
-            task = make_task(scene, "pick", thing.name)
+            task = make_task(scene, "pick", rigid.name)
         except MomaposError:
             continue
-        yield "pick", thing.name, task
+        yield "pick", rigid.name, task
 
 
-def ask(
+def answer_row(
     scene: Scene, robot: Robot, task: Task, reach: ReachScorer, method: Method,
     *, seed: int, timeout: float,
 ) -> dict[str, Any]:  # fmt: skip
-    """One answer as a row."""
+    """Plan one task and return a row."""
     config = PipelineConfig(place=PlaceConfig(method=method), timeout=timeout)
     began = time.process_time()
     answer = plan_by_method(scene, robot, task, reach, config=config, seed=seed)
@@ -79,7 +79,7 @@ def ask(
 
 
 def _from_the_first_pose(answer: PlacementResult) -> bool:
-    """Whether the pose that works is the first that was proposed."""
+    """Return whether the feasible pose is the first that was proposed."""
     search = answer.search
     return search.base is not None and bool((search.poses[0][0] == search.base).all())
 
@@ -87,7 +87,7 @@ def _from_the_first_pose(answer: PlacementResult) -> bool:
 def run(
     robots: list[str], scenes: list[str], methods: list[Method], *, seed: int, timeout: float
 ) -> Iterator[dict[str, Any]]:
-    """All rows: the grid's first, then the methods' where the grid has an answer."""
+    """Yield all rows: the grid's first, then the methods' if the grid has an answer."""
     for robot_name in robots:
         robot = load_robot(robot_name)
         reach, warm = load_reach_map(robot, default_cache_dir(), None), False
@@ -96,20 +96,20 @@ def run(
             for kind, name, task in tasks_of(scene):
                 common = {"robot": robot_name, "scene": scene.name, "kind": kind, "task": name}
                 try:
-                    grid = ask(
+                    grid = answer_row(
                         scene, robot, task, reach, "exhaustive", seed=seed, timeout=GRID_TIMEOUT
                     )
-                except MomaposError:  # such as what is too large for the hand: no task
+                except MomaposError:  # for example an object that is too large for the hand
                     continue
                 yield common | grid
                 if grid["status"] != "solved":
                     continue
                 if not warm:
                     for method in methods:
-                        ask(scene, robot, task, reach, method, seed=seed, timeout=timeout)
+                        answer_row(scene, robot, task, reach, method, seed=seed, timeout=timeout)
                     warm = True
                 for method in methods:
-                    row = ask(scene, robot, task, reach, method, seed=seed, timeout=timeout)
+                    row = answer_row(scene, robot, task, reach, method, seed=seed, timeout=timeout)
                     yield common | row | {"cheapest": grid["cost"]}
 
 
@@ -128,7 +128,7 @@ def report(rows: list[dict[str, Any]]) -> str:
         mine = [r for r in rows if r["method"] == method]
         solved = [r for r in mine if r["status"] == "solved"]
         if not all(r["valid"] for r in solved):
-            raise AssertionError(f"{method}: a plan does not hold in the whole room")
+            raise AssertionError(f"{method}: a plan is not valid in the whole room")
         kinds = " | ".join(_share([r for r in mine if r["kind"] == kind]) for kind in KINDS)
         seconds = np.array([r["seconds"] for r in mine])
         cost = np.array([r["cost"] for r in solved])
@@ -147,7 +147,7 @@ def _share(rows: list[dict[str, Any]]) -> str:
 
 
 def _first(rows: list[dict[str, Any]]) -> str:
-    """Ours proposes nothing one by one: it chooses among all samples of a round."""
+    """Format the count of first poses; ours has none, since it compares all samples of a round."""
     ours = rows[0]["method"] == "ours"
     return "-" if ours else f"{sum(r['first'] for r in rows)} of {len(rows)}"
 

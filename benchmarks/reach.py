@@ -1,11 +1,10 @@
-"""Figures of the reachability maps: misses, false positives, size, building time, look-ups.
+"""Measure reachability maps: misses, false positives, size, building time, look-ups.
 
     python benchmarks/reach.py [ROBOT ...] [--count 20000] [--ready]
 
-"Exact" is inverse kinematics (`Robot.finer`) with self-collision and floor; the redundant joints of
-a longer arm are locked at 33 values for it. Poses near reach are up to 17 cm along each axis and
-half a radian beside some that the arm takes; the others fill the ball around the shoulder that the
-tool can reach.
+The reference is inverse kinematics (`Robot.finer`) with self-collision and floor; redundant joints
+are locked at 33 values. Poses "near reach" are up to 17 cm per axis and 0.5 rad off a reachable
+pose; the others fill the ball around the shoulder that the tool can reach.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from momapos.planning.reachability.reach_map import ReachConfig, ReachMap
 
 
 def machine() -> str:
-    """Name of the processor."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
@@ -51,18 +50,17 @@ def main(
     """Print a table.
 
     Args:
-        robots: Library robots or robot files; the whole library where none is given.
+        robots: Library robots or robot files; the whole library by default.
         count: Random poses per robot.
-        ready: Take the maps that are shipped or kept; all others are built anew.
+        ready: Use shipped and cached maps; by default all maps are built.
     """
     tiny = ReachConfig(cell=0.3, directions=3, azimuths=2, spins=1)
-    # Compile first, and say what that takes.
+    # Compile first, and print the time.
     began = time.perf_counter()
     build_map(load_robot("husky_ur5e"), tiny)
     print(machine())
     print(
-        f"compiling or loading the kernels, and a map of hardly any points: "
-        f"{time.perf_counter() - began:.1f} s\n"
+        f"compiling or loading the kernels, and a tiny map: {time.perf_counter() - began:.1f} s\n"
     )
     print(
         "| robot | grid | built, wall (CPU) | file | loaded | near reach: reachable "
@@ -78,7 +76,7 @@ def main(
 
 
 def row(robot: Robot, count: int, ready: bool) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     began, cpu = time.perf_counter(), time.process_time()
     content = encode(load_reach_map(robot) if ready else build_true_map(robot))
     built, cpu = time.perf_counter() - began, time.process_time() - cpu
@@ -87,8 +85,8 @@ def row(robot: Robot, count: int, ready: bool) -> str:
     loaded = time.perf_counter() - began
     exact = robot.finer.ik
     near, ball = (
-        evaluate(reach, robot, np.random.default_rng(0), count, exact, near=beside)
-        for beside in (True, False)
+        evaluate(reach, robot, np.random.default_rng(0), count, exact, near=near_reach)
+        for near_reach in (True, False)
     )
     weakest, floor = speeds(reach, robot)
     shape = (reach.values if reach.turned is None else reach.turned).shape
@@ -115,7 +113,7 @@ def row(robot: Robot, count: int, ready: bool) -> str:
 
 
 def marked(reach: ReachMap, robot: Robot, count: int = 5_000) -> float:
-    """Share of random arm states free of collision whose tool pose the map calls reachable."""
+    """Return the share of collision-free random arm states whose tool pose the map accepts."""
     chain, rng = robot.chain, np.random.default_rng(1)
     q = rng.uniform(*one_turn(chain), (10 * count, chain.size))
     boxes = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool))
@@ -126,11 +124,13 @@ def marked(reach: ReachMap, robot: Robot, count: int = 5_000) -> float:
 
 
 def speeds(reach: ReachMap, robot: Robot) -> tuple[float, float]:
-    """Nanoseconds per base, grasp and waypoint; milliseconds per grid of 6 m at 5 cm, the slowest
-    of ten tool poses."""
+    """Return the time per base, grasp and waypoint [ns], and per grid of 6 m at 5 cm [ms].
+
+    The second is the slowest of ten tool poses.
+    """
     rng = np.random.default_rng(2)
     Ts = random_poses(robot, rng, 100)[:, None].repeat(12, 1)
-    # A handle that is carried along a slanting line of 0.4 m.
+    # A handle that moves along a sloped line of 0.4 m.
     Ts[..., :3, 3] += np.linspace(0, 0.4, 12)[:, None] * pose((1, 0.5, 0))[:3, 3]
     bases = np.column_stack([rng.uniform(-1.2, 1.2, (2_000, 2)), rng.uniform(-3, 3, 2_000)])
     floor = np.arange(-3.0, 3.01, 0.05)
@@ -141,7 +141,7 @@ def speeds(reach: ReachMap, robot: Robot) -> tuple[float, float]:
 
 
 def best(work: Callable[[], object], times: int = 7) -> float:
-    """Least time of several runs [s]: other programs only ever add to it."""
+    """Return the minimum time of several runs [s]; other programs only increase it."""
     seconds = []
     for _ in range(times):
         began = time.perf_counter()

@@ -1,11 +1,11 @@
-"""What a robot of a robot file does in the simulator's kitchens: its map, its answers, and physics.
+"""Evaluate a robot file in the simulator's kitchens: map, answers, and execution in physics.
 
     python benchmarks/robot_openings.py FILE [--scenes Kitchen.json ...] [--most 2] [--run 2]
 
-Prints one JSON object. It says too what share of the tool poses of random arm states planning's
-inverse kinematics finds. Of each kitchen some openings are asked for, spread over it, by the
-robot's first arm. What is not solved is asked of every pose of a grid of 5 cm and 10 degrees, with
-more time: what a search of all of them solves is what the answers are counted against.
+Prints one JSON object, including the recall of planning's inverse kinematics on tool poses of
+random arm states. Some openings of each kitchen, spread over it, are planned for the robot's first
+arm. Unsolved ones are searched by a grid of 5 cm and 10 degrees with more time; answers are
+compared with this exhaustive search.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.protocols import ReachScorer
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.planning.grasps.hand_boxes import empty_handed
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.evaluation import evaluate
@@ -38,20 +38,20 @@ from momapos.workflows.run import run_plan
 from placement import CONFIG, SCENES, scene_of
 
 POSES, DRAWN = 12_000, 4_000
-"""Tool poses near reach that a map is held against, and tool poses of random arm states that
-inverse kinematics is asked for [-]."""
+"""Number of tool poses near reach that evaluate a map, and of tool poses of random arm states that
+evaluate inverse kinematics [-]."""
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--scenes", nargs="*", default=SCENES)
-    parser.add_argument("--most", type=int, default=2, help="openings of each scene")
-    parser.add_argument("--run", type=int, default=2, help="answers that are executed")
-    parser.add_argument("--timeout", type=float, default=30.0, help="for one opening [s]")
-    parser.add_argument("--grid", type=float, default=30.0, help="for all poses of the grid [s]")
-    parser.add_argument("--arm", help="of several; the first by default")
+    parser.add_argument("--most", type=int, default=2, help="number of openings per scene")
+    parser.add_argument("--run", type=int, default=2, help="number of executed answers")
+    parser.add_argument("--timeout", type=float, default=30.0, help="time limit per opening [s]")
+    parser.add_argument("--grid", type=float, default=30.0, help="time limit of the grid [s]")
+    parser.add_argument("--arm", help="arm of a robot with several; the first by default")
     args = parser.parse_args()
     start, wall = time.process_time(), time.monotonic()
     robot = load_robot(args.file, cache=user_cache(), arm=args.arm)
@@ -81,10 +81,10 @@ def main() -> None:
 
 
 def of_map(reach: ReachScorer, robot: Robot) -> dict[str, float]:
-    """What the map misses and invents near reach [-], and its size [MB]; nothing without one.
+    """Return misses and false positives of the map near reach [-], and its size [MB].
 
-    Held against inverse kinematics at 33 values of what is redundant: what the 9 of planning
-    overlook is not the map's invention.
+    Empty without a map. The reference is inverse kinematics with redundant joints locked at 33
+    values, since the 9 values of planning miss solutions.
     """
     if not isinstance(reach, ReachMap):
         return {}
@@ -96,7 +96,7 @@ def of_map(reach: ReachScorer, robot: Robot) -> dict[str, float]:
 def answered(
     robot: Robot, reach: ReachScorer, scene: str, item: str, joint: str, timeout: float
 ) -> tuple[dict[str, Any], PlacementPlan | None]:
-    """The answer for one opening, and its processor time."""
+    """Plan one opening; return the row with the processor time, and the plan."""
     row: dict[str, Any] = {"task": f"{Path(scene).stem} {item}/{joint}"}
     room = scene_of(scene)
     began = time.process_time()
@@ -114,7 +114,7 @@ def answered(
 def by_grid(
     robot: Robot, reach: ReachScorer, scene: str, item: str, joint: str, timeout: float
 ) -> str:
-    """What the whole grid of base poses says of an opening, in one of the words of an answer."""
+    """Return the status of an opening from the whole grid of base poses."""
     room = scene_of(scene)
     config = replace(CONFIG, timeout=timeout, place=PlaceConfig(method="exhaustive"))
     task = make_task(room, "open", item, joint)
@@ -125,7 +125,7 @@ def by_grid(
 
 
 def executed(robot: Robot, reach: ReachScorer, scene: str, plan: PlacementPlan) -> bool:
-    """Whether physics carries an answer out."""
+    """Return whether the execution of an answer in physics succeeds."""
     return run_plan(plan, scene_of(scene), robot, reach).success
 
 

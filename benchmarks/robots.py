@@ -1,16 +1,15 @@
-"""Robots that people have, as their makers publish them: is `robot check` enough to use them?
+"""Check that `robot check` suffices to use manufacturers' robot models.
 
     python benchmarks/robots.py SITE [--get] [--set development|test] [--only NAME ...] [--table] \\
         [--place 2] [--out FOLDER]
 
-SITE holds the packages with the makers' files; `--get` installs them there (1.2 GB). No file is
-edited, and none written beside the makers'. A mobile manipulator must get a robot file; an arm that
-stands nowhere must get a reason and then, with `--on-box`, a robot file; what is neither must get a
-reason. With `--place` each that got one is asked for so many openings of each of five kitchens
-(`robot_openings.py`), which a second table counts; `--table` takes the robots that docs/robots.md
-tells of so. With `--out` the figures of each robot are kept in a folder, and those that lie there
-are not measured again. A hash of the robot's name puts it into one of two sets: `development` may
-be examined, `test` is only counted.
+SITE holds the packages with the manufacturers' files; `--get` installs them there (1.2 GB). These
+files stay unchanged. A mobile manipulator must get a robot file; an arm without a base must get a
+reason and then, with `--on-box`, a robot file; other models must get a reason. `--place` sets the
+number of openings that each robot with a file plans in each of five kitchens (`robot_openings.py`),
+counted in a second table; `--table` selects the robots of that table in docs/results/robots.md.
+With `--out` the results are stored in a folder and reused. A hash of the robot's name puts it into
+one of two sets: `development` may be examined, `test` is only counted.
 """
 
 from __future__ import annotations
@@ -33,14 +32,14 @@ from placement import machine
 
 SETS = ("development", "test")
 SEEN = ("allegro_hand", "baxter", "frankie", "panda", "pr2", "tiago_no_hand", "ur10")
-"""Robots that the hash puts into the test set, but that were examined, or whose figures led to a
-change: they count as development set."""
+"""Robots that the hash puts into the test set but that were examined, or whose results led to a
+change; they count as development set."""
 TABLE = (
     "pr2", "fetch_maniskill", "tiago_no_hand", "tiago_pro", "ur10", "panda", "frankie",
     "mobile_panda_dual", "stretch4", "stretch_re2v0", "stretch_re1v0", "mobile_panda_single",
     "kinova", "iiwa14", "xarm7", "xarm7_ability", "vega", "vega_1u",
 )  # fmt: skip
-"""Robots that are asked for openings of five kitchens in docs/robots.md."""
+"""Robots of the table of openings in docs/results/robots.md."""
 PACKAGES = (
     "example-robot-data", "hello-robot-stretch-urdf", "hello-robot-stretch4-urdf", "dexmate-urdf",
     "armar", "mani-skill", "rtb-data", "airo-models",
@@ -48,7 +47,7 @@ PACKAGES = (
 COMMAND = "from momapos.apps.cli.main import entry; entry()"
 OPENINGS = Path(__file__).with_name("robot_openings.py")
 LIMIT, LIMIT_OPENINGS = 180, 900
-"""Processor time that a command may take, and all openings of a robot [s]."""
+"""Limits of processor time for a command, and for all openings of a robot [s]."""
 BOX = "0.6x0.5x0.7"
 
 
@@ -58,17 +57,17 @@ class Model:
 
     name: str
     folder: str
-    """Below the folder with all packages."""
+    """Path relative to the folder with all packages."""
     urdf: str
-    """The file that is checked, relative to the folder."""
+    """The checked file, relative to the folder."""
     kind: str = "mobile"
-    """mobile: a mobile manipulator; arm: one that stands nowhere; other: none of both."""
+    """mobile: a mobile manipulator; arm: an arm without a base; other: neither."""
     words: tuple[str, ...] = ()
-    """What else the command is given; {folder} stands for the folder."""
+    """Further arguments of the command; {folder} stands for the folder."""
 
     @property
     def subset(self) -> str:
-        """Whether it may be looked at."""
+        """Return its set: development or test."""
         if self.name in SEEN:
             return SETS[0]
         return SETS[hashlib.sha256(self.name.encode()).digest()[0] % 2]
@@ -76,17 +75,17 @@ class Model:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command did."""
+    """The result of a command."""
 
     status: int
     seconds: float
     """Processor time [s]."""
     wall: float
-    """[s]"""
+    """Wall time [s]."""
     memory: float
-    """Most memory at once [GB]."""
+    """Peak memory [GB]."""
     last: str
-    """The last line that it printed."""
+    """Its last line of output."""
 
 
 EXAMPLE = "cmeel.prefix/share/example-robot-data/robots"
@@ -121,7 +120,7 @@ MODELS = (
     Model("armar6", "armar/description", "urdf/armar6.urdf"),
     Model("centauro", EXAMPLE, "centauro_description/urdf/centauro.urdf"),
     Model("baxter", EXAMPLE, "baxter_description/urdf/baxter.urdf"),
-    # arms that stand nowhere
+    # arms without a base
     Model("panda", EXAMPLE, "panda_description/urdf/panda.urdf", "arm"),
     Model("ur5", EXAMPLE, "ur_description/urdf/ur5_robot.urdf", "arm"),
     Model("ur10", EXAMPLE, "ur_description/urdf/ur10_robot.urdf", "arm"),
@@ -154,7 +153,7 @@ MODELS = (
 
 
 def run(words: list[str], limit: int = LIMIT) -> Outcome:
-    """Run Python in a process of its own."""
+    """Run Python in a separate process."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryFile("w+") as out:
         child = subprocess.Popen(
@@ -181,7 +180,7 @@ def _limit(seconds: int) -> None:
 
 
 def _resident(pid: int) -> float:
-    """Most memory that a running process has had at once [GB]; 0 where the system does not say."""
+    """Return the peak memory of a running process [GB]; 0 if unknown."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except OSError:
@@ -190,7 +189,7 @@ def _resident(pid: int) -> float:
 
 
 def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]:
-    """Check a robot, and as much again as its kind asks for; what was run, and what it did."""
+    """Check a robot, with further commands depending on its kind; return names and results."""
     urdf, out = site / model.folder / model.urdf, folder / f"{model.name}.toml"
     more = [word.format(folder=site / model.folder) for word in model.words]
     words = ["-c", COMMAND, "robot", "check", str(urdf), "--out", str(out), *more]
@@ -201,7 +200,7 @@ def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]
 
 
 def measured(model: Model, site: Path, place: int, out: Path | None) -> list[tuple[str, Outcome]]:
-    """Check a robot and ask it for openings, or read what was measured before."""
+    """Check a robot and plan openings, or read stored results."""
     kept = None if out is None else out / f"{model.name}.json"
     if kept is not None and kept.is_file():
         return [(what, Outcome(**it)) for what, it in json.loads(kept.read_text())]
@@ -218,13 +217,13 @@ def measured(model: Model, site: Path, place: int, out: Path | None) -> list[tup
 
 
 def understood(model: Model, done: list[tuple[str, Outcome]]) -> bool:
-    """Whether the command did what it must for a robot of this kind."""
+    """Return whether the commands gave the required result for this kind of robot."""
     statuses = [outcome.status for what, outcome in done if what != "openings"]
     return statuses == {"mobile": [0], "arm": [2, 0], "other": [2]}[model.kind]
 
 
 def openings_row(model: Model, checks: float, did: Outcome) -> str:
-    """What `robot_openings.py` has measured, as a row; `checks` is what checking took [s]."""
+    """Format the results of `robot_openings.py` as a row; `checks` is the time of checking [s]."""
     if did.status != 0:
         return f"| {model.name} | {model.subset} | ended with status {did.status} |"
     found = json.loads(did.last)
@@ -251,15 +250,17 @@ def openings_row(model: Model, checks: float, did: Outcome) -> str:
 
 
 def main() -> None:
-    """Print a row for each robot, and what is counted."""
+    """Print a row for each robot, and the counts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("site", type=Path)
-    parser.add_argument("--get", action="store_true", help="install the packages where SITE is not")
+    parser.add_argument(
+        "--get", action="store_true", help="install the packages if SITE is missing"
+    )
     parser.add_argument("--set", choices=SETS)
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--table", action="store_true", help="the robots of the table alone")
-    parser.add_argument("--place", type=int, default=0, help="openings of each kitchen")
-    parser.add_argument("--out", type=Path, help="where figures are kept")
+    parser.add_argument("--table", action="store_true", help="only the robots of the table")
+    parser.add_argument("--place", type=int, default=0, help="number of openings per kitchen")
+    parser.add_argument("--out", type=Path, help="folder of stored results")
     args = parser.parse_args()
     if args.get and not args.site.exists():
         install = [sys.executable, "-m", "pip", "install", "--no-deps", "--target", str(args.site)]

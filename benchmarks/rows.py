@@ -1,4 +1,4 @@
-"""What a benchmark has measured, kept in a folder for those who read on."""
+"""Store the measurements of a benchmark in a folder."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def keep_rows(rows: Sequence[Any], folder: Path | None, name: str) -> None:
     """Write rows as FOLDER/NAME.json.
 
     Args:
-        rows: What JSON can hold, a member a row.
-        folder: Made where there is none; None to keep nothing.
-        name: Of the benchmark.
+        rows: Values that JSON can represent, one per row.
+        folder: Created if missing; None to store nothing.
+        name: Name of the benchmark.
     """
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""All measurements, one after the other: make bench."""
+"""Run all benchmarks, one after the other, as `make bench` does."""
 
 from __future__ import annotations
 

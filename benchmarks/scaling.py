@@ -1,9 +1,9 @@
-"""How the time of an answer grows with objects, waypoints and samples.
+"""Measure how the time of an answer grows with objects, waypoints and samples.
 
     python benchmarks/scaling.py [--out docs/images/scaling.png]
 
-The question is always the same: segway_ur5e opens the microwave of kitchen_small. Added objects
-are boxes on the floor of a hall around the kitchen.
+The task is always the same: segway_ur5e opens the microwave of kitchen_small. Added objects are
+boxes on the floor of a hall around the kitchen.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
@@ -33,7 +33,7 @@ REPEATS = 5
 
 
 def crowd(scene: Scene, count: int) -> Scene:
-    """The scene with boxes added, up to a number of objects, all outside the kitchen."""
+    """Add boxes outside the kitchen, up to a number of objects."""
     rng = np.random.default_rng(0)
     more = []
     for i in range(count - len(scene.objects)):
@@ -84,7 +84,7 @@ def main() -> None:
 
 
 def draw(curves: dict[str, dict[int, float]], path: Path) -> None:
-    """Three panels, time over size."""
+    """Draw three panels, time over size."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

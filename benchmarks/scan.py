@@ -1,12 +1,12 @@
-"""Scans of kitchens with known truth, made into scenes: fronts, waypoints, answers, times.
+"""Evaluate scenes from scans of known kitchens: fronts, waypoints, answers, times.
 
     python benchmarks/scan.py [--rooms 20] [--robot segway_ur5e] [--folder bench_out/scans]
                               [--frames 100] [--out bench_out] [--no-answers]
 
-Renders each kitchen as a walk with an RGB-D camera, makes a scene of it, and holds that against
-the kitchen. A task of the kitchen counts when it can be solved there; it is solved from the scan
-when `place` answers it in the scene made and the answer holds in the kitchen, checked exactly
-with a margin of 2 cm.
+Renders each kitchen as a walk with an RGB-D camera, reconstructs a scene, and compares it with the
+kitchen. A task counts if it is feasible in the kitchen. It is solved from the scan if `place`
+solves it in the reconstructed scene and the plan passes the exact check in the kitchen with a
+margin of 2 cm.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from momapos.perception.pipeline import default_tools
 from momapos.perception.records import Modeled
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.handles import opening_direction
-from momapos.planning.grasps.tasks import hand_path, make_task, openable
+from momapos.planning.grasps.task_requests import hand_path, make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
@@ -44,31 +44,31 @@ from momapos.workflows.scan import scan_to_scene
 from scan_rooms import Room, rooms
 
 MARGIN = 0.02
-"""How far a plan may be off in the true room [m]."""
-SAME = 0.15
-"""A door of the scan is the door of the room whose handle is within this [m]."""
+"""Maximum error of a plan in the true room [m]."""
+MAX_HANDLE_ERROR = 0.15
+"""Maximum distance of the handles of a matched door [m]."""
 
 
 @dataclass(frozen=True)
 class Door:
-    """One joint of the room, and what became of it."""
+    """One joint of the room, and its results."""
 
     room: str
     name: str
     category: str
     match: str
-    """The joint of the scan; "" where there is none."""
+    """The joint of the scan; "" if there is none."""
     frontal: float
-    """Angle of the chosen picture off the true normal [deg]; NaN where none was chosen."""
+    """Angle between the chosen view and the true normal [deg]; NaN if none was chosen."""
     waypoints: tuple[float, ...]
-    """Errors of the handle's position at 0, 45 and 90 degrees, or shut, half and wide open [m]."""
+    """Errors of the handle's position at 0, 45 and 90 degrees, or 0, 50 and 100 % open [m]."""
     solvable: bool = False
     solved: bool = False
     reason: str = ""
 
 
 def handle_at(scene: Scene, item: str, joint: str, share: float) -> np.ndarray:
-    """Where the handle is when a part is opened by a share of 90 degrees or of 30 cm [m]."""
+    """Return the handle position of a part opened by a share of 90 degrees or of 30 cm [m]."""
     model = scene.object(item).model
     full = 0.3 if model.joint(joint).kind == "prismatic" else np.pi / 2
     found = opening_of(model, joint)
@@ -81,7 +81,7 @@ def handle_at(scene: Scene, item: str, joint: str, share: float) -> np.ndarray:
 def match(
     truth: Scene, scanned: Scene, T_truth_scene: np.ndarray
 ) -> dict[tuple[str, str], tuple[str, str]]:
-    """The joint of the scan for each of the room: same kind, nearest handle, each used once."""
+    """Match joints of room and scan one to one: same kind, nearest handle."""
     ours, theirs = openable(truth), openable(scanned)
     pairs = []
     for a in ours:
@@ -93,23 +93,23 @@ def match(
                 pairs.append((gap, a, b))
     found: dict[tuple[str, str], tuple[str, str]] = {}
     for gap, a, b in sorted(pairs):
-        if gap < SAME and a not in found and b not in found.values():
+        if gap < MAX_HANDLE_ERROR and a not in found and b not in found.values():
             found[a] = b
     return found
 
 
 def compare(room: Room, result: Modeled, scanned: Scene) -> list[Door]:
-    """Every joint of the room against the scan."""
+    """Compare every joint of the room with the scan."""
     back = invert(result.T_scene_scan)
     matches, doors = match(room.scene, scanned, back), []
     views = {d.detection.name: d.view for d in result.decisions}
     for item, joint in openable(room.scene):
-        thing = room.scene.object(item)
+        furniture = room.scene.object(item)
         same = matches.get((item, joint))
         frontal, errors = float("nan"), tuple[float, ...]()
         if same is not None:
             view = views[same[0]]
-            _, outward = opening_direction(thing, joint)
+            _, outward = opening_direction(furniture, joint)
             outward = _square(outward)
             if view is not None:
                 eye = result.frames[view.frame].T_world_camera[:3, 3]
@@ -124,12 +124,12 @@ def compare(room: Room, result: Modeled, scanned: Scene) -> list[Door]:
                 for share in (0.0, 0.5, 1.0)
             )  # fmt: skip
         name = "" if same is None else "/".join(same)
-        doors.append(Door(room.name, f"{item}/{joint}", thing.category, name, frontal, errors))
+        doors.append(Door(room.name, f"{item}/{joint}", furniture.category, name, frontal, errors))
     return doors
 
 
 def _square(direction: np.ndarray) -> np.ndarray:
-    """The horizontal axis nearest to a direction: fronts of these rooms are square to the walls."""
+    """Return the horizontal axis nearest to a direction; fronts are parallel to the walls."""
     flat = np.zeros(3)
     axis = int(np.argmax(np.abs(direction[:2])))
     flat[axis] = np.sign(direction[axis])
@@ -139,7 +139,7 @@ def _square(direction: np.ndarray) -> np.ndarray:
 def answer(
     door: Door, room: Room, scanned: Scene, T_scene_truth: np.ndarray, robot_name: str
 ) -> Door:
-    """Whether a task that can be solved in the room is solved from the scan, and holds."""
+    """Evaluate whether a feasible task is solved from the scan, and valid in the room."""
     robot = load_robot(robot_name)
     reach = load_reach_map(robot, default_cache_dir(), None)
     config = PipelineConfig(place=PlaceConfig(grid=True), timeout=60.0)
@@ -172,41 +172,41 @@ def plan_in_scan(
     config: PipelineConfig,
     start: np.ndarray,
 ) -> tuple[Scene, PlacementPlan]:
-    """The task of a room, planned in the scene that was made of its scan.
+    """Plan the task of a room in its reconstructed scene.
 
     Args:
-        truth, scanned: The room, and the scene made of its scan.
-        true, found: The object and joint in either.
+        truth, scanned: The room, and its reconstructed scene.
+        true, found: The object and joint in each of them.
         robot, reach, config: How to plan.
-        start: Where the robot is at first, in the scene's frame.
+        start: Start pose of the robot, in the scene's frame.
 
     Returns:
-        The scene with the part as what it is taken for, see `plan_by_hypothesis`, and the plan.
+        The scene with the assumed joint of the part, see `plan_by_hypothesis`, and the plan.
     """
 
-    def ask(scene: Scene, _: Task) -> list[PlacementResult]:
+    def plan_in(scene: Scene, _: Task) -> list[PlacementResult]:
         task = task_in_scan(truth, scene, true, found)
         return [plan_base_placement(scene, robot, task, reach, start=start, config=config)]
 
     task = task_in_scan(truth, scanned, true, found)
-    scene, _, (result,) = plan_by_hypothesis(scanned, task, ask)
+    scene, _, (result,) = plan_by_hypothesis(scanned, task, plan_in)
     return scene, result.plan
 
 
 def task_in_scan(
     truth: Scene, scanned: Scene, true: tuple[str, str], found: tuple[str, str]
 ) -> Task:
-    """The task of a room, in the scene that was made of its scan.
+    """Return the task of a room in its reconstructed scene.
 
-    A part that is believed to open less far than the true one is opened as far as believed.
+    A part with a smaller estimated than true range is opened to the end of the estimated range.
     """
     ours = opening_of(truth.object(true[0]).model, true[1])
     theirs = opening_of(scanned.object(found[0]).model, found[1])
-    asked = make_task(truth, "open", *true).to
-    assert asked is not None
-    travel, whole = abs(asked - ours.closed), min(abs(theirs.wide - theirs.closed), np.pi / 2)
+    goal = make_task(truth, "open", *true).to
+    assert goal is not None
+    travel, whole = abs(goal - ours.closed), min(abs(theirs.wide - theirs.closed), np.pi / 2)
     kinds = [s.object(n).model.joint(j).kind for s, (n, j) in ((truth, true), (scanned, found))]
-    # A drawer that is taken for a flap is opened as wide as that.
+    # A drawer that was classified as a flap is opened by the flap's angle.
     travel = min(travel, whole) if len({kind == "prismatic" for kind in kinds}) == 1 else whole
     return make_task(scanned, "open", *found, theirs.closed + theirs.sign * travel)
 
@@ -221,9 +221,9 @@ def why_not(
     robot: Robot,
     task: Task | None = None,
 ) -> str:
-    """Why a plan for the scene made does not hold in the room, checked exactly; "" if it does.
+    """Return why a plan for the reconstructed scene fails the exact check in the room; "" if valid.
 
-    What is asked in the room is by default to open the part.
+    The task in the room is by default to open the part.
     """
     assert plan.motion is not None
     assert plan.base_pose is not None
@@ -247,7 +247,7 @@ def why_not(
 
 
 def moved(base: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """A base pose (x, y, yaw) in another frame; what that one is tilted by is left out."""
+    """Return a base pose (x, y, yaw) in another frame, ignoring the tilt of that frame."""
     x, y, _ = apply(T, np.array([[base[0], base[1], 0.0]]))[0]
     return np.array([x, y, base[2] + np.arctan2(T[1, 0], T[0, 0])])
 
@@ -260,7 +260,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=int, default=20)
     parser.add_argument("--robot", default="segway_ur5e")
-    parser.add_argument("--frames", type=int, default=100, help="of the scans that are made")
+    parser.add_argument("--frames", type=int, default=100, help="number of frames of new scans")
     parser.add_argument("--folder", type=Path, default=Path("bench_out/scans"))
     parser.add_argument("--out", type=Path, default=Path("bench_out"))
     parser.add_argument("--no-answers", action="store_true")
@@ -294,7 +294,7 @@ def main() -> None:
 
 
 def summary(doors: list[Door]) -> str:
-    """One line of figures."""
+    """Return one line of results."""
     matched = [d for d in doors if d.match]
     angles = np.array([d.frontal for d in matched if np.isfinite(d.frontal)])
     errors = np.array([d.waypoints for d in matched]).reshape(-1, 3)

@@ -1,26 +1,26 @@
-"""From a scan of a real object that nobody tuned to, to its opened doors and drawers.
+"""Scan real objects, reconstruct them, and open their doors and drawers.
 
     python benchmarks/scan_objects.py [--set development|test] [--robot segway_ur5e] [--frames 60]
-                                      [--folder bench_out/scan_objects] [--no-answers] [--anew]
+                                      [--folder bench_out/scan_objects] [--no-answers] [--again]
                                       [--together 1] [--misled 1] [--models FOLDER]
                                       [--detector FILE] [--turned DEGREES]
 
-Every object of `objects.py` stands alone in its small room, or, with --together 10, ten of one set
-in a kitchen. The room is scanned, the scan is made
-into a scene, and every true door and drawer is held against it: whether its front is there (IoU of
-the rectangles seen from before it 0.5), how it moves, where its axis and its handle are. Then it is
-opened: planned in the scene made, checked exactly in the room with a margin of 2 cm, and executed
-by contact with noise in the room as it truly is (`run_plan(..., world=)`). Only what can be planned
-in the room itself counts. What is done is kept in the folder and not done again.
+Every object of `objects.py` stands alone in a small room or, with --together 10, with nine others
+of its set in a kitchen. The room is scanned and reconstructed, and every true door and drawer is
+compared with the scene: presence of its front (IoU 0.5 of the front rectangles), kind of motion,
+axis and handle. Then it is opened: planned in the reconstructed scene, checked exactly in the true
+room with a margin of 2 cm, and executed by contact with noise in the true room (`run_plan(...,
+world=)`). Only parts that are feasible in the true room count. Results are stored in the folder and
+reused.
 
 With --models the objects are those of a folder's models.json, such as sweet_home.py writes it.
 
-With --detector the images are looked at with it, as `momapos scan --detector` does.
+With --detector the images are processed with it, as by `momapos scan --detector`.
 
-With --turned the scan's own world is turned about z, as that of a phone is, which begins somewhere.
+With --turned the scan's world is turned about z, as that of a phone with an arbitrary start.
 
-With --misled N the robot is led to believe, as firmly as it believed what is right, that the part
-moves in the Nth likely of the other ways: only parts count whose kind and side are right before.
+With --misled N the belief about the part's joint is swapped: the Nth most probable other hypothesis
+gets the probability of the best one. Only parts with a right kind and side before the swap count.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ from momapos.perception.pipeline import default_tools
 from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import Tools
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
-from momapos.simulation.true_worlds import moved as elsewhere
+from momapos.simulation.true_worlds import moved as in_other_frame
 from momapos.workflows.run import run_plan
 from momapos.workflows.scan import scan_to_scene
 from object_kitchens import Place, kitchen
@@ -67,26 +67,26 @@ from scan import moved, plan_in_scan, why_not
 from scan_parts import Row, compare, shown, table, way_of
 
 CONFIG = PipelineConfig(timeout=60.0)
-WAY = 0.3
-"""A drawer is open by this way at the latest [m]."""
+MAX_SLIDE = 0.3
+"""Travel at which a drawer counts as open at the latest [m]."""
 
 
 def opened(
     row: Row, truth: Scene, scanned: Scene, T_scene_truth: np.ndarray, robot: Robot, reach: Any
 ) -> Row:
-    """Plan a part in the room and in the scene made, check the plan, and execute it."""
+    """Plan a part in the true and in the reconstructed room, check the plan, and execute it."""
     try:
-        task = make_task(truth, "open", row.thing, row.joint)
+        task = make_task(truth, "open", row.item, row.joint)
         there = plan_base_placement(truth, robot, task, reach, config=CONFIG)
     except MomaposError as error:
-        return replace(row, planned=f"refused in the room: {error}")
+        return replace(row, planned=f"invalid in the room: {error}")
     if there.plan.status != "solved":
         return replace(row, planned=f"{there.plan.status} in the room")
     row = replace(row, solvable=True)
     if not row.match:
         return replace(row, planned="not found", reason="not found")
     name, _, joint = row.match.partition("/")
-    true, found = (row.thing, row.joint), (name, joint)
+    true, found = (row.item, row.joint), (name, joint)
     start = moved(there.start, T_scene_truth)
     try:
         taken, plan = plan_in_scan(truth, scanned, true, found, robot, reach, CONFIG, start)
@@ -102,10 +102,10 @@ def opened(
     same = (row.kind == "drawer") == slides
     share = opened_share(truth, true, plan) if same else 1.0
     if share < 1.0 - physics.tolerance:
-        why = f"opens {share:.0%} of the way in the scene made"
+        why = f"opens {share:.0%} of the range in the reconstructed scene"
         return replace(row, strict=why, reason=why)
     strict = why_not(plan, truth, taken, T_scene_truth, true, found, robot)
-    world = elsewhere(truth, moved(np.zeros(3), T_scene_truth))
+    world = in_other_frame(truth, moved(np.zeros(3), T_scene_truth))
     try:
         record = run_plan(plan, taken, robot, reach, world=world, seed=0, physics=physics)
         done, reason = record.success, record.reason
@@ -115,27 +115,26 @@ def opened(
 
 
 def opened_share(truth: Scene, true: tuple[str, str], plan: PlacementPlan) -> float:
-    """How far a plan opens its part, as a share of what is asked in the room.
+    """Return how far a plan opens its part, as a share of the task in the room.
 
-    Of a drawer `WAY` is enough: how far it slides is not to be seen.
+    `MAX_SLIDE` is enough for a drawer, since its range is not visible.
     """
-    thing, joint = true
-    model = truth.object(thing).model
-    asked = make_task(truth, "open", thing, joint).to
-    assert asked is not None
+    item, joint = true
+    model = truth.object(item).model
+    goal = make_task(truth, "open", item, joint).to
+    assert goal is not None
     assert plan.motion is not None
-    way = abs(asked - opening_of(model, joint).closed)
+    travel = abs(goal - opening_of(model, joint).closed)
     if model.joint(joint).kind == "prismatic":
-        way = min(way, WAY)
-    return abs(float(plan.motion.object_q[-1] - plan.motion.object_q[0])) / way
+        travel = min(travel, MAX_SLIDE)
+    return abs(float(plan.motion.object_q[-1] - plan.motion.object_q[0])) / travel
 
 
 def misled(scene: Scene, name: str, joint: str, index: int) -> Scene:
-    """A scene in which a part is believed to move in another way, which changes places with the
-    likeliest one.
+    """Return a scene in which another hypothesis about a joint swaps with the most probable one.
 
     Raises:
-        SceneError: That way does not fit the object.
+        SceneError: The hypothesis does not fit the object.
     """
     ways = list(scene.object(name).hypotheses[joint])
     first, other = ways[0], ways[index]
@@ -148,12 +147,12 @@ def misled(scene: Scene, name: str, joint: str, index: int) -> Scene:
 
 
 def places(
-    things: Iterable[tuple[str, Path, Usual]], subset: str | None, together: int
+    models: Iterable[tuple[str, Path, Usual]], subset: str | None, together: int
 ) -> Iterator[Place]:
-    """The rooms of the objects of either set: each in its own, or so many to a kitchen."""
+    """Yield the rooms of the objects of each set: one object per room, or several per kitchen."""
     alone = [
         (name, truth)
-        for name, file, usual in things
+        for name, file, usual in models
         if subset in (None, set_of(name)) and (truth := room(name, file, usual)) is not None
     ]
     if together == 1:
@@ -167,7 +166,7 @@ def places(
 
 
 def scan_of(place: Place, folder: Path, frames: int, seed: int) -> Path:
-    """The folder of a room, with its scan, which is made where there is none."""
+    """Return the folder of a room with its scan, which is generated if missing."""
     home = folder / place.name
     if not (home / "scan").exists():
         home.mkdir(parents=True, exist_ok=True)
@@ -179,7 +178,7 @@ def scan_of(place: Place, folder: Path, frames: int, seed: int) -> Path:
 def measure(
     place: Place, home: Path, tools: Tools, robot: Robot | None, reach: Any, wrong: int, turn: float
 ) -> list[Row]:
-    """Everything about the objects of a room; only what was seen where there is no robot."""
+    """Evaluate the objects of a room; without a robot only the reconstruction."""
     truth, T_scan_room = place.scene, pose_planar(np.array([0.0, 0.0, np.radians(turn)]))
     try:
         scan = moved_scan(read_scan(home / "scan"), T_scan_room)
@@ -187,16 +186,16 @@ def measure(
     except MomaposError as error:
         print(f"{place.name}: {error}", file=sys.stderr)
         return [
-            Row(name, j.name, set_of(name), way_of(truth.object(thing), j.name, T).kind)
-            for thing, (name, T) in place.objects.items()
-            for j in parts(truth.object(thing).model)
+            Row(name, j.name, set_of(name), way_of(truth.object(item), j.name, T).kind)
+            for item, (name, T) in place.objects.items()
+            for j in parts(truth.object(item).model)
         ]
     scanned = load_scene(str(home / "found" / "scene.json"))
     T_scene_room = result.T_scene_scan @ T_scan_room
     rows = [
         row
-        for thing, (name, T) in place.objects.items()
-        for row in compare(name, thing, truth, scanned, invert(T_scene_room), T)
+        for item, (name, T) in place.objects.items()
+        for row in compare(name, item, truth, scanned, invert(T_scene_room), T)
     ]
     took = {one.detection.name: one.seconds for one in result.decisions}
     rows = [replace(row, seconds=took.get(row.match.partition("/")[0], 0.0)) for row in rows]
@@ -214,7 +213,7 @@ def measure(
 
 
 def moved_scan(scan: Scan, T: np.ndarray) -> Scan:
-    """The same images, in another world."""
+    """Return the same images in another world frame."""
     frames = tuple(replace(one, T_world_camera=T @ one.T_world_camera) for one in scan.frames)
     return replace(scan, frames=frames)
 
@@ -225,24 +224,28 @@ def main() -> None:
     parser.add_argument("--set", choices=SETS, help="only the objects of one set")
     parser.add_argument("--robot", default="segway_ur5e")
     parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0, help="of the walk, materials and noise")
-    parser.add_argument("--together", type=int, default=1, help="so many objects to a kitchen")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the walk, materials and noise")
+    parser.add_argument("--together", type=int, default=1, help="number of objects per kitchen")
     parser.add_argument("--folder", type=Path, default=Path("bench_out/scan_objects"))
-    parser.add_argument("--no-answers", action="store_true", help="only what is seen")
-    parser.add_argument("--anew", action="store_true", help="do again what was done")
+    parser.add_argument(
+        "--no-answers", action="store_true", help="evaluate the reconstruction only"
+    )
+    parser.add_argument("--again", action="store_true", help="ignore stored results")
     parser.add_argument("--only", help="only rooms with this in their name")
-    parser.add_argument("--misled", type=int, default=0, help="believe the Nth of the other ways")
-    parser.add_argument("--turned", type=float, default=0.0, help="the scan's world [degrees]")
+    parser.add_argument(
+        "--misled", type=int, default=0, help="swap the belief with the Nth other hypothesis"
+    )
+    parser.add_argument("--turned", type=float, default=0.0, help="turn the scan's world [degrees]")
     parser.add_argument("--models", type=Path, help="folder with a models.json of other objects")
-    parser.add_argument("--detector", type=Path, help="ONNX file; tells what things are")
+    parser.add_argument("--detector", type=Path, help="ONNX file of an object detector")
     args = parser.parse_args()
     if args.misled and args.no_answers:
-        parser.error("--misled is about what is opened; leave out --no-answers")
+        parser.error("--misled needs answers; leave out --no-answers")
     if args.together < 1:
         parser.error(f"--together must be 1 or more, not {args.together}")
-    things = objects() if args.models is None else listed(args.models)
+    models = objects() if args.models is None else listed(args.models)
     try:
-        rooms = list(places(things, args.set, args.together))
+        rooms = list(places(models, args.set, args.together))
     except MomaposError as error:
         sys.exit(str(error))
     tools, robot, reach = default_tools(), None, None
@@ -260,7 +263,7 @@ def main() -> None:
         if args.turned:
             name += f"_turned_{args.turned:g}"
         file = home / f"{name}.json"
-        if args.anew or not file.exists():
+        if args.again or not file.exists():
             made = measure(place, home, tools, robot, reach, args.misled, args.turned)
             file.write_text(json.dumps([asdict(row) for row in made], indent=1) + "\n")
         found = [

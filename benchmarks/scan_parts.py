@@ -1,4 +1,4 @@
-"""Doors and drawers of a room against those of a scene made of its scan, one row each."""
+"""Compare the doors and drawers of a room with those of its reconstructed scene, one row each."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from objects import parts, set_of
 from scan import handle_at
 
 LOCATED = 0.5
-"""IoU of two fronts from which on they are one [-]."""
-APART = 0.2
-"""Their planes are no farther apart [m]."""
+"""Minimum IoU of two fronts that are the same part [-]."""
+MAX_DEPTH_GAP = 0.2
+"""Maximum distance of their planes [m]."""
 AXIS, TILT = 0.02, np.radians(3.0)
-"""An axis is right within these [m], [rad]."""
-SOON = 0.4
-"""Looking at an object may take so long [s]."""
+"""Maximum errors of a right axis [m], [rad]."""
+TIME_GOAL = 0.4
+"""Intended maximum time to reconstruct an object [s]."""
 
 
 @dataclass(frozen=True)
 class Way:
-    """How a part moves, in the world."""
+    """Motion of a part, in the world."""
 
     kind: str
     """door, flap or drawer."""
     direction: np.ndarray
-    """Of its axis."""
+    """Direction of its axis."""
     point: np.ndarray
-    """On the axis [m]."""
+    """A point on the axis [m]."""
     low: np.ndarray
     high: np.ndarray
-    """Corners of the part while it is shut [m]."""
+    """Corners of the closed part [m]."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One door or drawer, and what became of it."""
+    """One door or drawer, and its results."""
 
     object: str
     joint: str
     subset: str
     kind: str
     match: str = ""
-    """The joint of the scan; "" where no front is there."""
+    """The joint of the scan; "" if there is no front."""
     label: str = ""
     found: str = ""
-    """As what it is found."""
+    """Kind of the joint in the scan."""
     side: bool = False
     """Whether kind and side of the hinge are right."""
     axis: float | None = None
@@ -59,23 +59,23 @@ class Row:
     tilt: float | None = None
     """Angle between them [rad]."""
     handle: tuple[float, ...] = ()
-    """Errors of the handle shut, half and wide open [m]."""
+    """Errors of the handle at 0, 50 and 100 % open [m]."""
     solvable: bool = False
     planned: str = ""
-    """Status of the plan in the scene made."""
+    """Status of the plan in the reconstructed scene."""
     strict: str = "not found"
-    """Why the plan does not hold in the room, checked exactly."""
+    """Why the plan fails the exact check in the room."""
     done: bool = False
     reason: str = ""
-    """Why the run did not open it."""
-    thing: str = "object"
+    """Why the execution did not open it."""
+    item: str = "object"
     """Name of the object in its room."""
     seconds: float = 0.0
-    """How long looking at the object found took [s]."""
+    """Time to reconstruct the object [s]."""
 
     @property
     def right(self) -> bool:
-        """Whether the axis is right."""
+        """Return whether the axis is right."""
         return (
             self.side and self.axis is not None and self.axis < AXIS
             and self.tilt is not None and self.tilt < TILT
@@ -83,7 +83,7 @@ class Row:
 
 
 def way_of(item: SceneObject, joint: str, T: np.ndarray) -> Way:
-    """How a part moves, in a frame that T maps the world to."""
+    """Return the motion of a part, in a frame that T maps the world to."""
     record = item.model.joint(joint)
     at = T @ item.link_poses()[record.parent] @ record.T_parent_joint
     sign = opening_of(item.model, joint).sign
@@ -98,8 +98,8 @@ def way_of(item: SceneObject, joint: str, T: np.ndarray) -> Way:
 
 
 def overlap(one: Way, other: Way) -> float:
-    """IoU of two fronts seen along x; 0 where one lies far behind the other."""
-    if abs(one.low[0] - other.low[0]) > APART:
+    """Return the IoU of two fronts seen along x; 0 if one is far behind the other."""
+    if abs(one.low[0] - other.low[0]) > MAX_DEPTH_GAP:
         return 0.0
     low, high = np.maximum(one.low, other.low)[1:], np.minimum(one.high, other.high)[1:]
     common = float(np.prod(np.maximum(high - low, 0.0)))
@@ -108,7 +108,7 @@ def overlap(one: Way, other: Way) -> float:
 
 
 def off(true: Way, found: Way) -> tuple[bool, float | None, float]:
-    """Whether a part opens the right way, how far its axis is off [m] and at what angle [rad]."""
+    """Return whether kind and side are right, and the axis errors [m], [rad]."""
     cosine = float(np.clip(true.direction @ found.direction, -1.0, 1.0))
     if true.kind != found.kind or cosine < 0.0:
         return False, None, float(np.arccos(cosine))
@@ -124,23 +124,23 @@ def off(true: Way, found: Way) -> tuple[bool, float | None, float]:
 
 
 def compare(
-    name: str, thing_name: str, truth: Scene, scanned: Scene, back: np.ndarray, T: np.ndarray
+    name: str, item_name: str, truth: Scene, scanned: Scene, back: np.ndarray, T: np.ndarray
 ) -> list[Row]:
-    """Every part of an object against the scene made.
+    """Compare every part of an object with the reconstructed scene.
 
     Args:
-        name: Of the object, as the list of objects has it.
-        thing_name: Its name in the room.
-        truth, scanned: The room, and the scene made of its scan.
-        back: From the frame of that scene to the room's.
-        T: From the room's frame to one in which the object's front is toward -x.
+        name: Name in the list of objects.
+        item_name: Its name in the room.
+        truth, scanned: The room, and its reconstructed scene.
+        back: Transform from that scene's frame to the room's.
+        T: Transform from the room's frame to one in which the object's front is toward -x.
     """
-    item = truth.object(thing_name)
+    item = truth.object(item_name)
     ours = [(j.name, way_of(item, j.name, T)) for j in parts(item.model)]
     theirs = [
-        (thing, joint, way_of(thing, joint, T @ back))
-        for thing in scanned.objects
-        for joint in thing.model.joints
+        (seen_item, joint, way_of(seen_item, joint, T @ back))
+        for seen_item in scanned.objects
+        for joint in seen_item.model.joints
     ]
     pairs = sorted(
         ((overlap(a, b), i, k) for i, (_, a) in enumerate(ours)
@@ -153,21 +153,21 @@ def compare(
             found[i] = k
     rows = []
     for i, (joint, way) in enumerate(ours):
-        row = Row(name, joint, set_of(name), way.kind, thing=thing_name)
+        row = Row(name, joint, set_of(name), way.kind, item=item_name)
         if i in found:
-            thing, other, seen = theirs[found[i]]
+            seen_item, other, seen = theirs[found[i]]
             side, axis, tilt = off(way, seen)
             errors: tuple[float, ...] = ()
             if (way.kind == "drawer") == (seen.kind == "drawer"):
                 errors = tuple(
                     float(np.linalg.norm(
-                        handle_at(truth, thing_name, joint, share)
-                        - apply(back, handle_at(scanned, thing.name, other, share)[None])[0]
+                        handle_at(truth, item_name, joint, share)
+                        - apply(back, handle_at(scanned, seen_item.name, other, share)[None])[0]
                     ))
                     for share in (0.0, 0.5, 1.0)
                 )  # fmt: skip
             row = replace(
-                row, match=f"{thing.name}/{other}", label=thing.category, found=seen.kind,
+                row, match=f"{seen_item.name}/{other}", label=seen_item.category, found=seen.kind,
                 side=side, axis=axis, tilt=tilt, handle=errors,
             )  # fmt: skip
         rows.append(row)
@@ -175,7 +175,7 @@ def compare(
 
 
 def table(rows: Sequence[Row]) -> str:
-    """One set in figures, and each part that is not opened with its reason."""
+    """Summarize one set, and list each part that was not opened with its reason."""
     located = [r for r in rows if r.match]
     kinds = [r for r in located if r.found == r.kind]
     hinged = [r for r in kinds if r.kind != "drawer"]
@@ -188,8 +188,12 @@ def table(rows: Sequence[Row]) -> str:
         ("hinge side right, of doors and flaps", sum(r.side for r in hinged), len(hinged)),
         ("axis within 2 cm, 3 degrees", sum(r.right for r in located), len(located)),
         ("the same, of all parts", sum(r.right for r in rows), len(rows)),
-        ("plan in the scene made", sum(r.planned == "solved" for r in solvable), len(solvable)),
-        ("holds in the room, exactly", sum(not r.strict for r in solvable), len(solvable)),
+        (
+            "plan in the reconstructed scene",
+            sum(r.planned == "solved" for r in solvable),
+            len(solvable),
+        ),
+        ("plan valid in the room", sum(not r.strict for r in solvable), len(solvable)),
         ("opened in physics", sum(r.done for r in solvable), len(solvable)),
     ]
     lines = [
@@ -199,36 +203,36 @@ def table(rows: Sequence[Row]) -> str:
     ]
     if len(errors):
         medians = ", ".join(f"{100 * v:.1f}" for v in np.median(errors, axis=0))
-        lines.append(f"| handle shut, half, wide open, where the side is right | {medians} cm |")
+        lines.append(f"| handle at 0, 50, 100 % open, if the side is right | {medians} cm |")
     times = [*{(r.object, r.match.partition("/")[0]): r.seconds for r in located}.values()]
     if times:
-        soon = f"{sum(time <= SOON for time in times)} of {len(times)} within {SOON} s"
-        spread = f"{np.median(times):.2f} s, most {max(times):.2f} s"
-        lines.append(f"| looking at an object | {spread}, {soon} |")
+        soon = f"{sum(time <= TIME_GOAL for time in times)} of {len(times)} within {TIME_GOAL} s"
+        spread = f"{np.median(times):.2f} s, max {max(times):.2f} s"
+        lines.append(f"| time per object | {spread}, {soon} |")
     reasons = Counter(cause(r) for r in solvable if not r.done)
     taken = Counter((r.kind, r.found) for r in located if r.found != r.kind)
     lines += [
-        f"  {count} {one} taken for a {other}" for (one, other), count in sorted(taken.items())
+        f"  {count} {one} classified as {other}" for (one, other), count in sorted(taken.items())
     ]
     lines += [f"  {count} not opened: {reason}" for reason, count in reasons.most_common()]
     return "\n".join(lines)
 
 
 def cause(row: Row) -> str:
-    """Why a part is not opened, in general words."""
+    """Return the category of the reason that a part is not opened."""
     if not row.match:
         return "part not located"
     if row.found != row.kind:
-        return f"{row.kind} taken for a {row.found}"
+        return f"{row.kind} classified as {row.found}"
     if not row.side:
         return "hinge on the wrong side"
     if row.planned != "solved":
-        return "no plan in the scene made"
-    return "run fails, axis right" if row.right else "run fails, axis off"
+        return "no plan in the reconstructed scene"
+    return "run fails, axis right" if row.right else "run fails, axis wrong"
 
 
 def shown(row: Row) -> str:
-    """One line."""
+    """Format a row as one line."""
     where = f"{row.object.removeprefix('Kitchen_models/')}/{row.joint} {row.kind}"
     if not row.match:
         return f"{where}: not located" + (" (solvable)" if row.solvable else "")
@@ -238,5 +242,5 @@ def shown(row: Row) -> str:
     handle = ", ".join(f"{100 * v:.1f}" for v in row.handle)
     text = f"{where}: {row.match} ({row.found}) side {row.side}, axis {axis}, handle {handle} cm"
     if row.planned:
-        text += f"; {row.planned}; strict: {row.strict or 'holds'}; done {row.done} {row.reason}"
+        text += f"; {row.planned}; strict: {row.strict or 'valid'}; done {row.done} {row.reason}"
     return text

@@ -1,4 +1,4 @@
-"""Rooms with known truth and scans of them, made once and kept in a folder."""
+"""Provide rooms with known truth and their scans, generated once and stored in a folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from momapos.perception.recordings.scan_reader import read_scan
 
 @dataclass(frozen=True)
 class Room:
-    """A room, and a scan of it."""
+    """A room and its scan."""
 
     name: str
     scene: Scene
@@ -25,7 +25,7 @@ class Room:
 
 
 def rooms(folder: Path, count: int, frames: int = 100) -> Iterator[Room]:
-    """Generated kitchens of all layouts in turn, each with a scan; made where there are none."""
+    """Yield generated kitchens of all layouts in turn, each with a scan; generate missing ones."""
     for k in range(count):
         layout, seed = LAYOUTS[k % len(LAYOUTS)], k // len(LAYOUTS)
         home = folder / f"{layout}_{seed}"

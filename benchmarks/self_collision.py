@@ -1,8 +1,8 @@
-"""How many random states of each arm touch the robot itself: by hulls, by spheres, as decided.
+"""Count self-collisions of random arm states by hulls, by spheres, and as planning decides.
 
     python benchmarks/self_collision.py [ROBOT ...]
 
-The figures stand in docs/robots.md. Processor time, of one thread.
+The results are in docs/results/robots.md. Processor time of one thread.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ REPEATS = 5
 
 
 def row(robot: Robot) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     chain, spheres = robot.chain, robot.spheres
     q = sample_states(chain, np.random.default_rng(5))
     found = contacts(chain, spheres, q)
@@ -37,11 +37,13 @@ def row(robot: Robot) -> str:
 
 
 def main() -> None:
-    """Print the table for some robots, or for all of the library."""
+    """Print the table for some robots, or for the whole library."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=library_names(), metavar="ROBOT")
     args = parser.parse_args()
-    print("| states blocked [%] | by hulls | by spheres alone | as decided | pairs left to hulls |")
+    print(
+        "| states blocked [%] | by hulls | by spheres only | as in planning | pairs left to hulls |"
+    )
     for name in args.robots:
         for robot in load_arms(name):
             print(row(robot))

@@ -1,10 +1,10 @@
-"""From a scan to a motion: where the time goes, beside the paper's table.
+"""Measure the time per stage from a scan to a motion, next to the paper's table.
 
     python benchmarks/stages.py [--rooms 6] [--robot segway_ur5e] [--folder bench_out/scans]
 
-Kitchens are generated and scanned as in scan.py. In each, the scan is asked for every door and
-drawer of its first fridge and cabinet that was modeled, with what matters modeled alone, as
-`momapos solve` does; the arm's motion is not counted. Shares of the paper are of its table.
+Kitchens are generated and scanned as in scan.py. Every door and drawer of the first reconstructed
+fridge and cabinet of each scan is solved with only important objects modeled, as in `momapos
+solve`; the arm's motion is not counted. The paper's shares are those of its table.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from momapos.core.errors import TaskError
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.perception.pipeline import default_tools, model_room, survey
-from momapos.planning.grasps.tasks import openable
+from momapos.planning.grasps.task_requests import openable
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.workflows.solve import ScanTask, solve_scan
 from placement import machine
@@ -35,7 +35,7 @@ KINDS = ("fridge", "cabinet")
 
 
 def tasks(room: Room, folder: Path) -> Iterator[ScanTask]:
-    """The doors and drawers of the first of each kind that moves in the scan."""
+    """Yield the doors and drawers of the first articulated object of each kind in the scan."""
     tools = default_tools()
     made = model_room(survey(room.scan, tools), folder / "whole.json", tools)
     parts = openable(load_scene(made.scene))

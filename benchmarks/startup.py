@@ -1,7 +1,7 @@
-"""Processor time of whole commands, from start to exit, children included: user and system.
+"""Measure the processor time of whole commands, user and system, including children.
 
-Warm commands are run once before they are measured. First answers are measured once each: from a
-clone (a copy of the source tree without caches) and from a wheel that is built and unpacked first.
+Warm commands run once before the measurement. First answers are measured once each: from a clone (a
+copy of the source tree without caches) and from a wheel that is built and unpacked first.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ WARM = (
 
 
 def processor_time(command: list[str], source: Path, cache: Path) -> float:
-    """Seconds that a momapos command takes with the package in `source`.
+    """Return the processor time of a momapos command with the package in `source` [s].
 
     Raises:
         subprocess.CalledProcessError: The command failed.
     """
     paths = [str(source), os.environ.get("PYTHONPATH", "")]
-    # Told not to keep byte code, Python would compile a hundred modules at every start.
+    # Without stored byte code, Python would compile all modules at every start.
     kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     environment = {
         **kept,
@@ -55,7 +55,7 @@ def processor_time(command: list[str], source: Path, cache: Path) -> float:
 
 
 def warm(command: list[str], folder: Path, repeats: int) -> float:
-    """Median of some runs after one that is not counted."""
+    """Return the median of some runs after one that is not counted [s]."""
     cache = folder / "cache"
     plan = folder / "plan.json"
     command = [str(plan) if word == "PLAN" else word for word in command]
@@ -64,7 +64,7 @@ def warm(command: list[str], folder: Path, repeats: int) -> float:
 
 
 def first_from_clone(folder: Path) -> float:
-    """The first answer of a fresh source tree."""
+    """Return the time of the first answer of a new source tree [s]."""
     source = folder / "clone"
     ignored = shutil.ignore_patterns("__pycache__", "kernels.zip")
     shutil.copytree(ROOT / "src", source, ignore=ignored)
@@ -72,7 +72,7 @@ def first_from_clone(folder: Path) -> float:
 
 
 def first_from_wheel(folder: Path) -> float | None:
-    """The first answer of a wheel; None where no wheel with compiled kernels can be built."""
+    """Return the time of the first answer of a wheel [s]; None without compiled kernels."""
     build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir"]
     done = subprocess.run([*build, str(folder), str(ROOT)], capture_output=True, text=True)
     wheels = list(folder.glob("*.whl"))
@@ -81,14 +81,14 @@ def first_from_wheel(folder: Path) -> float | None:
         return None
     with zipfile.ZipFile(wheels[0]) as wheel:
         if "momapos/core/compiled/kernels.zip" not in wheel.namelist():
-            print("the wheel brings no compiled kernels", file=sys.stderr)
+            print("the wheel has no compiled kernels", file=sys.stderr)
             return None
         wheel.extractall(folder / "site")
     return processor_time(PLACE, folder / "site", folder / "wheel_cache")
 
 
 def measure(repeats: int) -> Mapping[str, float | None]:
-    """Seconds of each command."""
+    """Return the time of each command [s]."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         processor_time([*PLACE, "--out", str(folder / "plan.json")], ROOT / "src", folder / "cache")
@@ -101,10 +101,10 @@ def measure(repeats: int) -> Mapping[str, float | None]:
 
 
 def main() -> None:
-    """Print the table, and write it where that is asked for."""
+    """Print the table, and optionally write it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=3, help="runs of a warm command")
-    parser.add_argument("--out", type=Path, help="write the seconds here (JSON)")
+    parser.add_argument("--repeats", type=int, default=3, help="number of runs of a warm command")
+    parser.add_argument("--out", type=Path, help="JSON file for the times")
     args = parser.parse_args()
     found = measure(args.repeats)
     for name, seconds in found.items():

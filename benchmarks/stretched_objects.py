@@ -1,11 +1,11 @@
-"""The objects of `objects.py` in other proportions, or lying on their side, as URDFs of their own.
+"""Write the objects of `objects.py` as URDFs with other proportions, or rolled on their side.
 
     python benchmarks/stretched_objects.py --out FOLDER [--wide 1.5] [--high 0.75] [--rolled]
     python benchmarks/scan_objects.py --models FOLDER --no-answers
 
-Their doors and drawers are those of things that people build, in sizes that nothing was tuned to.
-Rolled by a quarter turn, what was hinged at its side is hinged below, or above: a flap; only
-objects with a door are. An object stays in its set.
+Doors and drawers stay realistic, but their sizes are new to momapos. After a roll by 90 degrees, a
+part hinged at its side is hinged below or above, like a flap; only objects with a door are rolled.
+An object stays in its set.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from momapos.model.urdf.urdf_records import Geometry, Link
 from objects import objects, parts, room, set_of
 
 _FRONT = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From a front toward -x, as in `objects.room`, to one toward -y, as in `object_rooms`."""
+"""Turns a front toward -x, as in `objects.room`, to -y, as in `object_rooms`."""
 
 
 def rolls(item: SceneObject) -> int:
-    """Which way an object is rolled so that most of its doors are hinged below.
+    """Return the roll direction after which most doors are hinged below.
 
     Returns:
-        1 where its left side comes down, -1 where its right one does, 0 where it has no door.
+        1 to roll to the left side, -1 to the right side, 0 without a door.
     """
     poses, votes = item.link_poses(), 0.0
     for joint in parts(item.model):
@@ -50,9 +50,9 @@ def rolls(item: SceneObject) -> int:
 
 
 def write(item: SceneObject, stretch: np.ndarray, turn: np.ndarray, home: Path) -> Path:
-    """Write an object, first stretched along the axes of its room, then turned.
+    """Write an object, stretched along the axes of its room and then turned.
 
-    Every link has the orientation of the model, so that a stretched part moves as a rigid one.
+    Every link gets the orientation of the model, so that a stretched part still moves rigidly.
 
     Returns:
         The URDF file.
@@ -113,7 +113,7 @@ def _mesh(
     origin: np.ndarray,
     colors: dict[str, tuple[float, float, float]],
 ) -> str:
-    """A shape as an OBJ file in the frame of its new link; its colors are added to `colors`."""
+    """Return a shape as an OBJ file in the frame of its new link; add its colors to `colors`."""
     lines, count = ["mtllib paints.mtl"], 0
     for patch in patches(shape, paint):
         points = apply(T, patch.triangles.reshape(-1, 3)) @ A.T - origin
@@ -138,18 +138,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for the URDFs")
     parser.add_argument("--wide", type=float, default=1.0, help="factor of the width")
     parser.add_argument("--high", type=float, default=1.0, help="factor of the height")
-    parser.add_argument("--rolled", action="store_true", help="lying on their side")
+    parser.add_argument("--rolled", action="store_true", help="roll objects on their side")
     args = parser.parse_args()
     if not (0.2 <= args.wide <= 5.0 and 0.2 <= args.high <= 5.0):
-        parser.error("--wide and --high are factors from 0.2 to 5")
+        parser.error("--wide and --high must be from 0.2 to 5")
     rows = []
     for name, file, usual in objects():
         scene = room(name, file, usual)
         item = None if scene is None else scene.object("object")
-        way = rolls(item) if args.rolled and item is not None else 0
-        if item is None or (args.rolled and not way):
+        direction = rolls(item) if args.rolled and item is not None else 0
+        if item is None or (args.rolled and not direction):
             continue
-        roll = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -way], [0.0, way, 0.0]])
+        roll = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -direction], [0.0, direction, 0.0]])
         turn = _FRONT @ (roll if args.rolled else np.eye(3))
         home = args.out / name.replace("/", "_")
         urdf = write(item, np.diag([1.0, args.wide, args.high]), turn, home)

@@ -1,16 +1,16 @@
-"""Furniture of Sweet Home 3D as URDFs: doors and drawers that nothing here was tuned to.
+"""Convert Sweet Home 3D furniture to URDFs: doors and drawers that momapos is not tuned to.
 
     apt-get download sweethome3d sweethome3d-furniture && for f in *.deb; do dpkg-deb -x $f x; done
     python benchmarks/sweet_home.py x/usr/share/sweethome3d --out FOLDER
     python benchmarks/scan_objects.py --models FOLDER --no-answers
 
-The interior design program names the parts of its models that move (`opening_on_hinge_1`), and what
-they turn about (`hinge_1`). Each becomes a joint: a hinge turns about the longest side of the box
-about its fittings, toward the front, or upward where a lid lies on top; a drawer slides forward.
-What has no fittings, or is as slim as a tap, stays where it is. A color comes from the material
-file beside a model or from the program's own list; materials with textures or in neither have none.
-Nothing of these models is part of the repository. Of furniture of this kind, a hash of the name
-says which set may be examined, as in `objects.py`.
+The interior design program names the moving parts of its models (`opening_on_hinge_1`) and their
+fittings (`hinge_1`). Each part becomes a joint: a hinge turns about the longest side of the box
+around its fittings, toward the front, or upward for a lid on top; a drawer slides forward. Parts
+without fittings, or as slim as a tap, are fixed. Colors come from a model's material file or from
+the program's own list; textured and unknown materials have none. The repository contains none of
+these models. A hash of the name decides whether a model is in the development or the test set, as
+in `objects.py`.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ KINDS = frozenset(
         "sink", "sinkCabinet", "small-oven", "wardrobe", "washbasinWithCabinet",
     )
 )  # fmt: skip
-"""Furniture with doors or drawers, by the names of its models."""
-SMALL, COUNTER = 0.5, 0.9
-"""What is lower than the one and does not hang stands on a counter as high as the other [m]."""
-LEAST = 0.2
-"""What is narrower in two directions is no door or drawer, but a tap or a knob [m]."""
+"""Model names of furniture with doors or drawers."""
+MAX_SMALL_HEIGHT, COUNTER = 0.5, 0.9
+"""Lower furniture that does not hang is placed on a counter, and the counter's height [m]."""
+MIN_SIZE = 0.2
+"""Parts narrower than this in two directions are taps or knobs, not doors or drawers [m]."""
 TURN, SLIDE = np.pi / 2, 0.7
-"""How far doors open [rad], and drawers, as a share of their depth."""
+"""Range of doors [rad], and of drawers as a share of their depth [-]."""
 _LIST = "FurnitureCatalog.properties"
 _LOADER = "OBJLoader.class"
 _MOVING = re.compile(
@@ -52,29 +52,29 @@ _MOVING = re.compile(
 )
 _SPECIAL = re.compile(r"(?<!\S)sweethome3d_", re.I)
 _TURNED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From y up, front toward z, to z up, front toward -y."""
+"""Turns y up, front toward z, to z up, front toward -y."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """One piece of furniture as its catalog has it."""
+    """One piece of furniture of a catalog."""
 
     name: str
     creator: str
     size: tuple[float, float, float]
     """Width, depth, height [m]."""
     above: float
-    """Floor to its lower side [m]."""
+    """Height of its lower side above the floor [m]."""
     counter: bool
-    """Whether it stands on something."""
+    """Whether it stands on a counter."""
     text: str
-    """Its OBJ file."""
+    """Content of its OBJ file."""
     paints: dict[str, str]
-    """Diffuse color of each material that has one, as its files write it."""
+    """Diffuse color of each material that has one, as text."""
 
     @cached_property
     def placed(self) -> tuple[np.ndarray, list[Group]]:
-        """Vertices [m] (n, 3), z up, front toward -y, origin in the middle; and the groups."""
+        """Return vertices (n, 3) [m], z up, front toward -y, origin in the center; and groups."""
         points, groups = read_groups(self.text)
         points = points @ _TURNED.T
         used = points[sorted({k for group in groups for k in group.corners()})]
@@ -83,7 +83,7 @@ class Model:
 
     @cached_property
     def moving(self) -> tuple[dict[str, list[Group]], dict[str, str]]:
-        """Groups of the body and by joint, and why others that are said to move stay."""
+        """Return groups of the body and by joint, and why other named parts are fixed."""
         return moving_parts(*self.placed)
 
 
@@ -92,25 +92,24 @@ class Group:
     """A named part of an OBJ file."""
 
     name: str
-    """What a part of it that moves is named; of an object's groups without such names, the
-    object's."""
+    """Name of the group; the object's name if only that names a moving part."""
     faces: dict[str, list[list[int]]]
-    """Corners of its faces by material, counted from 0."""
+    """Vertex indices of its faces by material, from 0."""
 
     def corners(self) -> list[int]:
-        """Every vertex that it uses."""
+        """Return all vertex indices that it uses."""
         return sorted({k for faces in self.faces.values() for face in faces for k in face})
 
 
 def models(folder: Path) -> Iterator[Model]:
-    """Furniture with doors or drawers, of the program and of its further libraries.
+    """Yield furniture with doors or drawers of the program and of its additional libraries.
 
     Args:
-        folder: Holds `sweethome3d.jar` and `furniture/*.sh3f`, in one or more folders.
+        folder: Contains `sweethome3d.jar` and `furniture/*.sh3f`, in one or more folders.
     """
     archives = [*sorted(folder.rglob("sweethome3d.jar")), *sorted(folder.rglob("*.sh3f"))]
     if not archives:
-        sys.exit(f"{folder}: holds no sweethome3d.jar; name the folder of the unpacked package")
+        sys.exit(f"{folder}: contains no sweethome3d.jar; name the folder of the unpacked package")
     usual: dict[str, str] = {}
     for archive in archives:
         try:
@@ -124,24 +123,24 @@ def models(folder: Path) -> Iterator[Model]:
 
 
 def _of_archive(file: zipfile.ZipFile, usual: dict[str, str]) -> Iterator[Model]:
-    """Furniture with doors or drawers of one archive."""
+    """Yield furniture with doors or drawers of one archive."""
     names = frozenset(file.namelist())
     catalogs = [name for name in names if name.endswith(_LIST)]
     if not catalogs:
-        raise ValueError(f"it holds no {_LIST}")
+        raise ValueError(f"it contains no {_LIST}")
     for entry in _entries(file.read(catalogs[0]).decode("latin-1")):
         path = entry.get("model", "").lstrip("/")
         if Path(path).stem not in KINDS or not path.endswith(".obj") or "modelRotation" in entry:
             continue
         text = file.read(path).decode(errors="replace")
         if _MOVING.search(text):
-            beside = path.removesuffix(".obj") + ".mtl"
-            own = paints(file.read(beside)) if beside in names else {}
+            mtl = path.removesuffix(".obj") + ".mtl"
+            own = paints(file.read(mtl)) if mtl in names else {}
             yield _model(Path(path).stem, entry, text, usual | own)
 
 
 def _entries(text: str) -> list[dict[str, str]]:
-    """What a catalog says about each of its models."""
+    """Return the entries of a catalog."""
     found: dict[str, dict[str, str]] = {}
     for key, number, value in re.findall(r"^(\w+)#(\d+)=(.*?)\s*$", text, re.MULTILINE):
         found.setdefault(number, {})[key] = value
@@ -151,7 +150,7 @@ def _entries(text: str) -> list[dict[str, str]]:
 def _model(name: str, entry: dict[str, str], text: str, found: dict[str, str]) -> Model:
     width, depth, height = (float(entry[key]) / 100 for key in ("width", "depth", "height"))
     above = float(entry.get("elevation", "0")) / 100
-    counter = height < SMALL and above == 0.0
+    counter = height < MAX_SMALL_HEIGHT and above == 0.0
     given = {material: color for material, color in found.items() if color}
     size, above = (width, depth, height), COUNTER if counter else above
     creator = re.sub(r"^\.+|[^\w .-]", "_", entry["creator"])  # it becomes a folder
@@ -159,10 +158,10 @@ def _model(name: str, entry: dict[str, str], text: str, found: dict[str, str]) -
 
 
 def paints(data: bytes) -> dict[str, str]:
-    """Diffuse color of each material; "" of those with a texture or without a color.
+    """Return the diffuse color of each material; "" with a texture or without a color.
 
     Args:
-        data: A material file, or a class file with the text of one in it.
+        data: A material file, or a class file that contains its text.
     """
     found: dict[str, str] = {}
     for block in data.decode(errors="replace").split("newmtl ")[1:]:
@@ -175,10 +174,10 @@ def paints(data: bytes) -> dict[str, str]:
 
 
 def read_groups(text: str) -> tuple[np.ndarray, list[Group]]:
-    """Vertices (n, 3) of an OBJ file, and its groups.
+    """Return the vertices (n, 3) of an OBJ file, and its groups.
 
-    Exporters write groups, objects or both: a group counts, unless only its object has a name that
-    the program knows.
+    Exporters write groups, objects or both: a group's own name counts, unless the program only
+    knows its object's name.
     """
     points: list[list[float]] = []
     groups: dict[str, Group] = {}
@@ -236,13 +235,13 @@ def write(model: Model, home: Path) -> Path:
 
 
 def _key(group: Group) -> str:
-    """The joint that a group's name asks for: `hinge_1`, `rail_2`; `body` for none."""
+    """Return the joint of a group's name: `hinge_1`, `rail_2`; `body` if none."""
     match = _MOVING.search(group.name)
     return f"{match[1].lower()}_{match[2]}" if match else "body"
 
 
 def _fittings(key: str, groups: list[Group]) -> list[int]:
-    """Every vertex of what a hinge turns about."""
+    """Return all vertices of a hinge's fittings."""
     names = re.compile(rf"(?<!\S)sweethome3d_{key}(?![^\W_])", re.I)
     return sorted({k for group in groups if names.search(group.name) for k in group.corners()})
 
@@ -250,28 +249,28 @@ def _fittings(key: str, groups: list[Group]) -> list[int]:
 def moving_parts(
     points: np.ndarray, groups: list[Group]
 ) -> tuple[dict[str, list[Group]], dict[str, str]]:
-    """Tell what moves from what stays.
+    """Separate moving from fixed groups.
 
     Returns:
-        Groups of the body and by joint, and why other groups that are said to move stay.
+        Groups of the body and by joint, and why other named groups are fixed.
     """
-    asked: dict[str, list[Group]] = {"body": []}
+    by_joint: dict[str, list[Group]] = {"body": []}
     for group in groups:
-        asked.setdefault(_key(group), []).append(group)
+        by_joint.setdefault(_key(group), []).append(group)
     fixed: dict[str, str] = {}
-    for key in sorted(asked.keys() - {"body"}):
-        own = [k for group in asked[key] for k in group.corners()]
-        if np.sort(np.ptp(points[own], axis=0))[1] < LEAST:
+    for key in sorted(by_joint.keys() - {"body"}):
+        own = [k for group in by_joint[key] for k in group.corners()]
+        if np.sort(np.ptp(points[own], axis=0))[1] < MIN_SIZE:
             fixed[key] = "slim"
         elif key.startswith("hinge") and not _fittings(key, groups):
             fixed[key] = "no fittings"
     for key in fixed:
-        asked["body"] += asked.pop(key)
-    return asked, fixed
+        by_joint["body"] += by_joint.pop(key)
+    return by_joint, fixed
 
 
 def _joint(key: str, points: np.ndarray, groups: list[Group], own: list[Group]) -> Joint:
-    """The joint of a moving part."""
+    """Return the joint of a moving part."""
     part = points[sorted({k for group in own for k in group.corners()})]
     kind = key.split("_")[0]
     origin = np.zeros(3)
@@ -283,15 +282,17 @@ def _joint(key: str, points: np.ndarray, groups: list[Group], own: list[Group]) 
         origin = (low + high) / 2
         axis, upper = np.eye(3)[np.argmax(high - low)], TURN
         first = np.cross(axis, (part.min(axis=0) + part.max(axis=0)) / 2 - origin)
-        # A door first moves to the front or back, a lid up or down: the larger motion decides.
+        # A door first moves forward or backward, a lid up or down: the larger motion decides.
         toward = -first[1] if abs(first[1]) >= abs(first[2]) else first[2]
         axis = axis if toward > 0 else -axis
-    way: JointKind = "revolute" if kind == "hinge" else "prismatic"
-    return Joint(key, way, "body", key, pose(origin), axis, 0.0, upper, velocity=1.0, effort=100.0)
+    joint_kind: JointKind = "revolute" if kind == "hinge" else "prismatic"
+    return Joint(
+        key, joint_kind, "body", key, pose(origin), axis, 0.0, upper, velocity=1.0, effort=100.0
+    )
 
 
 def _mesh(points: np.ndarray, group: Group) -> str:
-    """A group as an OBJ file of its own."""
+    """Return a group as an OBJ file."""
     kept = group.corners()
     index = {old: new + 1 for new, old in enumerate(kept)}
     lines = ["mtllib paints.mtl"]
@@ -302,8 +303,8 @@ def _mesh(points: np.ndarray, group: Group) -> str:
     return "\n".join(lines) + "\n"
 
 
-def told(model: Model) -> str:
-    """What became of a model, in a line."""
+def describe(model: Model) -> str:
+    """Describe a converted model in one line."""
     moving, fixed = model.moving
     used = {material for group in model.placed[1] for material in group.faces}
     bare = len(used - model.paints.keys())
@@ -323,7 +324,7 @@ def main() -> None:
         if name in rows:
             continue
         try:
-            print(f"{name}: {told(model)}")
+            print(f"{name}: {describe(model)}")
             if len(model.moving[0]) == 1:
                 continue
             file = write(model, args.out / model.creator / model.name)

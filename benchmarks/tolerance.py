@@ -1,10 +1,10 @@
-"""Does what the tolerance promises hold for poses that it has not seen?
+"""Check measured tolerances with newly sampled base poses.
 
     python benchmarks/tolerance.py [--robots fetch ...] [--tasks 24] [--runs 2000] [--out DIR]
 
-Doors and drawers of the kitchens of placement.py, drawn at random, are answered with a tolerance;
-then base poses are drawn anew in its disc, as many in all as named, and the motion is planned from
-each. Poses where the base would touch something count as failures, too.
+Random doors and drawers of the kitchens of placement.py are planned with a tolerance. Then new base
+poses are sampled in its disc, --runs in total, and the motion is replanned from each. Poses where
+the base collides also count as failures.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from momapos.core.stopwatch import Stopwatch
 from momapos.model.robots.robot import load_robot
 from momapos.planning.base_pose_check import BasePoseChecks
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach_map
@@ -37,8 +37,8 @@ def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--tasks", type=int, default=24, help="openings, drawn at random")
-    parser.add_argument("--runs", type=int, default=2000, help="poses in all")
+    parser.add_argument("--tasks", type=int, default=24, help="number of random openings")
+    parser.add_argument("--runs", type=int, default=2000, help="total number of poses")
     parser.add_argument("--out", type=Path, help="folder for tolerance.json")
     args = parser.parse_args()
     rng = np.random.default_rng(0)
@@ -83,7 +83,7 @@ def main() -> None:
         f"radius: median {100 * np.median(radii):.1f} cm; processor time: median "
         f"{np.median(spent):.0f} ms, 95th percentile {np.percentile(spent, 95):.0f} ms"
     )
-    print(f"poses drawn anew in the discs: {done} of {runs} work ({done / max(runs, 1):.1%})")
+    print(f"newly sampled poses in the discs: {done} of {runs} work ({done / max(runs, 1):.1%})")
     keep_rows(rows, args.out, "tolerance")
 
 

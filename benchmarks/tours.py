@@ -1,10 +1,10 @@
-"""How many stops do several tasks take, and how long does the answer?
+"""Measure the number of stops of tours, and the planning time.
 
     python benchmarks/tours.py [--robots fetch ...] [--tours 12] [--timeout 20] [--out DIR]
 
-Tours of the two built-in kitchens, drawn at random: a part is opened, another is opened, and both
-are closed again. Only parts count that the robot can open by themselves. Every plan is checked
-by the exact check in the room as the tasks before it leave it.
+Random tours of the two built-in kitchens: two parts are opened, then both are closed. Only parts
+that the robot can open in a single task count. Every plan is verified in the scene after the tasks
+before it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement, plan_tour
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.tour import Request, Tour
@@ -34,7 +34,7 @@ KITCHENS = ("kitchen_small", "kitchen_island")
 
 
 def valid(tour: Tour, scene: Scene) -> bool:
-    """Whether every plan holds where the tasks before it have left the room."""
+    """Return whether every plan is valid in the scene after the tasks before it."""
     held = []
     for step in tour.steps:
         plan = step.plan
@@ -52,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--tours", type=int, default=12)
-    parser.add_argument("--timeout", type=float, default=20.0, help="of each tour [s]")
+    parser.add_argument("--timeout", type=float, default=20.0, help="time limit per tour [s]")
     parser.add_argument("--out", type=Path, help="folder for tours.json")
     args = parser.parse_args()
     rng = np.random.default_rng(0)
@@ -86,7 +86,7 @@ def main() -> None:
     stops = np.array([max(row["stops"]) for row in done])
     counts = {int(n): int((stops == n).sum()) for n in np.unique(stops)}
     print(f"machine: {machine()}; {len(done)} of {len(rows)} tours of four tasks are solved")
-    print(f"tours by their stops: {counts}; all plans hold: {all(row['valid'] for row in rows)}")
+    print(f"tours by their stops: {counts}; all plans valid: {all(row['valid'] for row in rows)}")
     print(f"processor time: {np.median([row['seconds'] for row in rows]):.1f} s at the median")
     keep_rows(rows, args.out, "tours")
 

@@ -1,9 +1,9 @@
-"""A walk of many frames, made into a scene: time and memory against the number of frames.
+"""Measure time and memory of `momapos scan` by the number of frames.
 
     python benchmarks/walk.py FOLDER [--frames 100 1000] [--scene kitchen_small] [--seed 0]
 
-Renders walks of one way with ever more frames, as a camera of 30 Hz takes them, keeps them in
-FOLDER, and runs `momapos scan` on each in a process of its own.
+Renders walks along one path with increasing numbers of frames, as with a 30 Hz camera, stores them
+in FOLDER, and runs `momapos scan` on each in a separate process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def scanned(walk: Path, out: Path) -> tuple[float, float, float]:
     """Run the command.
 
     Returns:
-        Time by the clock [s], of the processor [s], and the most memory [GB].
+        Wall time [s], processor time [s] and peak memory [GB].
     """
     words = ["scan", str(walk), "--out", str(out), "--json"]
     code = f"import sys; from momapos.apps.cli.main import main; sys.exit(main({words!r}))"

@@ -18,7 +18,7 @@ with tempfile.TemporaryDirectory() as folder:
     task = make_task(scene, "open", "fridge_1", door)
     answer = plan_base_placement(scene, robot, task)
 
-print(f"{answer.plan.status}: stand at {answer.plan.base_pose} to open fridge_1/{door}")
+print(f"{answer.plan.status}: base pose {answer.plan.base_pose} to open fridge_1/{door}")
 for decision in made.decisions:
     kinds = ", ".join(part.kind for part in decision.parts)
     print(f"{decision.detection.name:16} {kinds or decision.reason}")

@@ -2,10 +2,10 @@
 
 `install` adds an import hook that checks each function, method, dataclass and record of the
 package: beartype checks the types; jaxtyping checks the shapes and dtypes of arrays, and that axes
-of one name have one length within a call. Imports for type checkers only are also executed. Not checked:
-kernels, which numba compiles and whose entries check their own arguments; modules with types of a
-package that is not installed (torch); modules with types of a neighbor that imports them; and
-processes that a test starts.
+of one name have one length within a call. Imports for type checkers only are also executed. Not
+checked: kernels, which numba compiles and whose entries check their own arguments; modules with
+types of a package that is not installed (torch); modules with types of a neighbor that imports
+them; and processes that a test starts.
 """
 
 from __future__ import annotations

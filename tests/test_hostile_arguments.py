@@ -64,7 +64,7 @@ def calls(given: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str
              "region": m.BaseRegion(), "keep_poses": None, "keep_grasps": None}  # fmt: skip
     at_pose = {**quick, "base_pose": given["base_pose"]}
     task = {"verb": "open", "object": "fridge", "joint": "door_hinge", "to": 1.0}
-    ask = {"scene": of["scene"], "robot": of["robot"], "requests": [m.Request(*task.values())]}
+    tour = {"scene": of["scene"], "robot": of["robot"], "requests": [m.Request(*task.values())]}
     return {
         "load_scene": (m.load_scene, {"source": "kitchen_small", "root": None}),
         "save_scene": (m.save_scene, {"scene": room(), "path": folder / "scene.json"}),
@@ -80,7 +80,7 @@ def calls(given: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str
         "iter_placements": (lambda **a: next(m.iter_placements(**a), None), quick),
         "check_base_pose": (m.check_base_pose, {**at_pose, "how_far": False}),
         "placement_tolerance": (m.placement_tolerance, {**at_pose, "samples": 1}),
-        "plan_tour": (m.plan_tour, {**ask, "reach": given["reach"], "config": given["config"]}),
+        "plan_tour": (m.plan_tour, {**tour, "reach": given["reach"], "config": given["config"]}),
         "PlacementQuery": (m.PlacementQuery.of, quick),
         "read_plan": (m.read_plan, {"path": folder / "plan.json"}),
         "write_plan": (m.write_plan, {"plan": given["plan"], "path": folder / "again.json"}),

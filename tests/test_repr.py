@@ -9,7 +9,7 @@ from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.records.scans import Cloud, Frame
 from momapos.model.records.tasks import Task
 from momapos.planning.grasps.task_motions import MotionConfig, task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.reachability.reach_map import ReachMap
 
 

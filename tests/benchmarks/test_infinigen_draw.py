@@ -29,7 +29,7 @@ def test_a_rotation_is_recovered_from_points_before_and_after(script: Any) -> No
     pivot, axis = script._turn(closed, after)
     np.testing.assert_allclose(axis, AXIS, atol=1e-9)
     np.testing.assert_allclose(np.delete(pivot, 1), np.delete(PIVOT, 1), atol=1e-9)
-    with pytest.raises(ValueError, match="does not turn as one"):
+    with pytest.raises(ValueError, match="do not turn as one"):
         script._turn(closed, np.concatenate([closed[:25], after[25:]]))
 
 

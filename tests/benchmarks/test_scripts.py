@@ -35,7 +35,7 @@ SMALLEST = {
         "noise off: "
     ),
     "drive.py --robots segway_ur5e --drives 1 --layouts 0": "arrived: within",
-    "parts.py --drawn 1 --shared nowhere --pictures out": "fronts told: ",
+    "parts.py --drawn 1 --shared nowhere --pictures out": "fronts recognized: ",
     "importance.py --repeats 1": "| kitchen_small | 17 |",
 }
 """Smallest inputs, and a text of their reports. The other scripts take more than 10 s."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.sweet_home import COUNTER, Model, main, models, paints, told, write
+from benchmarks.sweet_home import COUNTER, Model, describe, main, models, paints, write
 
 from momapos.apps.synthetic_scans.surfaces import patches
 from momapos.core.geometry.transforms import apply
@@ -153,7 +153,7 @@ def test_a_part_that_cannot_turn_is_fixed_and_reported(tmp_path: Path) -> None:
     tap += box("sweethome3d_hinge_2", fitting(0.0, 0.7, 0.0))
     text = cabinet().replace("sweethome3d_hinge_1", "gond") + tap
     assert [joint.name for joint in written(text, tmp_path).joints] == ["rail_1"]
-    line = told(model(text))
+    line = describe(model(text))
     assert line.startswith("1 joints, 2 of 2 materials have no color")
     assert line.endswith("hinge_1 is fixed: no fittings; hinge_2 is fixed: slim")
 
@@ -255,7 +255,7 @@ def test_a_creator_name_cannot_leave_the_folder(tmp_path: Path) -> None:
 def test_a_bad_folder_is_a_one_line_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = "g sweethome3d_opening_on_hinge_1\nv x\n"
     bad = {
-        "holds no sweethome3d.jar": lambda: None,
+        "contains no sweethome3d.jar": lambda: None,
         "not a furniture library": lambda: (tmp_path / "sweethome3d.jar").write_text("none"),
         "doors or drawers": lambda: archive(tmp_path, **{"FurnitureCatalog.properties": "id#1=x"}),
         "not a usable OBJ file": lambda: archive(tmp_path, **{"a/kitchenCabinet.obj": broken}),

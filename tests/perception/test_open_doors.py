@@ -18,7 +18,7 @@ from momapos.perception.pipeline import default_tools
 from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import Modeled, ScanConfig
 from momapos.perception.segmentation.open_leaves import find_open_leaves
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.workflows.scan import scan_to_scene
 
 pytestmark = pytest.mark.slow

@@ -18,7 +18,7 @@ from momapos.planning import base_paths
 from momapos.planning.base_paths import OnwardPaths
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.planning.navigation.global_path import BasePath, plan_path
@@ -41,7 +41,9 @@ def segway(robots: Callable[[str], Robot]) -> Robot:
     return robots("segway_ur5e")
 
 
-def ask(scene: Scene, robot: Robot, to: float, start: np.ndarray = START) -> PlacementResult:
+def plan_cabinet(
+    scene: Scene, robot: Robot, to: float, start: np.ndarray = START
+) -> PlacementResult:
     task = make_task(scene, "open", "cabinet", to=to)
     return plan_base_placement(scene, robot, task, Everywhere(), start=start, config=QUICK)
 
@@ -60,14 +62,14 @@ def leads_out(answer: PlacementResult, robot: Robot, goal: np.ndarray = START) -
 def test_a_door_that_would_block_the_robot_in_is_opened_from_its_other_side(
     corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answer = ask(corridor, segway, 1.2)
+    answer = plan_cabinet(corridor, segway, 1.2)
     assert answer.plan.status == "solved"
     assert leads_out(answer, segway)
     assert not answer.search.blocked_in
     assert "afterward" not in summary(answer, None)
     with monkeypatch.context() as patch:
         patch.setattr(OnwardPaths, "__call__", lambda _self, _base: True)
-        unchecked = ask(corridor, segway, 1.2)
+        unchecked = plan_cabinet(corridor, segway, 1.2)
     assert unchecked.plan.status == "solved"
     assert not leads_out(unchecked, segway)
 
@@ -75,19 +77,19 @@ def test_a_door_that_would_block_the_robot_in_is_opened_from_its_other_side(
 def test_a_task_is_solved_even_if_every_base_pose_blocks_the_robot_in(
     corridor: Scene, segway: Robot
 ) -> None:
-    answer = ask(corridor, segway, 1.57)
+    answer = plan_cabinet(corridor, segway, 1.57)
     assert answer.plan.status == "solved"
     assert not leads_out(answer, segway)
     assert answer.search.blocked_in
     assert answer.touched_after == ""
-    assert "the base cannot drive on from there: cabinet" in summary(answer, None)
+    assert "the base can't drive on from there: cabinet" in summary(answer, None)
 
 
 def test_a_start_near_the_open_door_is_not_the_goal_of_the_departure(
     corridor: Scene, segway: Robot
 ) -> None:
     start = np.array([0.0, -0.95, 0.0])
-    answer = ask(corridor, segway, 1.2, start)
+    answer = plan_cabinet(corridor, segway, 1.2, start)
     assert answer.plan.status == "solved"
     assert not leads_out(answer, segway, start)
     assert not answer.search.blocked_in
@@ -127,7 +129,7 @@ def test_a_base_pose_is_compared_once_with_each_blocked_one(
         return original(nav_map, one, other)
 
     monkeypatch.setattr(base_paths, "leads_straight", spied)
-    assert ask(corridor, segway, 1.57).search.blocked_in
+    assert plan_cabinet(corridor, segway, 1.57).search.blocked_in
     assert len(compared) > 10
     assert len(set(compared)) == len(compared)
 

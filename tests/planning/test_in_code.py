@@ -25,7 +25,7 @@ from momapos import (
     save_scene,
     time_plan,
 )
-from momapos.core.errors import InputError, SceneError, UnknownNameError
+from momapos.core.errors import InputError, UnknownNameError
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.trajectory import with_times
 
@@ -59,7 +59,7 @@ def test_a_box_is_at_its_given_pose() -> None:
 
 @pytest.mark.parametrize("size", [(0.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, float("nan"))])
 def test_a_box_without_an_extent_is_refused(size: tuple[float, float, float]) -> None:
-    with pytest.raises(SceneError, match="edges"):
+    with pytest.raises(InputError, match="size of box 'table'"):
         SceneObject.box("table", size, (0.0, 0.0, 0.0))
 
 

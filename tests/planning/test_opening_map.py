@@ -20,7 +20,7 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose
 from momapos.planning.opening_maps import YAWS, OpeningMap, opening_map
 from momapos.planning.placement.problem import Search

@@ -11,7 +11,7 @@ from tests.rooms import corridor_room
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.navigation.footprint_map import build_navigation_map
 from momapos.planning.navigation.global_path import plan_path
 from momapos.planning.navigation.outline_gaps import gaps

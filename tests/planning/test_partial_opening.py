@@ -20,7 +20,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.max_opening import last_that_works
 from momapos.planning.max_opening_plan import find_max_opening
@@ -78,7 +78,7 @@ def test_the_output_states_the_feasible_opening_and_its_base_pose(
     x, y, yaw = refused.feasible_from
     to = f"{math.degrees(refused.feasible_to):.0f} deg"
     pose = f"({x:.3f}, {y:.3f}, {math.degrees(yaw):.1f} deg)"
-    assert f"infeasible  to 90 deg; to {to} from {pose}\n" in capsys.readouterr().out
+    assert f"infeasible  not to 90 deg, but to {to} from {pose}\n" in capsys.readouterr().out
 
 
 def test_a_plan_states_whether_the_time_sufficed_to_exclude_more(
@@ -194,11 +194,11 @@ def test_a_given_base_pose_is_answered_with_its_plan_or_the_reason(
 def test_the_last_index_that_works_is_found(last: int, step: int | None, within: int) -> None:
     tried: list[int] = []
 
-    def ask(index: int) -> str | None:
+    def evaluate(index: int) -> str | None:
         tried.append(index)
         return f"{index}" if index <= last else None
 
-    found, answer = last_that_works(ask, -1, 20, within=within, first_step=step)
+    found, answer = last_that_works(evaluate, -1, 20, within=within, first_step=step)
     assert last - within < found <= last
     assert answer == (None if found < 0 else f"{found}")
     assert len(set(tried)) == len(tried)

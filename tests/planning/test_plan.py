@@ -18,7 +18,7 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import Method, PlaceConfig
 from momapos.planning.result import PlacementResult
@@ -28,7 +28,7 @@ from momapos.verification.plan_check import verify_files
 QUICK = PlaceConfig(count=256, improve=1)
 
 
-def ask(
+def plan_cabinet(
     scene: Scene, robot: Robot, *, to: float = 1.2, method: Method = "ours", seed: int = 0,
     verb: str = "open",
 ) -> PlacementResult:  # fmt: skip
@@ -40,7 +40,7 @@ def ask(
 def test_every_robot_opens_the_cabinet_and_the_plan_file_is_valid(
     robot: Robot, tmp_path: Path
 ) -> None:
-    answer = ask(cabinet_room(tmp_path), robot)
+    answer = plan_cabinet(cabinet_room(tmp_path), robot)
     assert answer.plan.status == "solved", answer.plan.candidates
     write_plan(answer.plan, tmp_path / "plan.json")
     report = verify_files(tmp_path / "plan.json")
@@ -49,7 +49,7 @@ def test_every_robot_opens_the_cabinet_and_the_plan_file_is_valid(
 
 def test_the_same_seed_gives_the_same_plan(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    plans = [plan_to_dict(ask(scene, robot, seed=3).plan) for _ in range(2)]
+    plans = [plan_to_dict(plan_cabinet(scene, robot, seed=3).plan) for _ in range(2)]
     for plan in plans:
         plan.pop("timing")
     assert plans[0] == plans[1]
@@ -57,7 +57,7 @@ def test_the_same_seed_gives_the_same_plan(robots: Callable[[str], Robot], tmp_p
 
 def test_an_answer_moves_with_its_scene(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    here = ask(scene, robot)
+    here = plan_cabinet(scene, robot)
     assert here.plan.motion is not None
     assert here.plan.base_pose is not None
     x, y, yaw = here.plan.base_pose
@@ -69,7 +69,7 @@ def test_an_answer_moves_with_its_scene(robots: Callable[[str], Robot], tmp_path
         T[:2, :2], T[:2, 3] = [[c, -s], [s, c]], shift[:2]
         motion = replace(here.plan.motion, Ts_world_tool=T @ here.plan.motion.Ts_world_tool)
         assert PlanVerifier(moved, robot, here.plan.task).check(carried, motion).valid
-        there = ask(moved, robot)
+        there = plan_cabinet(moved, robot)
         assert there.plan.base_pose is not None
         np.testing.assert_allclose(there.plan.base_pose[:2], carried[:2], atol=1e-6)
 
@@ -78,7 +78,7 @@ def test_an_opening_motion_in_reverse_closes_the_door(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    opened = ask(scene, robot).plan
+    opened = plan_cabinet(scene, robot).plan
     assert opened.motion is not None
     assert opened.base_pose is not None
     ajar = scene.with_joint("cabinet", "hinge", 1.2)
@@ -89,7 +89,7 @@ def test_an_opening_motion_in_reverse_closes_the_door(
         Ts_world_tool=m.Ts_world_tool[::-1],
     )  # fmt: skip
     assert PlanVerifier(ajar, robot, task).check(opened.base_pose, back).valid
-    closing = ask(ajar, robot, to=0.0, verb="close").plan
+    closing = plan_cabinet(ajar, robot, to=0.0, verb="close").plan
     assert closing.status == "solved"
 
 
@@ -101,7 +101,7 @@ def test_a_handle_above_all_arms_is_infeasible_with_the_reason(
     T = cabinet.T_world_object.copy()
     T[2, 3] = 2.5
     high = replace(scene, objects=(replace(cabinet, T_world_object=T),))
-    plan = ask(high, robot).plan
+    plan = plan_cabinet(high, robot).plan
     assert plan.status == "infeasible"
     assert plan.motion is None
     assert any("reach" in reason for reason in plan.candidates.rejections)
@@ -116,7 +116,7 @@ def test_a_scene_without_a_free_base_pose_is_infeasible_with_the_reason(
     )
     behind = pile.replace("pile", "back").replace("-1.5", "1.5")
     scene = replace(cabinet_room(tmp_path, extra=pile + behind), start=np.array([6.0, 6.0, 0.0]))
-    plan = ask(scene, robots("segway_ur5e")).plan
+    plan = plan_cabinet(scene, robots("segway_ur5e")).plan
     assert plan.status == "infeasible"
     assert max(plan.candidates.rejections, key=plan.candidates.rejections.get) in (  # type: ignore[arg-type]
         "base in collision", "beyond the arm's reach",
@@ -145,7 +145,7 @@ def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
     (reason,) = plan.candidates.rejections
     if verb == "open":
         assert reason.startswith("cabinet/door hits post/box at ")
-        assert reason.endswith(" deg on its way from 0 to 90 deg")
+        assert reason.endswith(" deg, moving from 0 to 90 deg")
     else:
         assert reason == "cup/box hits board/box when lifted by 0.03 of 0.05 m"
 
@@ -202,4 +202,4 @@ def test_a_saved_scene_gives_the_same_answer(
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     save_scene(scene, tmp_path / "again.json")
     again = load_scene(tmp_path / "again.json")
-    assert ask(scene, robot).plan.base_pose == ask(again, robot).plan.base_pose
+    assert plan_cabinet(scene, robot).plan.base_pose == plan_cabinet(again, robot).plan.base_pose

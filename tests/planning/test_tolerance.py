@@ -20,8 +20,8 @@ from momapos.model.records.outcomes import Tolerance
 from momapos.model.records.plans import Motion
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.arm_motion.carried_motion import carried
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.arm_motion.carried_motion import adapt_motion
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, placement_tolerance, plan_base_placement
 from momapos.planning.replan_nearby import Depth, NearbyReplanner
 from momapos.planning.result import PlacementResult
@@ -114,11 +114,11 @@ def test_the_arm_is_checked_at_few_poses_before_all() -> None:
     assert checked[-1] == ("all", 100)
 
 
-def test_a_carried_motion_has_the_hand_where_it_was(answer: PlacementResult) -> None:
+def test_an_adapted_motion_keeps_the_tool_poses(answer: PlacementResult) -> None:
     robot, base, motion = motion_of(answer)
     straight, rng = answer.prepared.motion.grasp_step, np.random.default_rng(2)
     for offset in rng.uniform(-1.0, 1.0, (5, 3)) * [0.03, 0.03, 0.03]:
-        other = carried(robot, motion, base, base + offset, straight)
+        other = adapt_motion(robot, motion, base, base + offset, straight)
         assert other is not None
         np.testing.assert_array_equal(other.approach[0], motion.approach[0])
         np.testing.assert_allclose(other.approach[-1], other.q[0], atol=0.1)
@@ -129,10 +129,10 @@ def test_a_carried_motion_has_the_hand_where_it_was(answer: PlacementResult) -> 
         assert np.abs(np.diff(other.q, axis=0)).max() < 0.3
 
 
-def test_what_the_arm_cannot_follow_is_not_carried(answer: PlacementResult) -> None:
+def test_a_motion_that_the_arm_cannot_follow_is_not_adapted(answer: PlacementResult) -> None:
     robot, base, motion = motion_of(answer)
     far = base + np.array([1.5, 0.0, 0.0])
-    assert carried(robot, motion, base, far, answer.prepared.motion.grasp_step) is None
+    assert adapt_motion(robot, motion, base, far, answer.prepared.motion.grasp_step) is None
 
 
 def test_an_adapted_motion_counts_only_if_the_exact_check_accepts_it(
@@ -260,7 +260,7 @@ def test_an_unusable_number_of_samples_is_refused(samples: int) -> None:
 def test_zero_samples_are_refused(answer: PlacementResult) -> None:
     _, base, motion = motion_of(answer)
     assert answer.query is not None
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(InputError, match="from 1 to"):
         measured_tolerance(answer.query, base, motion, samples=0)
 
 

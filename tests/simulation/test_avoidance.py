@@ -15,7 +15,7 @@ from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.trajectory import time_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.approach import pace_trajectory
 from momapos.simulation.arm_control import CompliantArm, Reference

@@ -14,7 +14,7 @@ from momapos.core.geometry.transforms import rotation_angle
 from momapos.model.records.plans import Motion
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import Ending, ExecutionConfig, FurnitureConfig, Stage

@@ -17,7 +17,7 @@ from momapos.model.robots.fingertips import pivots
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_file
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.arm_length import arm_length
 from momapos.simulation.config import ExecutionConfig

@@ -10,7 +10,7 @@ from tests.simulation.toy import execute
 
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig, Stage
 from momapos.simulation.model_errors import draw_deviation, mirrored

@@ -52,7 +52,7 @@ def test_training_writes_reproducible_networks_of_the_shipped_form(
 def test_some_training_images_lack_lines_and_some_lack_relief(faces: Path) -> None:
     train = optional.module("training.fronts.train", "torch")
     codes = np.repeat(pool.Pool.read(faces).faces[:1], 200, axis=0)
-    stack = train.disturbed(np.random.default_rng(1), codes).numpy()
+    stack = train.augmented(np.random.default_rng(1), codes).numpy()
     assert np.abs(pool.unpacked(codes)[0, 5:]).max() > 0
     lines = np.abs(stack[:, 5:]).max(axis=(1, 2, 3)) > 0
     relief = stack[:, 4].max(axis=(1, 2)) > 0

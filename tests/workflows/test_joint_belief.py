@@ -26,7 +26,7 @@ from momapos.perception.reconstruction.model_config import ModelConfig
 from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.result import PlacementResult
 from momapos.simulation.config import ComplianceConfig, Ending
@@ -65,7 +65,9 @@ def room(
     part = Part(odds[0][0], (0.0, 0.0, 1.0, 1.0), 0.9, handle, odds)
     box = UprightBox(np.array([1.5, 0.0, 0.8]), np.array([0.6, 0.5, 0.6]), -np.pi / 2)
     found = Detection("cupboard", "cabinet", 0.9, box, np.arange(3))
-    piece = furniture_model(found, np.pi, face, [part], ModelConfig(turn=turn), beside=(None, None))
+    piece = furniture_model(
+        found, np.pi, face, [part], ModelConfig(turn=turn), neighbors=(None, None)
+    )
     floor = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)]
     box = UprightBox(np.array([post or 0.0, -0.21, 0.75]), np.array([0.04, 0.04, 1.5]), 0.0)
     posts = [Detection("post", "post", 0.9, box, np.arange(3))]

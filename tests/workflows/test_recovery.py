@@ -15,7 +15,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.navigation.drive_record import DriveRecord
 from momapos.planning.task_setup import NO_OTHER_GRASP

@@ -9,7 +9,7 @@ from momapos.core.stopwatch import Stopwatch
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.navigation.drive_record import DriveRecord
 from momapos.planning.navigation.footprint_map import build_navigation_map

@@ -1,4 +1,4 @@
-"""Fridges, microwaves, ovens, dishwashers."""
+"""Draw layouts of fridges, microwaves, ovens and dishwashers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .plans import Cell, Plan, hinged, pair, split
 
 
 def fridge(rng: np.random.Generator) -> Plan:
-    """One door, freezer above or below, side by side, French doors."""
+    """Draw a fridge: one door, freezer above or below, side by side, or French doors."""
     small = rng.random() < 0.35
     width = rng.uniform(0.4, 0.65) if small else rng.uniform(0.5, 1.0)
     height = rng.uniform(0.45, 1.2) if small else rng.uniform(1.3, 2.1)
@@ -51,7 +51,7 @@ def fridge(rng: np.random.Generator) -> Plan:
 
 
 def microwave(rng: np.random.Generator) -> Plan:
-    """A door with a window, controls beside it, seldom below."""
+    """Draw a microwave: a door with a window, controls next to it, rarely below."""
     width, height = rng.uniform(0.4, 0.75), rng.uniform(0.22, 0.45)
     rim = rng.uniform(0, 0.03)
     panel = width * rng.uniform(0.16, 0.34)
@@ -78,7 +78,7 @@ def microwave(rng: np.random.Generator) -> Plan:
 
 
 def oven(rng: np.random.Generator) -> Plan:
-    """Wall ovens, double ovens and ranges with a drawer below."""
+    """Draw a wall oven, a double oven, or a range with a drawer below."""
     width = rng.uniform(0.5, 0.95)
     form = rng.choice(["single", "range", "double", "bare"])
     height = {"single": rng.uniform(0.45, 0.75), "range": rng.uniform(0.75, 1.15)}.get(
@@ -109,7 +109,7 @@ def oven(rng: np.random.Generator) -> Plan:
 
 
 def dishwasher(rng: np.random.Generator) -> Plan:
-    """Drop-down door with a control strip, or two drawers."""
+    """Draw a dishwasher: a drop-down door with a control strip, or two drawers."""
     width, height = rng.uniform(0.42, 0.65), rng.uniform(0.45, 0.92)
     rim, gap = rng.uniform(0, 0.02), rng.uniform(0.002, 0.012)
     top, bottom = rim, height - rng.uniform(0, 0.14)

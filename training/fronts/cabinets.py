@@ -1,4 +1,4 @@
-"""Cabinets, sinks, desks: faces by recursive splitting."""
+"""Draw layouts of cabinets, sinks and desks by recursive splitting."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .plans import Cell, Plan, hinged, pair, split
 
 
 def cabinet(rng: np.random.Generator) -> Plan:
-    """Base, wall and tall cabinets, dressers, sideboards, vanities, chests."""
+    """Draw a base, wall or tall cabinet, dresser, sideboard, vanity or chest."""
     form = rng.choice(["base", "wall", "tall", "dresser", "sideboard", "chest", "small"])
     width, height = {
         "base": (rng.uniform(0.3, 2.6), rng.uniform(0.65, 1.0)),
@@ -38,13 +38,13 @@ def cabinet(rng: np.random.Generator) -> Plan:
 
 @dataclass(frozen=True)
 class Habit:
-    """How one cabinet maker divides a front."""
+    """Style parameters of how a cabinet's front is divided."""
 
     form: str
     gap: float
     drawers: float
     along: float
-    """Where the handle of a door sits, 0 top, 1 bottom."""
+    """Position of a door's handle, 0 top, 1 bottom [-]."""
     drawer_free: str
     open: float
     lift: float
@@ -104,7 +104,7 @@ def rows_first(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]
 
 
 def stack(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
-    """One column: drawers, a door with or without a drawer above, two doors."""
+    """Draw one column: drawers, a door with or without a drawer above, or two doors."""
     high = rect[3] - rect[1]
     draw = rng.random()
     if draw < habit.drawers * 0.6:
@@ -133,7 +133,7 @@ def drawer_cell(habit: Habit, rect: Rect) -> Cell:
 
 
 def leaf(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
-    """A field that is not cut further."""
+    """Draw a field that is not split further."""
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     fill = "glass" if rng.random() < habit.glass else "panel"
     draw = rng.random()
@@ -157,7 +157,7 @@ def leaf(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
 
 
 def sink(rng: np.random.Generator) -> Plan:
-    """A base with false fronts over its doors, and drawers beside them."""
+    """Draw a sink base with false fronts over its doors, and drawers next to them."""
     width, height = rng.uniform(0.5, 1.8), rng.uniform(0.65, 0.95)
     gap = rng.uniform(0.002, 0.04)
     side = rng.uniform(0, 0.06)
@@ -187,7 +187,7 @@ def sink(rng: np.random.Generator) -> Plan:
 
 
 def desk(rng: np.random.Generator) -> Plan:
-    """Columns of drawers or doors beside room for the knees."""
+    """Draw a desk: columns of drawers or doors next to knee space."""
     width, height = rng.uniform(0.9, 1.9), rng.uniform(0.65, 0.95)
     habit = Habit.draw(rng, "dresser", rng.uniform(0.001, 0.02))
     board, side, column = rng.uniform(0.02, 0.08), rng.uniform(0, 0.05), rng.uniform(0.22, 0.45)
@@ -208,7 +208,7 @@ def desk(rng: np.random.Generator) -> Plan:
 
 
 def niche(rng: np.random.Generator) -> Plan:
-    """Few parts in a broad body: bands of bare wood, openings or slots around them."""
+    """Draw few parts in a wide body, surrounded by bare wood, openings or slots."""
     width, height = rng.uniform(0.4, 2.0), rng.uniform(0.5, 2.1)
     habit = Habit.draw(rng, "base", rng.uniform(0.001, 0.02))
     rim = rng.uniform(0.0, 0.03)
@@ -234,7 +234,7 @@ def niche(rng: np.random.Generator) -> Plan:
 
 
 def hung(rng: np.random.Generator) -> Plan:
-    """Wall cabinets in one or two rows: doors with handles low, doors that are lifted."""
+    """Draw wall cabinets in one or two rows: doors with low handles, and lifted doors."""
     width, height = rng.uniform(0.35, 2.2), rng.uniform(0.25, 1.1)
     gap = rng.uniform(0.001, 0.008) if rng.random() < 0.7 else rng.uniform(0.01, 0.05)
     rim = rng.uniform(0.0, 0.03)
@@ -252,7 +252,7 @@ def hung(rng: np.random.Generator) -> Plan:
 
 
 def _hung_field(rng: np.random.Generator, rect: Rect, habit: Habit, level: bool) -> list[Cell]:
-    """One field of a wall cabinet; level handles of hinged doors sit in the corner that opens."""
+    """Draw one field of a wall cabinet; level handles of hinged doors are in the free corner."""
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     fill = "glass" if rng.random() < habit.glass else "panel"
     if rng.random() < habit.open:

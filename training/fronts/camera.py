@@ -1,4 +1,4 @@
-"""From a painted canvas to what a camera shows: light, shadow, parallax, noise, holes in depth."""
+"""Render a canvas like a camera: light, shadow, parallax, noise, holes in depth."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .canvas import Canvas, smooth_noise
 
 @dataclass(frozen=True)
 class Pose:
-    """How a rectified face is off: the box was a bit wrong, the view not quite straight."""
+    """Errors of a rectified face: an inexact box and a view that is not quite frontal."""
 
     homography: Float[np.ndarray, "3 3"]
-    """From pixels of the picture to pixels of the canvas."""
+    """Maps pixels of the image to pixels of the canvas."""
     shift: Float[np.ndarray, "2"]
-    """How far a surface moves for each meter that it stands out [px/m]."""
+    """Shift of a surface per meter of its height [px/m]."""
     level: float
-    """Height that was rectified [m]."""
+    """Height of the rectified plane [m]."""
 
 
 def random_pose(rng: np.random.Generator, canvas: Canvas, level: float) -> Pose:
-    """Draw a pose within what a scan gives."""
+    """Draw a pose with the errors of a scan."""
     side = canvas.side
     spread = rng.choice([0.0, 0.006, 0.02]) * side
     corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], dtype=float)
@@ -42,7 +42,7 @@ def random_pose(rng: np.random.Generator, canvas: Canvas, level: float) -> Pose:
 def _four_points(
     source: Float[np.ndarray, "4 2"], target: Float[np.ndarray, "4 2"]
 ) -> Float[np.ndarray, "3 3"]:
-    """The homography that takes four points to four others."""
+    """Return the homography that maps four points to four others."""
     rows = []
     for (x, y), (u, v) in zip(source, target, strict=True):
         rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
@@ -52,7 +52,7 @@ def _four_points(
 
 
 def seen(pose: Pose, points: Float[np.ndarray, "n 2"], height: float) -> Float[np.ndarray, "n 2"]:
-    """Where points of the canvas [px], which stand out by a height [m], are in the picture."""
+    """Return the image positions of canvas points [px] at a height [m]."""
     raised = points + (height - pose.level) * pose.shift
     flat = np.column_stack((raised, np.ones(len(raised)))) @ np.linalg.inv(pose.homography).T
     return flat[:, :2] / flat[:, 2:]
@@ -62,7 +62,7 @@ def seen(pose: Pose, points: Float[np.ndarray, "n 2"], height: float) -> Float[n
 def _warp(
     stack: np.ndarray, height: np.ndarray, m: np.ndarray, sx: float, sy: float, level: float
 ) -> np.ndarray:  # pragma: no cover
-    """Look up every pixel where the view meets the height field, bilinearly."""
+    """Sample every pixel bilinearly where its ray meets the height field."""
     rows, columns, planes = stack.shape
     out = np.empty_like(stack)
     for i in range(rows):
@@ -72,7 +72,7 @@ def _warp(
             u0 = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w
             v0 = (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
             u, v = u0, v0
-            # From above down the ray: the first surface that it meets hides what is behind.
+            # Down the ray from above: the first surface that it meets hides those behind.
             for k in range(7):
                 probe = level + 0.06 - 0.02 * k
                 a = u0 - (probe - level) * sx
@@ -98,7 +98,7 @@ def _warp(
 def warp(
     stack: Float32[np.ndarray, "h w c"], height: Float32[np.ndarray, "h w"], pose: Pose
 ) -> Float32[np.ndarray, "h w c"]:
-    """See a height field and what is painted on it from a pose."""
+    """Render a height field and its colors from a pose."""
     sx, sy = float(pose.shift[0]), float(pose.shift[1])
     return _warp(stack, height, pose.homography, sx, sy, pose.level)
 
@@ -107,7 +107,7 @@ def warp(
 def _shadow(
     height: np.ndarray, dx: float, dy: float, drop: float, steps: int
 ) -> np.ndarray:  # pragma: no cover
-    """How deep each pixel lies below the shadow's edge, over a march toward the light [m]."""
+    """Return each pixel's depth below the shadow's edge, by marching toward the light [m]."""
     rows, columns = height.shape
     out = np.zeros_like(height)
     for i in range(rows):
@@ -126,7 +126,7 @@ def _shadow(
 def _light(
     height: np.ndarray, dx: float, dy: float, lamp: np.ndarray, half: np.ndarray, power: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # pragma: no cover
-    """How much each pixel faces the lamp, how much it faces the viewer, and its glint."""
+    """Return how much each pixel faces the lamp and the viewer, and its highlight."""
     rows, columns = height.shape
     facing, upright = np.empty_like(height), np.empty_like(height)
     glint = np.zeros_like(height)
@@ -148,7 +148,7 @@ def _light(
 def shade(
     rng: np.random.Generator, canvas: Canvas, *, uniform: bool
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Light a canvas: one lamp with a shadow, light from all around, reflections."""
+    """Shade a canvas: one lamp with a shadow, ambient light, reflections."""
     height = canvas.height
     soft = rng.uniform(0.25, 0.5)
     if uniform and rng.random() < 0.5:
@@ -184,7 +184,7 @@ def shade(
 
 
 def _shadow_of(canvas: Canvas, lamp: np.ndarray) -> np.ndarray:
-    """Share of the lamp that is hidden, by pixel."""
+    """Return the hidden share of the lamp, by pixel."""
     along = np.array([lamp[0] / canvas.dx, lamp[1] / canvas.dy]) / lamp[2]
     fastest = max(float(np.abs(along).max()), 1e-6)
     drop = 1 / fastest
@@ -195,7 +195,7 @@ def _shadow_of(canvas: Canvas, lamp: np.ndarray) -> np.ndarray:
 
 
 def _surroundings(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    """What glossy surfaces mirror: soft lights, and bright windows."""
+    """Draw the environment that glossy surfaces reflect: soft lights and bright windows."""
     env = np.clip(smooth_noise(rng, shape, (rng.uniform(1, 4), rng.uniform(1, 6))) + 0.5, 0, 2)
     for _ in range(int(rng.integers(0, 3))):
         i, j = (rng.uniform(0, 0.8, 2) * shape).astype(int)
@@ -229,8 +229,8 @@ def photograph(
     image = (np.clip(image, 0, 1) * 255).astype(np.uint8)
     if rng.random() < 0.35:
         less = int(side * rng.uniform(0.3, 0.9)), int(side * rng.uniform(0.3, 0.9))
-        picture = Image.fromarray(image).resize(less, Image.Resampling.BOX)
-        image = np.asarray(picture.resize((side, side), Image.Resampling.BILINEAR))
+        small = Image.fromarray(image).resize(less, Image.Resampling.BOX)
+        image = np.asarray(small.resize((side, side), Image.Resampling.BILINEAR))
     if rng.random() < 0.35:
         buffer = io.BytesIO()
         Image.fromarray(image).save(buffer, "JPEG", quality=int(rng.integers(25, 92)))
@@ -241,7 +241,7 @@ def photograph(
 def measured(
     rng: np.random.Generator, height: Float32[np.ndarray, "h w"], plane: float
 ) -> Float32[np.ndarray, "h w"]:
-    """Relief as a depth camera or a fused cloud gives it; NaN where it gives none."""
+    """Return the relief as measured by a depth camera or a fused cloud; NaN where unknown."""
     shape = height.shape
     relief = height - np.float32(plane)
     if rng.random() < 0.15:

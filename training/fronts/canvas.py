@@ -1,8 +1,8 @@
-"""A picture of a face in the making: how far each pixel stands out, its color and its gloss.
+"""A canvas for faces: height, color and gloss of each pixel.
 
 Coordinates are meters, x right and y down, as seen from the front. Rectangles are (left, top,
-right, bottom). Everything is painted with area coverage, so that a seam of 2 mm darkens a pixel
-of 6 mm by a third, as a camera would show it.
+right, bottom). Everything is painted with area coverage, so that a seam of 2 mm darkens a pixel of
+6 mm by a third, as in a camera image.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ Window = tuple[slice, slice]
 
 
 def box(left: float, top: float, right: float, bottom: float) -> Rect:
-    """A rectangle from its edges."""
+    """Return a rectangle from its edges."""
     return (left, top, right, bottom)
 
 
 def inset(rect: Rect, by: float, by_y: float | None = None) -> Rect:
-    """A rectangle that is smaller by a margin on each side; larger where it is negative."""
+    """Shrink a rectangle by a margin on each side; a negative margin enlarges it."""
     other = by if by_y is None else by_y
     return (rect[0] + by, rect[1] + other, rect[2] - by, rect[3] - other)
 
 
 def ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below `low`, 1 above `high`, linear between."""
+    """Return 0 below `low`, 1 above `high`, and linear values between."""
     return np.clip((values - low) / (high - low), 0.0, 1.0)
 
 
 class Canvas:
-    """What is painted, over a view of the face's plane."""
+    """The painted layers over a view of the face's plane."""
 
     def __init__(self, view: Rect, side: int) -> None:
         self.view, self.side = view, side
@@ -47,11 +47,11 @@ class Canvas:
 
     @property
     def pixel(self) -> float:
-        """The longer side of a pixel [m]."""
+        """Return the longer side of a pixel [m]."""
         return max(self.dx, self.dy)
 
     def window(self, rect: Rect, pad: float = 0.0) -> Window:
-        """Pixels that a rectangle touches."""
+        """Return the pixels that a rectangle touches."""
         i = self._span(rect[1] - pad, rect[3] + pad, self.view[1], self.dy)
         j = self._span(rect[0] - pad, rect[2] + pad, self.view[0], self.dx)
         return i, j
@@ -62,11 +62,11 @@ class Canvas:
         return slice(first, last)
 
     def grid(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        """x as a row and y as a column over a window."""
+        """Return x as a row and y as a column over a window."""
         return self.x[None, window[1]], self.y[window[0], None]
 
     def cover(self, rect: Rect, window: Window) -> np.ndarray:
-        """Share of each pixel of a window that a rectangle covers."""
+        """Return the share of each pixel of a window that a rectangle covers."""
         x, y = self.grid(window)
         across = np.minimum(x + self.dx / 2, rect[2]) - np.maximum(x - self.dx / 2, rect[0])
         down = np.minimum(y + self.dy / 2, rect[3]) - np.maximum(y - self.dy / 2, rect[1])
@@ -81,7 +81,7 @@ class Canvas:
         height: np.ndarray | float | None = None,
         gloss: float | None = None,
     ) -> None:
-        """Paint over a window, as far as `cover` says."""
+        """Paint over a window with opacity `cover`."""
         if color is not None:
             area = self.albedo[window]
             area += cover[..., None] * (np.asarray(color, np.float32) - area)
@@ -100,7 +100,7 @@ class Canvas:
         gloss: float | None = None,
         edge: float = 0.0,
     ) -> None:
-        """Paint a rectangle; `edge` is how wide its rounded border is [m]."""
+        """Paint a rectangle; `edge` is the width of its rounded border [m]."""
         window = self.window(rect)
         if window[0].start == window[0].stop or window[1].start == window[1].stop:
             return
@@ -115,7 +115,7 @@ class Canvas:
         self.blend(window, self.cover(rect, window), paint, level, gloss)
 
     def darken(self, rect: Rect, by: float) -> None:
-        """Take away a share of the light in a rectangle: seams and soft shadows."""
+        """Darken a rectangle by a share, for seams and soft shadows."""
         window = self.window(rect)
         self.albedo[window] *= 1 - by * self.cover(rect, window)[..., None]
 
@@ -129,7 +129,7 @@ class Canvas:
         self.darken(box(right, top, right + w, bottom), by)
 
     def raise_by(self, rect: Rect, by: float) -> None:
-        """Lift or sink what is painted in a rectangle."""
+        """Raise or lower the height in a rectangle."""
         window = self.window(rect)
         self.height[window] += by * self.cover(rect, window)
 
@@ -149,9 +149,9 @@ class Canvas:
         Args:
             rect: Its bounds.
             corner: Radius of its corners [m].
-            color: Its color, or None to keep what is there.
-            base: Height of its rim; None leaves the height alone.
-            out: Height of its middle above the rim [m].
+            color: Its color, or None to keep the present one.
+            base: Height of its rim; None keeps the height.
+            out: Height of its center above the rim [m].
             flat: 0 for a half round, 1 for a flat top.
             gloss: Its gloss.
         """
@@ -180,14 +180,14 @@ class Canvas:
 def smooth_noise(
     rng: np.random.Generator, shape: tuple[int, int], cells: tuple[float, float]
 ) -> np.ndarray:
-    """Noise of about [-1, 1] whose lumps number `cells` along each axis."""
+    """Draw noise of about [-1, 1] with `cells` bumps along each axis."""
     counts = [max(2, round(c) + 1) for c in cells]
     grid = rng.standard_normal(counts).astype(np.float32) * 0.5
     return _spread(shape[0], counts[0]) @ grid @ _spread(shape[1], counts[1]).T
 
 
 def _spread(length: int, count: int) -> np.ndarray:
-    """Weights that interpolate `count` values over `length` pixels, smoothly."""
+    """Return weights that interpolate `count` values smoothly over `length` pixels."""
     at = np.linspace(0, count - 1, length, dtype=np.float32)[:, None]
     away = np.clip(np.abs(at - np.arange(count, dtype=np.float32)), 0, 1)
     return 1 - away * away * (3 - 2 * away)

@@ -1,4 +1,4 @@
-"""Writes the networks as ONNX, with half of the bytes for their weights."""
+"""Write the networks as ONNX, with large weights stored as 16-bit floats."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from . import networks
 
 
 class _Face(nn.Module):
-    """The first network, as probabilities and fractions of the face."""
+    """The first network, with probabilities and fractions of the face as outputs."""
 
     def __init__(self, net: nn.Module) -> None:
         super().__init__()
@@ -29,7 +29,7 @@ class _Face(nn.Module):
 
 
 class _Part(nn.Module):
-    """The second network, as probabilities and fractions of the crop."""
+    """The second network, with probabilities and fractions of the crop as outputs."""
 
     def __init__(self, net: nn.Module) -> None:
         super().__init__()
@@ -57,13 +57,13 @@ def write(net: nn.Module, path: Path) -> None:
 
 
 def read(path: Path, net: nn.Module) -> nn.Module:
-    """The network of a file that `write` made, to train it further.
+    """Read a network that `write` made, to train it further.
 
-    Its normalizations are part of its convolutions.
+    Its normalizations are merged into its convolutions.
 
     Args:
         path: The file.
-        net: A new network of the same form; it is changed.
+        net: A new network of the same form; it is modified.
     """
     model = onnx.load(path)
     values = {w.name.removesuffix("_half"): w for w in model.graph.initializer}
@@ -84,8 +84,10 @@ def read(path: Path, net: nn.Module) -> nn.Module:
 
 
 def _module(scope: str) -> str:
-    """The module of a node: /net/pyramid/down.0/down.0.1/first/first.0/Conv is of
-    pyramid.down.0.1.first.0."""
+    """Return the module of a node.
+
+    Node /net/pyramid/down.0/down.0.1/first/first.0/Conv belongs to pyramid.down.0.1.first.0.
+    """
     names = scope.split("/")[2:-1]
     return ".".join(a for a, b in pairwise([*names, ""]) if not b.startswith(f"{a}."))
 
@@ -120,7 +122,7 @@ def _write(
 
 
 def _example(net: nn.Module) -> tuple[Tensor, ...]:
-    """Something that a network takes."""
+    """Return an example input of a network."""
     if isinstance(net, networks.FaceNetwork):
         return (torch.zeros(1, networks.PLANES, decode.FACE_PIXELS, decode.FACE_PIXELS),)
     side = decode.PART_PIXELS
@@ -128,7 +130,7 @@ def _example(net: nn.Module) -> tuple[Tensor, ...]:
 
 
 def _halve(model: onnx.ModelProto) -> None:
-    """Keep large weights as float16 and widen them when the model is loaded."""
+    """Store large weights as float16 and cast them to float32 when the model is loaded."""
     casts = []
     for weight in model.graph.initializer:
         values = numpy_helper.to_array(weight)

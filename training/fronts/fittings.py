@@ -1,4 +1,4 @@
-"""How the fields of a face are painted: doors, drawers, controls, shelves, bare sides."""
+"""Paint the fields of a face: doors, drawers, controls, shelves, bare sides."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .materials import Material
 
 @dataclass(frozen=True)
 class DoorStyle:
-    """What the doors and drawers of one piece of furniture have in common."""
+    """Common style of the doors and drawers of one piece of furniture."""
 
     form: str
     """slab, shaker, raised, louvre, bead, print, carved or double."""
@@ -22,18 +22,18 @@ class DoorStyle:
     frame: float
     """Width of the frame around the panel [m]."""
     deep: float
-    """How far the panel lies back [m]."""
+    """Depth of the panel behind the frame [m]."""
     out: float
-    """How far the front stands out of the body [m]."""
+    """Height of the front above the body [m]."""
     edge: float
-    """Width of its rounded border [m]."""
+    """Width of the rounded border [m]."""
     window: Material
     uniform: bool
-    """Drawn plainly, as models made on a computer are."""
+    """Whether it is drawn plainly, like CAD models."""
     mono: bool
-    """Everything has the color of the body, handles too."""
+    """Whether everything has the color of the body, including handles."""
     corner: float
-    """Radius of the corners of its fronts [m]."""
+    """Corner radius of the fronts [m]."""
 
 
 def random_door_style(
@@ -105,7 +105,7 @@ def _texture(material: Material, tint: float) -> materials.Texture:
 def _panel(
     rng: np.random.Generator, canvas: Canvas, rect: Rect, frame: float, style: DoorStyle
 ) -> None:
-    """What is within the frame of a front."""
+    """Paint the panel within the frame of a front."""
     inner = inset(rect, frame)
     level = style.out - style.deep
     if style.form in ("shaker", "bead", "louvre", "print", "double"):
@@ -151,7 +151,7 @@ def _mound(canvas: Canvas, rect: Rect, slope: float, up: float) -> None:
 
 
 def _pane(rng: np.random.Generator, canvas: Canvas, rect: Rect, style: DoorStyle) -> None:
-    """Glass in a frame, sometimes with bars."""
+    """Paint glass in a frame, sometimes with bars."""
     canvas.fill(rect, style.window.texture, style.out - style.deep, style.window.gloss)
     if rng.random() < 0.4:
         wide, high = rect[2] - rect[0], rect[3] - rect[1]
@@ -165,7 +165,7 @@ def _pane(rng: np.random.Generator, canvas: Canvas, rect: Rect, style: DoorStyle
 
 
 def _window(rng: np.random.Generator, canvas: Canvas, rect: Rect, style: DoorStyle) -> None:
-    """The window of an oven's or a microwave's door."""
+    """Paint the window of an oven or microwave door."""
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     if rng.random() < 0.3:
         canvas.fill(rect, style.window.texture, style.out, style.window.gloss, style.edge)
@@ -185,7 +185,7 @@ def _window(rng: np.random.Generator, canvas: Canvas, rect: Rect, style: DoorSty
 
 
 def hardware(rng: np.random.Generator, canvas: Canvas, rect: Rect, left: bool) -> None:
-    """Visible hinges on one side of a door."""
+    """Paint visible hinges on one side of a door."""
     color = materials.metal(rng).base
     high, tall = rect[3] - rect[1], rng.uniform(0.03, 0.07)
     wide = rng.uniform(0.006, 0.014)
@@ -198,7 +198,7 @@ def hardware(rng: np.random.Generator, canvas: Canvas, rect: Rect, left: bool) -
 def controls(
     rng: np.random.Generator, canvas: Canvas, rect: Rect, skin: Material, out: float, knobs: bool
 ) -> None:
-    """A strip with buttons, a display, knobs."""
+    """Paint a strip with buttons, a display or knobs."""
     if rng.random() < 0.4:
         skin = materials.plain(np.full(3, rng.uniform(0.02, 0.2), np.float32), 0.5)
     canvas.fill(rect, skin.texture, out * rng.choice([0.0, 0.5, 1.0]), skin.gloss, 0.002)
@@ -247,7 +247,7 @@ def _buttons(rng: np.random.Generator, canvas: Canvas, rect: Rect, metal: Materi
 
 
 def opening(rng: np.random.Generator, canvas: Canvas, rect: Rect, body: Material) -> None:
-    """An open field: dark inside, shelves, things on them."""
+    """Paint an open field: dark inside, with shelves and objects on them."""
     dark = rng.uniform(0.15, 0.8)
     canvas.fill(rect, _texture(body, dark), -rng.uniform(0.1, 0.4))
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
@@ -258,12 +258,12 @@ def opening(rng: np.random.Generator, canvas: Canvas, rect: Rect, body: Material
     for _ in range(int(rng.integers(0, 8))):
         x, size = rect[0] + rng.uniform(0, 0.8) * wide, rng.uniform(0.05, 0.25)
         y = rect[3] - rng.integers(0, 4) * high / 4
-        thing = (x, y - size * high, min(x + size * wide, rect[2]), y)
-        canvas.fill(thing, materials.random_color(rng), -0.08, 0.2)
+        shape = (x, y - size * high, min(x + size * wide, rect[2]), y)
+        canvas.fill(shape, materials.random_color(rng), -0.08, 0.2)
 
 
 def vent(rng: np.random.Generator, canvas: Canvas, rect: Rect) -> None:
-    """Slots, or a dark kick plate."""
+    """Paint slots, or a dark kick plate."""
     canvas.fill(rect, np.full(3, rng.uniform(0.02, 0.25), np.float32), -0.04)
     if rng.random() < 0.5:
         window = canvas.window(rect)
@@ -301,9 +301,9 @@ def blank(
             x, y = left + rng.uniform(-0.1, 0.9) * wide, top + rng.uniform(-0.1, 0.9) * high
             size = rng.uniform(0.05, 0.5, 2) * (wide, high)
             corner = rng.uniform(0, 0.3)
-            thing = (x, y, x + size[0], y + size[1])
+            shape = (x, y, x + size[0], y + size[1])
             tone = materials.random_color(rng)
-            canvas.capsule(thing, corner, tone, rng.uniform(-0.2, 0.05), 0.03, flat=rng.random())
+            canvas.capsule(shape, corner, tone, rng.uniform(-0.2, 0.05), 0.03, flat=rng.random())
     elif fill == "grille":
         vent(rng, canvas, inset(plan_rect, 0.1 * wide, 0.1 * high))
     elif fill == "framed" or (fill == "back" and rng.random() < 0.5):
@@ -315,7 +315,7 @@ def blank(
 
 
 def distractors(rng: np.random.Generator, canvas: Canvas, rect: Rect, fridge: bool) -> None:
-    """Paper, magnets, a logo, a towel, a water dispenser: all of them no parts."""
+    """Paint objects that are not parts: paper, magnets, a logo, a towel, a water dispenser."""
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     level = float(np.median(canvas.height[canvas.window(rect)])) if wide > 0 and high > 0 else 0.0
     if fridge and rng.random() < 0.25 and wide > 0.25 and high > 0.5:
@@ -333,7 +333,7 @@ def distractors(rng: np.random.Generator, canvas: Canvas, rect: Rect, fridge: bo
 
 
 def backdrop(rng: np.random.Generator, canvas: Canvas, plan_rect: Rect, uniform: bool) -> None:
-    """What is around a face: wall, floor, worktop, legs, a neighbor, nothing."""
+    """Paint the surroundings of a face: wall, floor, worktop, legs, a neighbor, or nothing."""
     left, top, right, bottom = plan_rect
     view = canvas.view
     far = -rng.uniform(0.1, 0.6)
@@ -368,12 +368,12 @@ def backdrop(rng: np.random.Generator, canvas: Canvas, plan_rect: Rect, uniform:
         canvas.fill((left - 0.03, top - thick, right + 0.03, top), slab.texture, 0.02, slab.gloss)
         for _ in range(int(rng.integers(0, 4))):
             x, size = rng.uniform(left, right), rng.uniform(0.05, 0.25, 2)
-            thing = (x, top - thick - size[1], x + size[0], top - thick)
-            canvas.capsule(thing, 0.03, materials.random_color(rng), -0.05, 0.03)
+            shape = (x, top - thick - size[1], x + size[0], top - thick)
+            canvas.capsule(shape, 0.03, materials.random_color(rng), -0.05, 0.03)
 
 
 def lumps(rng: np.random.Generator, canvas: Canvas) -> None:
-    """Something stands in front: the back of a chair, a plant, a box."""
+    """Paint an object in front of the face: the back of a chair, a plant, a box."""
     view = canvas.view
     wide, high = view[2] - view[0], view[3] - view[1]
     x = view[0] + rng.uniform(-0.1, 0.95) * wide

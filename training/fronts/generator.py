@@ -1,7 +1,7 @@
-"""Draws random faces of furniture and appliances, with the truth about their parts.
+"""Draw random faces of furniture and appliances, with labels of their parts.
 
-Everything is drawn from a seed: the same seed gives the same picture. Nothing is traced by rays;
-a face is a height field that is painted, lit and seen a bit from the side.
+The same seed gives the same image. A face is a height field that is painted, lit and seen slightly
+from the side; there is no ray tracing.
 """
 
 from __future__ import annotations
@@ -25,46 +25,46 @@ FREE_SIDE = {
     "door_up": "bottom",
     "drawer": "middle",
 }
-"""Where the handle is, unless the plan says otherwise."""
+"""Side of the handle, unless the plan sets another."""
 
 
 @dataclass(frozen=True)
 class Mix:
-    """What is drawn how often."""
+    """Frequencies of the drawn families and styles."""
 
     families: dict[layouts.Maker, float] = field(default_factory=lambda: layouts.FAMILIES)
     uniform: float = 0.38
-    """Share that is drawn plainly, as models made on a computer are [-]."""
+    """Share that is drawn plainly, like CAD models [-]."""
     bare: float = 0.07
     """Share without handles [-]."""
 
 
 ORDINARY = Mix()
 HARD = Mix(layouts.HARD_FAMILIES, uniform=0.5, bare=0.25)
-"""Plain fronts without handles, and much that only looks like parts."""
+"""Plain fronts without handles, and many fields that only look like parts."""
 HUNG = Mix(layouts.HUNG_FAMILIES, bare=0.12)
-"""Wall cabinets, many of whose doors are lifted, among all else."""
+"""Wall cabinets, many with lifted doors, among all other families."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A face and the truth about it."""
+    """A face and its labels."""
 
     face: FaceImage
     parts: tuple[Part, ...]
     false_parts: tuple[tuple[float, float, float, float], ...]
-    """Fields that look like parts and are none."""
+    """Fields that look like parts but do not move."""
     family: str
 
     @property
     def front(self) -> bool:
-        """Whether anything on it moves."""
+        """Return whether any part of it moves."""
         return len(self.parts) > 0
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A field of the plan after it was painted."""
+    """A painted field of the plan."""
 
     cell: plans.Cell
     handle: Rect | None
@@ -103,7 +103,7 @@ def draw(rng: np.random.Generator, mix: Mix = ORDINARY) -> Drawn:
 
 
 def _view(rng: np.random.Generator, plan: plans.Plan) -> Rect:
-    """What the rectified picture shows: the face, but the box is never quite right."""
+    """Draw the view of the rectified image: the face with the errors of a detected box."""
     scale = rng.choice([0.01, 0.04, 0.1], p=[0.45, 0.3, 0.25])
     grow = np.clip(np.abs(rng.normal(0, scale, 4)), 0, 0.22)
     cut = rng.random(4) < 0.3
@@ -116,7 +116,7 @@ def _view(rng: np.random.Generator, plan: plans.Plan) -> Rect:
 
 
 def _plane(rng: np.random.Generator) -> float:
-    """How far the box's face is off the fronts; it may lie at the tips of the handles."""
+    """Draw the distance of the box's face from the fronts; it may be at the tips of the handles."""
     return float(rng.normal(0, 0.012) + (rng.uniform(0.01, 0.06) if rng.random() < 0.3 else 0.0))
 
 
@@ -128,7 +128,7 @@ def _furnish(
     uniform: bool,
     bare: float,
 ) -> tuple[list[_Fitted], float]:
-    """Paint a piece of furniture; the second value is the height of its fronts."""
+    """Paint a piece of furniture; return its fields and the height of its fronts."""
     whole: Rect = (0.0, 0.0, plan.width, plan.height)
     style = fittings.random_door_style(rng, body, plan.appliance, uniform)
     canvas.fill(whole, body.texture, 0.0, body.gloss, 0.004)
@@ -164,7 +164,7 @@ def _furnish(
 
 @dataclass(frozen=True)
 class _Seam:
-    """How the gap around a field shows."""
+    """Appearance of the gap around a field."""
 
     width: float
     dark: float
@@ -188,7 +188,7 @@ class _Seam:
 def _handle_style(
     rng: np.random.Generator, plan: plans.Plan, style: fittings.DoorStyle, bare: float
 ) -> handles.HandleStyle | None:
-    """The kind of handle of a piece of furniture; None where it has none."""
+    """Draw the handle style of a piece of furniture; None without handles."""
     if rng.random() < bare:
         return None
     weights = (0.3, 0.03, 0.3, 0.06, 0.1, 0.1, 0.06, 0.03, 0.04, 0.04)
@@ -228,7 +228,7 @@ def _handle(
     style: handles.HandleStyle | None,
     level: float,
 ) -> Rect | None:
-    """Put a handle on a part; the rectangle it takes."""
+    """Paint a handle on a part and return its rectangle."""
     if style is None or not cell.handle or cell.kind is None:
         return None
     free = cell.free or FREE_SIDE[cell.kind]
@@ -252,7 +252,7 @@ def _two_handles(
     style: handles.HandleStyle,
     level: float,
 ) -> Rect:
-    """Wide drawers have two; the left one is the label, as the left one is grasped."""
+    """Paint two handles on a wide drawer; the left one is the label, since it is grasped."""
     free = cell.free or "middle"
     places = [handles.place(rng, style, cell.rect, free, along) for along in (0.22, 0.78)]
     for rect in places:
@@ -263,7 +263,7 @@ def _two_handles(
 def _truth(
     canvas: Canvas, pose: camera.Pose, fitted: list[_Fitted]
 ) -> tuple[tuple[Part, ...], tuple[tuple[float, float, float, float], ...]]:
-    """What is where in the picture, as fractions of it."""
+    """Return true and false parts, as fractions of the image."""
     parts, false_parts = [], []
     for item in fitted:
         full = _seen_box(canvas, pose, item.cell.rect, item.level)
@@ -289,7 +289,7 @@ def _truth(
 def _seen_box(
     canvas: Canvas, pose: camera.Pose, rect: Rect, height: float
 ) -> Float[np.ndarray, "4"]:
-    """A rectangle in the picture: its sides at the middle of what perspective makes of them."""
+    """Return a rectangle in the image, with its sides at the mean of the projected edges."""
     left, top, right, bottom = rect
     corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     pixels = (corners - canvas.view[:2]) / (canvas.dx, canvas.dy)
@@ -302,6 +302,6 @@ def _four(box: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def mirrored_kind(kind: PartKind) -> PartKind:
-    """What a part is in a mirror."""
+    """Return the kind of a mirrored part."""
     swap: dict[PartKind, PartKind] = {"door_left": "door_right", "door_right": "door_left"}
     return swap.get(kind, kind)

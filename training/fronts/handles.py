@@ -1,4 +1,4 @@
-"""Handles: where they sit on a part, and how they look."""
+"""Place and paint handles."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ SHAPES = ("bar", "pro", "knob", "square", "cup", "bow", "recess", "wire", "profi
 
 @dataclass(frozen=True)
 class HandleStyle:
-    """What the handles of one piece of furniture have in common."""
+    """Common style of the handles of one piece of furniture."""
 
     shape: str
     length: float
-    """Of bars [m]."""
+    """Length of bars [m]."""
     thick: float
-    """Across [m]."""
+    """Thickness [m]."""
     out: float
-    """How far it stands out of its part [m]."""
+    """Height above its part [m]."""
     inset: float
-    """From the free edge to its middle [m]."""
+    """Distance from the free edge to its center [m]."""
     material: Material
     place: float
-    """Where along the free side it sits: 0 is the hinge end or bottom, 1 the top."""
+    """Position along the free side: 0 is the hinge end or bottom, 1 the top [-]."""
 
 
 def random_style(
@@ -36,10 +36,10 @@ def random_style(
     """Choose one kind of handle for a piece of furniture.
 
     Args:
-        rng: Source of chance.
-        skin: What the doors are made of.
-        weights: How likely each of `SHAPES` is.
-        mono: Handles have the color of the doors.
+        rng: Source of randomness.
+        skin: Material of the doors.
+        weights: Relative frequencies of `SHAPES`.
+        mono: Whether handles have the color of the doors.
     """
     odds = np.array(weights, dtype=float)
     shape = str(rng.choice(SHAPES, p=odds / odds.sum()))
@@ -79,14 +79,14 @@ def random_style(
 def place(
     rng: np.random.Generator, style: HandleStyle, part: Rect, free: str, along: float
 ) -> Rect:
-    """Bounds of a handle on a part.
+    """Return the bounds of a handle on a part.
 
     Args:
-        rng: Source of chance.
+        rng: Source of randomness.
         style: Kind of handle.
         part: The part.
         free: Side at which it opens: "left", "right", "top", "bottom" or "middle".
-        along: Where along that side, 0 at its left or top end, 1 at the other.
+        along: Position along that side, 0 at its left or top end, 1 at the other.
     """
     left, top, right, bottom = part
     width, height = right - left, bottom - top
@@ -122,7 +122,7 @@ def place(
 def draw(
     rng: np.random.Generator, canvas: Canvas, style: HandleStyle, rect: Rect, level: float
 ) -> None:
-    """Paint a handle on a part whose front is at a height."""
+    """Paint a handle on a part whose front is at height `level`."""
     color, gloss = style.material.base, style.material.gloss
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     thick, upright = min(wide, high), high > wide
@@ -152,7 +152,7 @@ def draw(
 
 
 def _cup(canvas: Canvas, style: HandleStyle, rect: Rect, level: float) -> None:
-    """A half shell, open below."""
+    """Paint a half shell, open below."""
     color, gloss = style.material.base, style.material.gloss
     left, top, right, bottom = rect
     canvas.capsule(rect, (right - left) / 2, color, level, style.out, flat=0.1, gloss=gloss)
@@ -168,7 +168,7 @@ def _bar(
     level: float,
     upright: bool,
 ) -> None:
-    """A bar on two posts; a bow is thinner in the middle, a wire is thin."""
+    """Paint a bar on two posts; a bow has a thinner center, a wire is thin."""
     color, gloss = style.material.base, style.material.gloss
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     thick, long = min(wide, high), max(wide, high)

@@ -1,4 +1,4 @@
-"""What is drawn, and how often."""
+"""Draw whole layouts, and list the families with their frequencies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .plans import Cell, Plan, hinged, split
 
 
 def range_with_cabinets(rng: np.random.Generator) -> Plan:
-    """An oven or a dishwasher within a row of cabinets."""
+    """Draw an oven or a dishwasher within a row of cabinets."""
     inner = oven(rng) if rng.random() < 0.6 else dishwasher(rng)
     habit = Habit.draw(rng, "base", rng.uniform(0.002, 0.03))
     left = rng.uniform(0.25, 0.9) * (rng.random() < 0.8)
@@ -30,7 +30,7 @@ def range_with_cabinets(rng: np.random.Generator) -> Plan:
 
 
 def row(rng: np.random.Generator) -> Plan:
-    """A stretch of a long row, cut off anywhere, as `perception.rows` looks at one."""
+    """Draw a section of a long row, cut at any position, as in `perception.rows`."""
     wall = rng.random() < 0.5
     high = rng.uniform(0.45, 1.0) if wall else rng.uniform(0.65, 0.95)
     habit = Habit.draw(rng, "wall" if wall else "base", rng.uniform(0.001, 0.006))
@@ -57,7 +57,7 @@ def row(rng: np.random.Generator) -> Plan:
 
 
 def _unit(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
-    """One cabinet of a row: doors side by side as often as all else."""
+    """Draw one cabinet of a row; doors side by side are as frequent as all other fronts."""
     if rng.random() < 0.5:
         return columns_first(rng, rect, habit)
     count = max(1, round((rect[2] - rect[0]) / rng.uniform(0.3, 0.6)))
@@ -66,13 +66,13 @@ def _unit(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
 
 
 def _moved(cell: Cell, by: float, scale: float) -> Cell:
-    """A cell of something else, put into a row and made as high as it."""
+    """Move a cell of another layout into a row and scale it to the row's height."""
     left, top, right, bottom = cell.rect
     return replace(cell, rect=(left + by, top * scale, right + by, bottom * scale))
 
 
 def nothing(rng: np.random.Generator) -> Plan:
-    """A face without parts: a side, a back, a table, a wall, shelves, clutter."""
+    """Draw a face without parts: a side, a back, a table, a wall, shelves, clutter."""
     width, height = rng.uniform(0.3, 2.0), rng.uniform(0.3, 2.2)
     fill = str(
         rng.choice(["side", "back", "table", "wall", "shelves", "clutter", "grille", "framed"])
@@ -93,7 +93,7 @@ FAMILIES: dict[Maker, float] = {
     desk: 0.03,
     nothing: 0.12,
 }
-"""What is drawn, and how often."""
+"""Frequencies of the families in the first round."""
 
 
 HARD_FAMILIES: dict[Maker, float] = {
@@ -109,13 +109,13 @@ HARD_FAMILIES: dict[Maker, float] = {
     niche: 0.08,
     nothing: 0.12,
 }
-"""What is drawn in the second round: more of what the first makes too little of."""
+"""Frequencies in the second round: more of the rare families."""
 HUNG_FAMILIES: dict[Maker, float] = {hung: 0.4, **HARD_FAMILIES}
-"""What is drawn in the third round: wall cabinets, whose lifted doors are seldom in the others."""
+"""Frequencies in the third round: wall cabinets, since lifted doors are rare in the others."""
 
 
 def random_plan(rng: np.random.Generator, families: dict[Maker, float]) -> Plan:
-    """Any face of these families."""
+    """Draw a plan from these families."""
     makers = list(families)
     odds = np.array(list(families.values()))
     return makers[rng.choice(len(makers), p=odds / odds.sum())](rng)

@@ -1,6 +1,6 @@
-"""Colors and textures: paint, wood, steel, glass, tiles, prints, carvings.
+"""Draw colors and textures: paint, wood, steel, glass, tiles, prints, carvings.
 
-A material is a function of metric coordinates (a row of x, a column of y) that gives colors.
+A texture maps metric coordinates (a row of x, a column of y) to colors.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ METALS = (
 
 @dataclass(frozen=True)
 class Material:
-    """What a surface looks like."""
+    """Appearance of a surface."""
 
     texture: Texture
     gloss: float
     base: np.ndarray
-    """Its mean color."""
+    """Mean color."""
 
 
 def _vary(rng: np.random.Generator, color: tuple[float, ...], by: float) -> np.ndarray:
@@ -62,19 +62,19 @@ def _vary(rng: np.random.Generator, color: tuple[float, ...], by: float) -> np.n
 
 
 def random_color(rng: np.random.Generator) -> np.ndarray:
-    """Any color, grays more often than not."""
+    """Draw any color, mostly grays."""
     gray = rng.uniform(0.03, 0.97)
     tint = rng.normal(0, rng.choice([0.01, 0.03, 0.08, 0.25]), 3)
     return np.clip(gray + tint, 0.02, 0.97).astype(np.float32)
 
 
 def plain(color: np.ndarray, gloss: float = 0.1) -> Material:
-    """One color all over."""
+    """Return a uniform material."""
     return Material(lambda x, y: np.broadcast_to(color, (y.size, x.size, 3)), gloss, color)
 
 
 def paint(rng: np.random.Generator) -> Material:
-    """Painted, sometimes worn."""
+    """Draw paint, sometimes worn."""
     any_color = rng.random() < 0.3
     color = random_color(rng) if any_color else _vary(rng, PAINTS[rng.integers(len(PAINTS))], 0.06)
     worn = rng.choice([0.0, 0.0, 0.03, 0.15])
@@ -90,7 +90,7 @@ def paint(rng: np.random.Generator) -> Material:
 
 
 def wood(rng: np.random.Generator) -> Material:
-    """Streaks along the grain, with rings here and there."""
+    """Draw wood: streaks along the grain, with some rings."""
     base = _vary(rng, WOODS[rng.integers(len(WOODS))], 0.1)
     along_x = rng.random() < 0.4
     fine, strength = rng.uniform(40, 160), rng.uniform(0.05, 0.3)
@@ -116,7 +116,7 @@ def wood(rng: np.random.Generator) -> Material:
 
 
 def steel(rng: np.random.Generator) -> Material:
-    """Brushed metal."""
+    """Draw brushed metal."""
     gray = rng.uniform(0.35, 0.75)
     base = np.clip(gray + rng.normal(0, 0.015, 3), 0, 1).astype(np.float32)
     upright = rng.random() < 0.5
@@ -131,7 +131,7 @@ def steel(rng: np.random.Generator) -> Material:
 
 
 def glass(rng: np.random.Generator) -> Material:
-    """Dark, bright or see-through glass."""
+    """Draw dark, bright or transparent glass."""
     dark = rng.random() < 0.7
     color = np.full(3, rng.uniform(0.01, 0.12) if dark else rng.uniform(0.3, 0.8), np.float32)
     shelves = rng.uniform(0.15, 0.35) if rng.random() < 0.3 else 0.0
@@ -148,7 +148,7 @@ def glass(rng: np.random.Generator) -> Material:
 
 
 def tiles(rng: np.random.Generator) -> Material:
-    """A repeated print or a tiled wall."""
+    """Draw a repeated print or a tiled wall."""
     a, b = random_color(rng), random_color(rng)
     pitch = rng.uniform(0.04, 0.2)
     fold = int(rng.integers(1, 5))
@@ -175,7 +175,7 @@ def tiles(rng: np.random.Generator) -> Material:
 
 
 def like(rng: np.random.Generator, material: Material, by: float = 0.06) -> Material:
-    """The same material a bit lighter or darker, as a second part of the same thing."""
+    """Draw a slightly lighter or darker version of a material."""
     tone = np.clip(rng.normal(1, by, 3) * rng.normal(1, by), 0.6, 1.5).astype(np.float32)
     first = material.texture
     return Material(
@@ -184,17 +184,17 @@ def like(rng: np.random.Generator, material: Material, by: float = 0.06) -> Mate
 
 
 def metal(rng: np.random.Generator) -> Material:
-    """What handles are made of."""
+    """Draw the material of handles."""
     return plain(_vary(rng, METALS[rng.integers(len(METALS))], 0.08), rng.uniform(0.2, 0.9))
 
 
 def carcass(rng: np.random.Generator, appliance: bool, uniform: bool) -> Material:
-    """What a body is made of.
+    """Draw the material of a body.
 
     Args:
-        rng: Source of chance.
-        appliance: A fridge or an oven, not a cabinet.
-        uniform: One flat color, as models made on a computer have.
+        rng: Source of randomness.
+        appliance: Whether it is an appliance, not a cabinet.
+        uniform: Whether it has one flat color, like CAD models.
     """
     if uniform:
         gray = np.full(3, rng.uniform(0.45, 1.0), np.float32)

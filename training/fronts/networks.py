@@ -1,4 +1,4 @@
-"""The two networks: one looks at a whole face, the other at one part of it."""
+"""The two networks: one for a whole face, one for a crop of one part."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PLANES = 7
 
 
 def conv(inner: int, outer: int, stride: int = 1, size: int = 3) -> nn.Sequential:
-    """Convolution, normalization, rectifier."""
+    """Return a convolution with normalization and ReLU."""
     return nn.Sequential(
         nn.Conv2d(inner, outer, size, stride, size // 2, bias=False),
         nn.BatchNorm2d(outer),
@@ -22,7 +22,7 @@ def conv(inner: int, outer: int, stride: int = 1, size: int = 3) -> nn.Sequentia
 
 
 class Block(nn.Module):
-    """Two convolutions around which the input passes unchanged."""
+    """A residual block of two convolutions."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -36,7 +36,7 @@ class Block(nn.Module):
 
 
 class Pyramid(nn.Module):
-    """Features at a quarter of the resolution that know of the whole picture, and the top."""
+    """Features at 1/4 resolution with context of the whole image, and the top level."""
 
     def __init__(self, widths: tuple[int, ...], out: int) -> None:
         super().__init__()
@@ -61,7 +61,7 @@ class Pyramid(nn.Module):
 
 
 class FaceNetwork(nn.Module):
-    """Where the centers of parts are, how far their edges, and whether the face is a front."""
+    """Predict centers of parts, distances to their edges, and whether the face is a front."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class FaceNetwork(nn.Module):
         nn.init.constant_(self.reach.bias, -1.5)
 
     def forward(self, face: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Logits of the heat, logarithms of the distances to the edges, logit of the front."""
+        """Return logits of the heat, logarithms of edge distances, and the logit of the front."""
         y, top = self.pyramid(face)
         y = self.head(y)
         pooled = top.mean(dim=(2, 3))
@@ -82,7 +82,7 @@ class FaceNetwork(nn.Module):
 
 
 class PartNetwork(nn.Module):
-    """Where the edges of the part in a crop are, what it is, and where its handle."""
+    """Predict the kind, edges and handle of the part in a crop."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -102,11 +102,11 @@ class PartNetwork(nn.Module):
         nn.init.constant_(self.handle.bias, -2.0)
 
     def forward(self, crop: Tensor, aspect: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Look at crops.
+        """Process crops.
 
         Returns:
-            Logits of the kinds, of no part, and of a handle; logits of where each edge is, along
-            its axis, (n, 4, m); logits of the handle's center (n, m, m); logarithms of the
+            Logits of the kinds, of no part, and of a handle; logits of each edge's position along
+            its axis (n, 4, m); logits of the handle's center (n, m, m); logarithms of the
             distances to the handle's edges (n, 4, m, m).
         """
         y, top = self.pyramid(crop)

@@ -1,6 +1,6 @@
-"""Plans of faces: rectangles that open, and rectangles that do not.
+"""Plans of faces: moving and fixed rectangles.
 
-A plan is drawn up in meters with the origin at the face's top left corner, y down.
+A plan is in meters, with the origin at the face's top left corner, y down.
 """
 
 from __future__ import annotations
@@ -20,21 +20,20 @@ class Cell:
 
     rect: Rect
     kind: PartKind | None
-    """None for what does not move."""
+    """None for a fixed field."""
     fill: str = "panel"
-    """How it is painted: panel, glass, window, open, knees, blank, controls, knobs,
-    basin, vent."""
+    """Appearance: panel, glass, window, open, knees, blank, controls, knobs, basin or vent."""
     free: str = ""
-    """Side at which the handle is; "" for the one opposite of the hinge."""
+    """Side of the handle; "" for the side opposite the hinge."""
     along: float = 0.5
-    """Where along that side the handle sits."""
+    """Position of the handle along that side [-]."""
     handle: bool = True
-    """Whether it may have one."""
+    """Whether it may have a handle."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A face and what is on it."""
+    """A face with its fields."""
 
     family: str
     width: float
@@ -42,18 +41,18 @@ class Plan:
     cells: list[Cell] = field(default_factory=list)
     appliance: bool = False
     stretch: tuple[float, float] | None = None
-    """From where to where it is looked at; the whole width by default."""
+    """Visible range of x [m]; the whole width by default."""
 
 
 def hinged(rng: np.random.Generator) -> PartKind:
-    """A door with its hinge on either side."""
+    """Draw the hinge side of a door."""
     return "door_left" if rng.random() < 0.5 else "door_right"
 
 
 def pair(
     rng: np.random.Generator, rect: Rect, gap: float, along: float, fill: str = "panel"
 ) -> list[Cell]:
-    """Two doors that open from their common edge."""
+    """Return two doors that open from their common edge."""
     left, top, right, bottom = rect
     share = 0.5 if rng.random() < 0.8 else rng.uniform(0.35, 0.65)
     at = left + share * (right - left)
@@ -64,7 +63,7 @@ def pair(
 
 
 def shares(rng: np.random.Generator, count: int, uneven: float) -> np.ndarray:
-    """Relative sizes of neighbors."""
+    """Draw the relative sizes of neighbors."""
     raw = np.ones(count) if rng.random() > uneven else rng.uniform(0.6, 1.7, count)
     return raw / raw.sum()
 

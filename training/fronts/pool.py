@@ -1,4 +1,4 @@
-"""Drawn faces as the networks see them, kept in files so that they are drawn only once."""
+"""Store drawn faces as network inputs in files, so that they are drawn only once."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from . import generator
 
 MOST_PARTS = 24
 CROPS = 6
-"""Crops that are kept of each face."""
+"""Number of crops per face [-]."""
 NO_PART = len(decode.KINDS)
 
 
 @dataclass(frozen=True)
 class Pool:
-    """Pictures and truth; a picture's planes are color, relief (0 where unknown) and lines."""
+    """Images and labels; an image's planes are color, relief (0 where unknown) and lines."""
 
     faces: UInt8[np.ndarray, "n 6 s s"]
     boxes: Float[np.ndarray, "n p 4"]
     kinds: Int[np.ndarray, "n p"]
-    """-1 beyond the last part of a face."""
+    """-1 after the last part of a face."""
     crops: UInt8[np.ndarray, "m 6 t t"]
     aspects: Float[np.ndarray, " m"]
     crop_kinds: Int[np.ndarray, " m"]
     edges: Float[np.ndarray, "m 4"]
-    """Of the part, as fractions of the crop."""
+    """Edges of the part, as fractions of the crop."""
     handles: Float[np.ndarray, "m 4"]
-    """As fractions of the crop; NaN where there is none."""
+    """Handles as fractions of the crop; NaN without one."""
 
     @staticmethod
     def read(folder: Path) -> Pool:
-        """Open what `fill` wrote, without loading it all."""
+        """Open the files of `fill` as memory maps."""
         names = Pool.__dataclass_fields__
         return Pool(**{n: np.load(folder / f"{n}.npy", mmap_mode="r") for n in names})
 
 
 def packed(stack: np.ndarray) -> UInt8[np.ndarray, "6 s s"]:
-    """What `decode.planes` gives of a face, resampled, as bytes."""
+    """Pack the resampled planes of `decode.planes` into bytes."""
     color = np.clip(stack[:3] * 64 + 128, 0, 255)
     share = np.maximum(stack[4], 1e-6)
     relief = np.clip(stack[3] / share, -1, 1) * 127 + 128.5
@@ -56,7 +56,7 @@ def packed(stack: np.ndarray) -> UInt8[np.ndarray, "6 s s"]:
 
 
 def unpacked(codes: UInt8[np.ndarray, "n 6 s s"]) -> np.ndarray:
-    """What the networks take."""
+    """Return the inputs of the networks."""
     color = (codes[:, :3].astype(np.float32) - 127.5) / 64
     known = codes[:, 3:4] > 0
     relief = np.where(known, (codes[:, 3:4].astype(np.float32) - 128) / 127, 0)
@@ -67,7 +67,7 @@ def unpacked(codes: UInt8[np.ndarray, "n 6 s s"]) -> np.ndarray:
 def proposals(
     rng: np.random.Generator, drawn: generator.Drawn
 ) -> tuple[Float[np.ndarray, "n 4"], Int[np.ndarray, " n"]]:
-    """Boxes as a first look would give them, right and wrong, and the part that each means."""
+    """Draw right and wrong boxes like those of the first network, and the part of each."""
     parts = np.array([p.box for p in drawn.parts]).reshape(-1, 4)
     wanted: list[np.ndarray] = []
     size = parts[:, 2:] - parts[:, :2]
@@ -89,7 +89,7 @@ def proposals(
 
 
 def _wrong(rng: np.random.Generator, drawn: generator.Drawn, parts: np.ndarray) -> np.ndarray:
-    """One wrong proposal: a fixed field, two parts in one, a piece of one, anything."""
+    """Draw a wrong proposal: a fixed field, two parts, a piece of a part, or a random box."""
     draw = rng.random()
     if drawn.false_parts and draw < 0.4:
         box = np.array(drawn.false_parts[rng.integers(len(drawn.false_parts))])
@@ -112,7 +112,7 @@ def _wrong(rng: np.random.Generator, drawn: generator.Drawn, parts: np.ndarray) 
 
 
 def _one(task: tuple[generator.Mix, tuple[int, int]]) -> dict[str, np.ndarray]:
-    """Draw a face and cut it up."""
+    """Draw a face and its crops."""
     mix, seed = task
     rng = np.random.default_rng(seed)
     drawn = generator.draw(rng, mix)
@@ -157,7 +157,7 @@ def _one(task: tuple[generator.Mix, tuple[int, int]]) -> dict[str, np.ndarray]:
 def fill(folder: Path, mix: generator.Mix, seed: int, count: int, workers: int) -> None:
     """Draw faces and write them; the same seed gives the same files."""
     folder.mkdir(parents=True, exist_ok=True)
-    # Workers read these when they start; threads within each would wait for one another.
+    # Workers read these at start; more threads per worker would compete for the cores.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     files: dict[str, np.memmap[Any, Any]] = {}
     with mp.get_context("spawn").Pool(workers) as helpers:

@@ -1,4 +1,4 @@
-"""What the networks should say, and how wrong they are."""
+"""Training targets and losses of the networks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from momapos.perception.reconstruction.decode import KINDS
 def bumps(
     boxes: Float[np.ndarray, "n 4"], side: int, spread: float
 ) -> Float[np.ndarray, "n side side"]:
-    """A bell over the middle of each box that is 1 at the cell nearest to its center."""
+    """Return a bell for each box that is 1 at the cell nearest to its center."""
     cells = np.arange(side)
     center = (boxes[:, :2] + boxes[:, 2:]) / 2 * side - 0.5
     nearest = np.clip(np.round(center), 0, side - 1)
@@ -25,7 +25,7 @@ def bumps(
 
 
 def distances(boxes: Float[np.ndarray, "n 4"], side: int) -> Float[np.ndarray, "n 4 side side"]:
-    """How far each cell is from the left, top, right and bottom edge of each box."""
+    """Return the distance of each cell to the left, top, right and bottom edge of each box."""
     at = (np.arange(side) + 0.5) / side
     out = np.empty((len(boxes), 4, side, side), np.float32)
     out[:, 0] = at[None, None, :] - boxes[:, 0, None, None]
@@ -38,7 +38,7 @@ def distances(boxes: Float[np.ndarray, "n 4"], side: int) -> Float[np.ndarray, "
 def face_targets(
     boxes: Float[np.ndarray, "p 4"], kinds: Int[np.ndarray, " p"], side: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heat by kind, distances to the edges, and where those count."""
+    """Return heat by kind, distances to the edges, and the weight of these distances."""
     heat = np.zeros((len(KINDS), side, side), np.float32)
     reach = np.full((4, side, side), 0.1, np.float32)
     weight = np.zeros((side, side), np.float32)
@@ -58,7 +58,7 @@ def face_targets(
 
 
 def heat_loss(logits: Tensor, heat: Tensor, count: Tensor) -> Tensor:
-    """Focal loss of center maps: cells near a center are forgiven (CornerNet, section 3.2)."""
+    """Return the focal loss of center maps, reduced near centers (CornerNet, section 3.2)."""
     positive = heat > 0.999
     sure = torch.sigmoid(logits)
     hit = F.logsigmoid(logits) * (1 - sure) ** 2
@@ -67,12 +67,12 @@ def heat_loss(logits: Tensor, heat: Tensor, count: Tensor) -> Tensor:
 
 
 def reach_loss(logs: Tensor, reach: Tensor, weight: Tensor) -> Tensor:
-    """One minus the common area over the union, and the error of the logarithms."""
-    said = logs.clamp(-7, 1).exp()
-    low, high = torch.minimum(said, reach), torch.maximum(said, reach)
+    """Return 1 - IoU plus the error of the logarithms."""
+    predicted = logs.clamp(-7, 1).exp()
+    low, high = torch.minimum(predicted, reach), torch.maximum(predicted, reach)
     common = (low[:, 0] + low[:, 2]) * (low[:, 1] + low[:, 3])
     union = (
-        (said[:, 0] + said[:, 2]) * (said[:, 1] + said[:, 3])
+        (predicted[:, 0] + predicted[:, 2]) * (predicted[:, 1] + predicted[:, 3])
         + (reach[:, 0] + reach[:, 2]) * (reach[:, 1] + reach[:, 3])
         - common
     )
@@ -83,7 +83,7 @@ def reach_loss(logs: Tensor, reach: Tensor, weight: Tensor) -> Tensor:
 
 
 def edge_loss(logits: Tensor, edges: Tensor, real: Tensor) -> Tensor:
-    """Cross entropy with a narrow bell around each edge."""
+    """Return the cross entropy with a narrow bell around each edge."""
     side = logits.shape[-1]
     at = (torch.arange(side) + 0.5) / side
     bell = torch.exp(-0.5 * ((at - edges[..., None]) * side / 0.6) ** 2) + 1e-8

@@ -22,34 +22,34 @@ WEIGHTS = (
     Path(__file__).parents[2] / "src" / "momapos" / "perception" / "reconstruction" / "weights"
 )
 MIRROR = np.array(decode.MIRRORED_KINDS)
-"""What each kind is in a mirror."""
+"""Kind of each mirrored part."""
 MIXES = {"ordinary": generator.ORDINARY, "hard": generator.HARD, "hung": generator.HUNG}
 FACES = (16000, 10000, 6000)
-"""How many faces are drawn of each [-]."""
+"""Number of drawn faces of each mix [-]."""
 FACE_STEPS, PART_STEPS = 12000, 11000
-"""How long both networks learn [-]."""
+"""Training steps of both networks [-]."""
 LIFT_STEPS, KIND_STEPS = 1000, 1600
-"""How long what tells lifted doors in the first and kinds in the second learns more [-]."""
+"""Further training steps for lifted doors (first network) and kinds (second network) [-]."""
 WITHOUT_LINES = 0.5
-"""Share of pictures without dark lines: drawn seams show more often than real ones [-]."""
+"""Share of images without dark lines: drawn seams are visible more often than real ones [-]."""
 NARROW = torch.backends.mkldnn.is_available() and torch.cpu._is_avx512_bf16_supported()
-"""Whether this processor multiplies 16-bit floats, which takes half the time."""
+"""Whether this processor multiplies 16-bit floats, which halves the time."""
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long one network learns."""
+    """Training schedule of one network."""
 
     steps: int
     batch: int
     rate: float = 2e-3
     decay: float = 0.02
     keep: float = 0.997
-    """How slowly the averaged weights, which are shipped, follow [-]."""
+    """Decay of the running average of the weights, which is shipped [-]."""
 
 
-def disturbed(rng: np.random.Generator, codes: np.ndarray) -> Tensor:
-    """Pictures for one step: other colors, half of them without relief, fainter lines."""
+def augmented(rng: np.random.Generator, codes: np.ndarray) -> Tensor:
+    """Augment the images of a step: other colors, no relief in some, fainter or no lines."""
     stack = pool.unpacked(codes)
     n = len(stack)
     gain = rng.uniform(0.8, 1.2, (n, 1, 1, 1)) * rng.normal(1, 0.04, (n, 3, 1, 1))
@@ -68,21 +68,21 @@ def disturbed(rng: np.random.Generator, codes: np.ndarray) -> Tensor:
 
 
 def flipped(boxes: np.ndarray) -> np.ndarray:
-    """Boxes in a mirror."""
+    """Return mirrored boxes."""
     return np.stack((1 - boxes[..., 2], boxes[..., 1], 1 - boxes[..., 0], boxes[..., 3]), axis=-1)
 
 
-def looked(net: nn.Module, pictures: Tensor, *more: Tensor) -> list[Tensor]:
-    """What a network says of pictures."""
+def outputs_of(net: nn.Module, images: Tensor, *more: Tensor) -> list[Tensor]:
+    """Return a network's outputs for images."""
     with torch.autocast("cpu", torch.bfloat16, enabled=NARROW):
-        said = net(pictures.contiguous(memory_format=torch.channels_last), *more)
-    return [each.float() for each in said]
+        outputs = net(images.contiguous(memory_format=torch.channels_last), *more)
+    return [each.float() for each in outputs]
 
 
 def face_step(
     net: nn.Module, data: pool.Pool, rng: np.random.Generator, chosen: np.ndarray
 ) -> dict[str, Tensor]:
-    """Errors of the first network on some faces."""
+    """Return the losses of the first network on some faces."""
     codes, boxes, kinds = data.faces[chosen], data.boxes[chosen], data.kinds[chosen].astype(int)
     mirror = rng.random(len(chosen)) < 0.5
     codes = np.where(mirror[:, None, None, None], codes[..., ::-1], codes)
@@ -92,11 +92,11 @@ def face_step(
     made = [targets.face_targets(b, k, side) for b, k in zip(boxes, kinds, strict=True)]
     heat, reach, weight = (torch.from_numpy(np.stack(m)) for m in zip(*made, strict=True))
     count = torch.tensor(float((kinds >= 0).sum()))
-    said_heat, said_reach, front = looked(net, disturbed(rng, codes))
+    predicted_heat, predicted_reach, front = outputs_of(net, augmented(rng, codes))
     real = torch.from_numpy((kinds[:, 0] >= 0).astype(np.float32))
     return {
-        "heat": targets.heat_loss(said_heat, heat, count),
-        "reach": targets.reach_loss(said_reach, reach, weight),
+        "heat": targets.heat_loss(predicted_heat, heat, count),
+        "reach": targets.reach_loss(predicted_reach, reach, weight),
         "front": 0.3 * nn.functional.binary_cross_entropy_with_logits(front, real),
     }
 
@@ -104,7 +104,7 @@ def face_step(
 def part_step(
     net: nn.Module, data: pool.Pool, rng: np.random.Generator, chosen: np.ndarray
 ) -> dict[str, Tensor]:
-    """Errors of the second network on some crops."""
+    """Return the losses of the second network on some crops."""
     codes, kinds = data.crops[chosen], data.crop_kinds[chosen].astype(int)
     edges, handles = data.edges[chosen], data.handles[chosen]
     mirror = rng.random(len(chosen)) < 0.5
@@ -113,8 +113,10 @@ def part_step(
     handles = np.where(mirror[:, None], flipped(handles), handles)
     kinds = np.where(mirror, MIRROR[kinds], kinds)
     aspects = data.aspects[chosen] + rng.normal(0, 0.15, len(chosen)).astype(np.float32)
-    crops = disturbed(rng, codes)
-    logits, said_edges, heat_logits, logs = looked(net, crops, torch.from_numpy(aspects)[:, None])
+    crops = augmented(rng, codes)
+    logits, predicted_edges, heat_logits, logs = outputs_of(
+        net, crops, torch.from_numpy(aspects)[:, None]
+    )
     real = torch.from_numpy((kinds < pool.NO_PART).astype(np.float32))
     held = np.isfinite(handles[:, 0])
     side = heat_logits.shape[-1]
@@ -133,7 +135,7 @@ def part_step(
         "kind": nn.functional.cross_entropy(
             logits[:, :-1], torch.from_numpy(kinds), label_smoothing=0.02
         ),
-        "edges": 0.5 * targets.edge_loss(said_edges, torch.from_numpy(edges), real),
+        "edges": 0.5 * targets.edge_loss(predicted_edges, torch.from_numpy(edges), real),
         "held": 0.5 * (grip * real).sum() / real.sum().clamp(min=1),
         "heat": 0.3 * targets.heat_loss(heat_logits, torch.from_numpy(heat), count),
         "reach": 0.5 * targets.reach_loss(logs, torch.from_numpy(reach), torch.from_numpy(weight)),
@@ -144,14 +146,14 @@ Step = Callable[[nn.Module, pool.Pool, np.random.Generator, np.ndarray], dict[st
 
 
 class Deck:
-    """Numbers in random order, each once before any comes again."""
+    """Draws numbers in random order, each once before any repeats."""
 
     def __init__(self, cards: np.ndarray, rng: np.random.Generator) -> None:
         self.cards, self.rng = cards, rng
         self.left = np.empty(0, dtype=int)
 
     def take(self, count: int) -> np.ndarray:
-        """The next few, sorted."""
+        """Return the next numbers, sorted."""
         if len(self.left) < count:
             self.left = np.concatenate((self.left, self.rng.permutation(self.cards)))
         taken, self.left = self.left[:count], self.left[count:]
@@ -166,15 +168,15 @@ def fit(
     seed: int,
     out: Path,
 ) -> None:
-    """Train a network; the average of its weights is written, now and then and at the end.
+    """Train a network; write the average of its weights regularly and at the end.
 
     Args:
-        net: The network; it is changed.
-        step: Gives its errors on some samples.
+        net: The network; it is modified.
+        step: Returns its losses on some samples.
         data: Pools that take turns, each with the indices of its samples.
-        plan: How long.
-        seed: Of order and disturbances.
-        out: Where it is written.
+        plan: The schedule.
+        seed: Seed of order and augmentation.
+        out: Output file.
     """
     rng = np.random.default_rng(seed)
     net = net.to(memory_format=torch.channels_last).train()
@@ -218,19 +220,19 @@ def _follow(averaged: nn.Module, net: nn.Module, keep: float) -> None:
 
 def train_face(pools: list[Path], out: Path, plan: Schedule, seed: int) -> None:
     """Train the first network on all faces."""
-    _settle(seed)
+    _make_reproducible(seed)
     fit(networks.FaceNetwork(), face_step, _faces(pools), plan, seed, out)
 
 
 def train_part(pools: list[Path], out: Path, plan: Schedule, seed: int) -> None:
     """Train the second network on all crops."""
-    _settle(seed)
+    _make_reproducible(seed)
     fit(networks.PartNetwork(), part_step, _crops(pools), plan, seed, out)
 
 
 def train_lifts(pools: list[Path], path: Path, plan: Schedule, seed: int) -> None:
-    """Train on what tells lifted doors in the first network; all else of it stays."""
-    _settle(seed)
+    """Train only the first network's weights for the heat of lifted doors."""
+    _make_reproducible(seed)
     net = networks.FaceNetwork()
     export.read(path, net).requires_grad_(False)
     net.heat.requires_grad_(True)
@@ -242,8 +244,8 @@ def train_lifts(pools: list[Path], path: Path, plan: Schedule, seed: int) -> Non
 
 
 def train_kinds(pools: list[Path], path: Path, plan: Schedule, seed: int) -> None:
-    """Train on the second network's last layers, which tell kinds; all else of it stays."""
-    _settle(seed)
+    """Train only the second network's last layers, which classify kinds."""
+    _make_reproducible(seed)
     net = networks.PartNetwork()
     export.read(path, net).requires_grad_(False)
     net.kind.requires_grad_(True)
@@ -251,17 +253,17 @@ def train_kinds(pools: list[Path], path: Path, plan: Schedule, seed: int) -> Non
 
 
 def _faces(pools: list[Path]) -> list[tuple[pool.Pool, np.ndarray]]:
-    """Pools, each with the indices of its faces."""
+    """Read pools, each with the indices of its faces."""
     return [(each, np.arange(len(each.faces))) for each in map(pool.Pool.read, pools)]
 
 
 def _crops(pools: list[Path]) -> list[tuple[pool.Pool, np.ndarray]]:
-    """Pools, each with the indices of its crops."""
+    """Read pools, each with the indices of its crops."""
     return [(each, np.nonzero(each.crop_kinds[:] >= 0)[0]) for each in map(pool.Pool.read, pools)]
 
 
-def _settle(seed: int) -> None:
-    """One thread and one seed, so that a run can be repeated."""
+def _make_reproducible(seed: int) -> None:
+    """Set one thread and the seed, so that a run is reproducible."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
 
@@ -272,7 +274,7 @@ Train = Callable[[list[Path], Path, Schedule, int], None]
 def side_by_side(
     tasks: Sequence[tuple[Train, Path, Schedule]], pools: list[Path], seed: int
 ) -> None:
-    """Train in processes of their own; one that fails ends this one, too."""
+    """Train in separate processes; a failure ends this process, too."""
     context = mp.get_context("spawn")
     jobs = [
         context.Process(target=train, args=(pools, path, plan, seed))
@@ -288,11 +290,11 @@ def side_by_side(
 
 
 def main() -> None:
-    """Do everything with one command."""
+    """Draw, train and write both networks."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
-    parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
-    parser.add_argument("--faces", type=int, nargs=3, default=FACES, help="to draw")
+    parser.add_argument("--out", type=Path, default=WEIGHTS, help="folder of the networks")
+    parser.add_argument("--faces", type=int, nargs=3, default=FACES, help="number of faces to draw")
     parser.add_argument("--face-steps", type=int, default=FACE_STEPS)
     parser.add_argument("--part-steps", type=int, default=PART_STEPS)
     parser.add_argument("--lift-steps", type=int, default=LIFT_STEPS)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
+import types
 from collections.abc import Hashable, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -19,11 +20,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-_TYPE_WORDS = {
-    "int": "a whole number", "float": "a number", "str": "text", "bool": "true or false",
-    "array": "a sequence", "null": "None",
-}  # fmt: skip
-"""How messages call the types that msgspec names."""
+_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+_SEVERAL = {int: "whole numbers", float: "numbers", str: "words"}
 
 
 def expect(name: str, value: object, kind: type, hint: str = "") -> None:
@@ -64,7 +62,7 @@ def finite_array(
         shape: The shape that it must have; None where any length does.
 
     Raises:
-        InputError: It holds other things than finite numbers, or has another shape.
+        InputError: It holds anything but finite numbers, or has another shape.
     """
     import numpy as np
 
@@ -151,9 +149,9 @@ def check_fields(config: Any) -> None:
         value = getattr(config, item.name)
         try:
             msgspec.convert(value, hints[item.name], strict=True, from_attributes=False)
-        except msgspec.ValidationError as error:
+        except msgspec.ValidationError:
             raise InputError(
-                f"{kind.__name__}.{item.name} must be {_wanted(hints[item.name], error)}, not "
+                f"{kind.__name__}.{item.name} must be {type_words(hints[item.name])}, not "
                 f"{shown(value)}"
             ) from None
         if any(isinstance(one, float) and math.isnan(one) for one in _parts(value)):
@@ -174,6 +172,20 @@ def refuse_below(config: object, least: float, *names: str) -> None:
             raise InputError(f"{field} must be at least {least:g}, not {value:g}")
 
 
+def type_words(kind: Any) -> str:
+    """Return the values that an annotation allows, in words."""
+    origin, args = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return f"one of {', '.join(map(str, args))}"
+    if origin in (Union, types.UnionType):
+        inner = [type_words(one) for one in args if one is not type(None)]
+        return " or ".join([*inner, *(["none"] if type(None) in args else [])])
+    if origin is tuple:
+        several = _SEVERAL.get(args[0], "") or f"words, each {type_words(args[0])}"
+        return several if args[-1] is ... else f"{len(args)} {several}"
+    return _WORDS.get(kind) or f"a {kind.__name__}"
+
+
 def shown(value: object) -> str:
     """Return a value as messages show it: its type, and short values themselves."""
     if isinstance(value, str | bytes | bool | int | float | None | list | tuple | dict):
@@ -185,18 +197,6 @@ def shown(value: object) -> str:
 @lru_cache(maxsize=64)
 def _hints(kind: Hashable) -> dict[str, Any]:
     return get_type_hints(kind)
-
-
-def _wanted(hint: Any, error: Exception) -> str:
-    """Return what a field takes: the words of a Literal, else the type that msgspec expects."""
-    words = [word for part in (hint, *get_args(hint)) if get_origin(part) is Literal
-             for word in get_args(part)]  # fmt: skip
-    if words:
-        return f"one of {', '.join(map(str, words))}"
-    if isinstance(hint, type) and is_dataclass(hint):
-        return f"a {hint.__name__}"
-    expected = str(error).replace("`", "").removeprefix("Expected ").partition(", got")[0]
-    return " or ".join(_TYPE_WORDS.get(word, word) for word in expected.split(" | "))
 
 
 def _parts(value: object) -> Sequence[object]:

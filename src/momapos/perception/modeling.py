@@ -78,7 +78,7 @@ def decide(
     faces = box_faces(item.box)
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
     left, right = (neighbor_protrusion(faces[k], view.face, others) for k in view.face.neighbors)
-    piece = furniture_model(item, facing, view.image, parts, config.model, beside=(left, right))
+    piece = furniture_model(item, facing, view.image, parts, config.model, neighbors=(left, right))
     piece, moved = opened_piece(piece, survey.leaves)
     return replace(box, view=view, parts=parts, source=source, model=piece, moved=moved)
 

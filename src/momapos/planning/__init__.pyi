@@ -2,7 +2,6 @@ from .base_pose_check import BasePoseChecks as BasePoseChecks
 from .base_pose_check import check_pose as check_pose
 from .base_pose_check import plan_at_pose as plan_at_pose
 from .config import PipelineConfig as PipelineConfig
-from .iterate import DEFAULT as DEFAULT
 from .keyword_forms import check_base_pose as check_base_pose
 from .keyword_forms import iter_placements as iter_placements
 from .keyword_forms import placement_tolerance as placement_tolerance
@@ -19,6 +18,7 @@ from .other_regions import MAX_OTHER_REGIONS as MAX_OTHER_REGIONS
 from .other_regions import poses_in_other_regions as poses_in_other_regions
 from .other_regions import without_departure_check as without_departure_check
 from .partial_opening import add_max_opening as add_max_opening
+from .query import DEFAULT as DEFAULT
 from .query import PlacementQuery as PlacementQuery
 from .result import PlacementResult as PlacementResult
 from .result import cheapest as cheapest

@@ -21,7 +21,6 @@ from momapos.planning.placement import (
     base_pose_status,
 )
 
-from .config import PipelineConfig
 from .max_opening import from_the_top, values_before
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
@@ -32,7 +31,6 @@ from .task_setup import PreparedTask, driving_lengths, prepare, start_pose
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-DEFAULT = PipelineConfig()
 MAX_VALUES_IN_TURN = 100
 """Number of values that are tried one by one at a pose; if there are more, in larger steps [-]."""
 
@@ -55,7 +53,7 @@ def check_pose(
 
     Returns:
         A motion that passes the exact check, or why there is none; and the largest value that
-        works. A task that asks for as much as possible gets the motion to that value.
+        works. A task that requests the maximum gets the motion to that value.
 
     Raises:
         InputError: The base pose is not three finite numbers.
@@ -153,16 +151,16 @@ def _farthest(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look | No
     begin = query.scene.object(task.object).values()[task.joint]
     values = values_before(begin, task.to, slides=slides(query.scene, task))
 
-    def ask(index: int) -> _Look | None:
+    def evaluate(index: int) -> _Look | None:
         one = replace(task, to=float(values[index]))
         look = _attempt(replace(query, task=one), base)
         return look if look.attempt.motion is not None else None
 
     # Most poses that fail do so for every value. A pose may also fail at a value between two that
     # work, so bisection could miss the last.
-    if not len(values) or ask(0) is None:
+    if not len(values) or evaluate(0) is None:
         return None
-    return from_the_top(ask, len(values), stride=1 + len(values) // MAX_VALUES_IN_TURN)
+    return from_the_top(evaluate, len(values), stride=1 + len(values) // MAX_VALUES_IN_TURN)
 
 
 def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:

@@ -1,4 +1,4 @@
-"""One configuration per stage, and the pipeline's, which holds all of them."""
+"""One configuration per stage, and the pipeline's, which contains all of them."""
 
 from __future__ import annotations
 

@@ -11,13 +11,10 @@ from momapos.core import InputError, Stopwatch
 from momapos.planning.grasps import task_motion
 from momapos.planning.placement import OURS, iter_searches
 
-from .config import PipelineConfig
 from .plan import plan_to_value
 from .query import PlacementQuery
 from .result import PlacementResult
 from .search_setup import prepare_search
-
-DEFAULT = PipelineConfig()
 
 
 def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
@@ -38,7 +35,7 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
     Raises:
         SceneError: The robot collides at its start pose.
         TaskError: The gripper cannot hold the object.
-        InputError: The task asks for as much as possible, or the configuration for another method.
+        InputError: The task requests the maximum, or the configuration another method.
     """
     scene, robot, task, config = query.scene, query.robot, query.task, query.config
     if config.place.method not in OURS:

@@ -47,8 +47,8 @@ def plan_base_placement(scene: Any, *rest: Any, **options: Any) -> PlacementResu
     Important objects get a kinematic model, all others are boxes. A box that a plan comes near is
     modeled, and the plan is checked again. "Infeasible" is returned only with every object modeled.
 
-    For a task that asks for as much as possible, the answer is for the largest value that works, to
-    a degree or a centimeter, and the plan's task names it. If the time runs out before all larger
+    For a task that requests the maximum, the answer is for the largest value that works, to a
+    degree or a centimeter, and the plan's task names it. If the time runs out before all larger
     values are excluded, the plan's task does not claim that it is the largest.
 
     Args:
@@ -121,7 +121,7 @@ def iter_placements(scene: Any, *rest: Any, **options: Any) -> Iterator[Placemen
         Solved answers; none if the task is infeasible.
 
     Raises:
-        InputError: An argument is wrong, or the task asks for as much as possible.
+        InputError: An argument is wrong, or the task requests the maximum.
         SceneError: The robot collides at its start pose.
         TaskError: The gripper cannot hold the object.
     """
@@ -158,7 +158,7 @@ def check_base_pose(scene: Any, *rest: Any, how_far: bool = True, **options: Any
 
     Returns:
         A motion that passes the exact check, or why there is none; and the largest value that
-        works. A task that asks for as much as possible gets the motion to that value.
+        works. A task that requests the maximum gets the motion to that value.
 
     Raises:
         InputError: An argument is wrong, such as a base pose that is not three finite numbers.

@@ -37,7 +37,7 @@ def values_before(begin: float, goal: float, *, slides: bool) -> Float[np.ndarra
 
 
 def last_that_works(
-    ask: Callable[[int], T | None],
+    evaluate: Callable[[int], T | None],
     low: int,
     high: int,
     *,
@@ -47,7 +47,7 @@ def last_that_works(
     """Find the last index that works, between one that does and one that does not.
 
     Args:
-        ask: Returns the result for an index, None if it does not work.
+        evaluate: Returns the result for an index, None if it does not work.
         low: An index that works, or the one before the first.
         high: An index that does not work, or the one after the last.
         within: Maximum distance of the returned index from one that does not work.
@@ -61,7 +61,7 @@ def last_that_works(
     while high - low > within:
         middle = (low + high) // 2
         at = middle if step is None else min(low + step, max(middle, low + within))
-        answer = ask(at)
+        answer = evaluate(at)
         if answer is None:
             high, step = at, None
         else:
@@ -70,31 +70,31 @@ def last_that_works(
     return low, best
 
 
-def from_the_top(ask: Callable[[int], T | None], count: int, stride: int) -> T | None:
+def from_the_top(evaluate: Callable[[int], T | None], count: int, stride: int) -> T | None:
     """Return the result of the last index that works, searching from the end.
 
     Unlike bisection it skips an index that fails among some that work.
 
     Args:
-        ask: Returns the result for an index, None if it does not work.
+        evaluate: Returns the result for an index, None if it does not work.
         count: Number of indices.
         stride: Step between tried indices until one works; then those after it are tried.
     """
     top = count
     for index in range(count - 1, -1, -stride):
-        found = ask(index)
+        found = evaluate(index)
         if found is not None:
-            return _first(ask, range(top - 1, index, -1)) or found
+            return _first(evaluate, range(top - 1, index, -1)) or found
         top = index
-    return _first(ask, range(top - 1, -1, -1))
+    return _first(evaluate, range(top - 1, -1, -1))
 
 
-def _first(ask: Callable[[int], T | None], indices: range) -> T | None:
-    return next((found for i in indices if (found := ask(i)) is not None), None)
+def _first(evaluate: Callable[[int], T | None], indices: range) -> T | None:
+    return next((found for i in indices if (found := evaluate(i)) is not None), None)
 
 
 def farthest_answer(
-    ask: Callable[[float, bool], T | None],
+    evaluate: Callable[[float, bool], T | None],
     values: Float[np.ndarray, " k"],
     *,
     waypoint: int,
@@ -105,14 +105,14 @@ def farthest_answer(
     Samples estimate it quickly; from there on a grid decides, first one waypoint farther.
 
     Args:
-        ask: Returns the result for a value, from samples alone or (True) also from a grid.
+        evaluate: Returns the result for a value, from samples alone or (True) also from a grid.
         values: The values in opening order [rad] or [m].
         waypoint: Number of values between two waypoints [-].
         within: Maximum number of values between the result and one that the grid excludes [-].
     """
-    some, best = last_that_works(lambda i: ask(values[i], False), -1, len(values))
+    some, best = last_that_works(lambda i: evaluate(values[i], False), -1, len(values))
     _, better = last_that_works(
-        lambda i: ask(values[i], True), some, len(values), within=within, first_step=waypoint
+        lambda i: evaluate(values[i], True), some, len(values), within=within, first_step=waypoint
     )
     return best if better is None else better
 

@@ -69,7 +69,7 @@ def find_max_opening(
     """
     config, in_time = query.config, True
 
-    def ask(value: float, thorough: bool) -> PlacementResult | None:
+    def evaluate(value: float, thorough: bool) -> PlacementResult | None:
         nonlocal in_time
         left = timeout - query.watch.total
         if left < MIN_TIMEOUT:
@@ -81,7 +81,7 @@ def find_max_opening(
         return result if result.plan.status == "solved" else None
 
     waypoint = values_per_waypoint(config.motion, slides=slides(query.scene, query.task))
-    return farthest_answer(ask, values, waypoint=waypoint, within=within), in_time
+    return farthest_answer(evaluate, values, waypoint=waypoint, within=within), in_time
 
 
 def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:

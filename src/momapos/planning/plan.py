@@ -1,7 +1,6 @@
-"""The method, one call a stage.
+"""Plan a base placement: the method's stages in order.
 
-Perception, driving and physics are stages of their own; here a scene is known, and the answer is
-where to stand and how to move.
+The scene is known here; perception, navigation and simulation are separate packages.
 """
 
 from __future__ import annotations
@@ -15,14 +14,11 @@ from momapos.planning.grasps import TaskMotion, hand_path, task_motion
 from momapos.planning.importance import Selection, rank
 from momapos.planning.placement import OURS, search
 
-from .config import PipelineConfig
 from .max_opening_plan import plan_max_opening
 from .query import PlacementQuery
 from .refine_model import initial_selection, refine_model
 from .result import PlacementResult
 from .search_setup import prepare_search
-
-DEFAULT = PipelineConfig()
 
 
 def plan_placement(query: PlacementQuery) -> PlacementResult:
@@ -31,8 +27,8 @@ def plan_placement(query: PlacementQuery) -> PlacementResult:
     Important objects get a kinematic model, all others are boxes. A box that a plan comes near is
     modeled, and the plan is checked again. "Infeasible" is returned only with every object modeled.
 
-    For a task that asks for as much as possible, the answer is for the largest value that works, to
-    a degree or a centimeter, and the plan's task names it. If the time runs out before all larger
+    For a task that requests the maximum, the answer is for the largest value that works, to a
+    degree or a centimeter, and the plan's task names it. If the time runs out before all larger
     values are excluded, the plan's task does not claim that it is the largest.
 
     Raises:
@@ -62,8 +58,8 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
     while True:
         result = _search(query, selection, motion)
         if result.plan.status == "solved":
-            selection, holds = refine_model(query, selection, result)
-            if holds:
+            selection, valid = refine_model(query, selection, result)
+            if valid:
                 break
         elif result.plan.status == "timeout" or not selection.boxes:
             break

@@ -107,7 +107,7 @@ def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> P
 
     Args:
         results: One answer per arm, at least one; the first wins a tie.
-        farthest: Whether the task asks for as much as possible, which then precedes the drive.
+        farthest: Whether the task requests the maximum, which then has priority over the drive.
     """
 
     def rank(result: PlacementResult) -> tuple[int, float, float]:

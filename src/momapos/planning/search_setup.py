@@ -48,7 +48,7 @@ class SearchSetup:
     """The check of base poses that the problem's check is built on."""
     drives: BasePaths
     robust: RobustChecks | None
-    """The check of base-pose robustness, if the query asks for it."""
+    """The check of base-pose robustness, if the query requires it."""
 
     def slides(self) -> Iterator[SlidingHook]:
         """Yield the task with a hook that slides along the handle, if some hook can."""

@@ -14,21 +14,24 @@ import math
 import re
 import textwrap
 import tomllib
-import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from momapos.core import FileFormatError, InputError, UnknownNameError, read_text_bounded
+from momapos.core import (
+    FileFormatError,
+    InputError,
+    UnknownNameError,
+    read_text_bounded,
+    type_words,
+)
 
 MAX_BYTES = 1_000_000
 """Size limit of a settings file [bytes]."""
-_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
-_SEVERAL = {int: "whole numbers", float: "numbers", str: "words"}
 _FIELD = re.compile(r"(?:--)?(?:[A-Za-z_]\w*\.)*(?P<name>[A-Za-z_][\w-]*)(?P<rest>\s.*)", re.DOTALL)
 
 C = TypeVar("C")
@@ -42,9 +45,9 @@ class Setting:
     path: str
     """The field, such as `importance.k0`."""
     value: Any
-    """As the field's type has it."""
+    """The value, converted to the field's type."""
     where: str
-    """Names the setting in messages, such as `my.toml: importance.k0`."""
+    """Name of the setting in messages, such as `my.toml: importance.k0`."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class FieldHelp:
 
     path: str
     value: str
-    """The value that it has, in the syntax of `parse_setting`."""
+    """Its value, in the syntax of `parse_setting`."""
     text: str
     """Its docstring, on one line."""
 
@@ -63,7 +66,7 @@ def read_settings(file: Path, config: object) -> list[Setting]:
 
     Args:
         file: The file.
-        config: The configuration that the settings are for.
+        config: The configuration with these fields.
 
     Raises:
         FileFormatError: The file is missing, too large or not valid TOML.
@@ -78,14 +81,14 @@ def read_settings(file: Path, config: object) -> list[Setting]:
 
 
 def parse_setting(text: str, config: object, source: str) -> Setting:
-    """Read a setting that is written as FIELD=VALUE.
+    """Read a setting in the form FIELD=VALUE.
 
-    A value is written as in JSON, or as a word; several numbers stand between plus signs.
+    A value is JSON or a word; several values are joined by plus signs.
 
     Args:
-        text: Such as `paper.heights=0.5+1.5`.
-        config: The configuration that the setting is for.
-        source: Begins messages, such as `--set`.
+        text: The setting, such as `paper.heights=0.5+1.5`.
+        config: The configuration with this field.
+        source: Prefix of messages, such as `--set`.
 
     Raises:
         UnknownNameError: There is no such field.
@@ -106,7 +109,7 @@ def parse_setting(text: str, config: object, source: str) -> Setting:
     where = f"{source} {path}"
     if is_dataclass(kind):
         one = f"{path}.{next(iter(_hints(kind)))}"
-        raise InputError(f"{where} holds several fields; set one of them, such as {one}")
+        raise InputError(f"{where} has several fields; set one of them, such as {one}")
     return Setting(path, _convert(_reading(value, kind), kind, where, value), where)
 
 
@@ -190,7 +193,7 @@ def _unknown(path: str, config: object, source: str) -> UnknownNameError:
 
 
 def _reading(text: str, kind: Any) -> Any:
-    """What a text stands for, as plain values that may fit a type."""
+    """Return the first reading of a text, as plain values, that fits a type."""
     if get_origin(kind) is tuple:
         return [_reading(part, get_args(kind)[0]) for part in text.split("+")]
     readings: list[Any] = [text]
@@ -213,33 +216,18 @@ def _convert(value: Any, kind: Any, where: str, written: Any) -> Any:
     try:
         converted = msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        raise InputError(f"{where} must be {_expected(kind)}, not {_shown(written)}") from error
+        raise InputError(f"{where} must be {type_words(kind)}, not {_shown(written)}") from error
     if isinstance(converted, tuple):
         finite = all(math.isfinite(one) for one in converted if isinstance(one, float))
-    else:  # inf is a weight that some fields take
+    else:  # some weights may be inf
         finite = not (isinstance(converted, float) and math.isnan(converted))
     if not finite:
-        raise InputError(f"{where} must be {_expected(kind)}, not {_shown(written)}")
+        raise InputError(f"{where} must be {type_words(kind)}, not {_shown(written)}")
     return converted
 
 
-def _expected(kind: Any) -> str:
-    """A type in words."""
-    origin, args = get_origin(kind), get_args(kind)
-    if origin is Literal:
-        return f"one of {', '.join(map(str, args))}"
-    if origin in (Union, types.UnionType):
-        inner = [_expected(one) for one in args if one is not type(None)]
-        return " or ".join([*inner, *(["none"] if type(None) in args else [])])
-    if origin is tuple:
-        item = args[0]
-        several = _SEVERAL.get(item, "") or f"words, each {_expected(item)}"
-        return several if args[-1] is ... else f"{len(args)} {several}"
-    return _WORDS.get(kind, str(kind))
-
-
 def _shown(value: Any) -> str:
-    """A value in a message."""
+    """Return a value as a message shows it."""
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list):
@@ -248,7 +236,7 @@ def _shown(value: Any) -> str:
 
 
 def _written(value: Any) -> str:
-    """A value as `parse_setting` reads it."""
+    """Return a value as `parse_setting` reads it."""
     if isinstance(value, tuple):
         return "+".join(map(_written, value))
     if value is None or isinstance(value, bool):
@@ -257,13 +245,13 @@ def _written(value: Any) -> str:
 
 
 def _hints(kind: Any) -> dict[str, Any]:
-    """The types of a dataclass's fields."""
+    """Return the types of a dataclass's fields."""
     hints = get_type_hints(kind)
     return {item.name: hints[item.name] for item in fields(kind)}
 
 
 def _field_docs(kind: type) -> dict[str, str]:
-    """The docstrings below a dataclass's fields, from its source."""
+    """Return the docstrings of a dataclass's fields, from its source."""
     docs: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if not is_dataclass(base):

@@ -14,7 +14,6 @@ from momapos.core import Clock, Stopwatch, finite_array, whole_number
 from momapos.model.records import Motion, Tolerance
 
 from .base_pose_check import BasePoseChecks
-from .config import PipelineConfig
 from .query import PlacementQuery
 from .replan_nearby import Depth, NearbyReplanner
 from .result import PlacementResult
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-DEFAULT = PipelineConfig()
 Failure: TypeAlias = "Callable[[Float[np.ndarray, 'n 3'], Depth], int | None]"
 """Returns the index of an offset at which replanning fails; None if it fails at none."""
 RADII = (0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.125, 0.15)

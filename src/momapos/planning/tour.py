@@ -32,7 +32,6 @@ from .task_setup import start_pose
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-DEFAULT = PipelineConfig()
 MAX_TASKS = 20
 """Maximum number of tasks in a tour [-]."""
 _INVERSE = {"pick": "place", "place": "pick"}
@@ -89,7 +88,7 @@ def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
 
     Args:
         query: The question of the first task. Its scene, robot, region, configuration, seed and
-            clock hold for all; the timeout is for the whole tour.
+            clock apply to all; the timeout is for the whole tour.
         requests: All tasks, the first included; each to a value, not as far as possible.
 
     Raises:

@@ -19,7 +19,7 @@ from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import ArmKinematics
 from .config import AT_END, GOOD, RECOVERABLE, Ending, ExecutionConfig
 from .dynamics import Dynamics, read_dynamics
-from .execution_run import ExecutionRun, JointBelief, Stretch, Watch
+from .execution_run import BelievedJoint, ExecutionRun, Stretch, Watch
 from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
 from .retreat import PlanHomePath, retreat
 from .run_record import Collision, Execution, JointFound, Pose
@@ -232,13 +232,13 @@ def _approach(
     return pace_trajectory(plan, path, tool, room, config, careful=careful)
 
 
-def _belief(item: SceneObject, name: str | None) -> JointBelief | None:
+def _belief(item: SceneObject, name: str | None) -> BelievedJoint | None:
     if name is None:
         return None
     joint = item.model.joint(name)
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
     axis = Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3])
-    return JointBelief(axis, opening_of(item.model, name).closed)
+    return BelievedJoint(axis, opening_of(item.model, name).closed)
 
 
 def _outcome(

@@ -40,7 +40,7 @@ MAX_OVERLOAD_STEPS = 5
 
 
 @dataclass(frozen=True)
-class JointBelief:
+class BelievedJoint:
     """Joint of the part, as the robot believes it to be."""
 
     axis: Axis
@@ -81,7 +81,7 @@ class ExecutionRun:
         task: Task,
         config: ExecutionConfig,
         seal: Seal,
-        belief: JointBelief | None,
+        belief: BelievedJoint | None,
         known: Simulation,
         watch: Watch | None,
         touched: Mapping[tuple[str, str], Collision] | None = None,

@@ -14,7 +14,7 @@ from momapos.model import Trajectory
 from .arm_control import EVERYWHERE, Reference, twist_between
 from .avoidance import PROXIMITY_INTERVAL, Bounds
 from .config import Ending, Stage
-from .execution_run import ExecutionRun, JointBelief, Stretch
+from .execution_run import BelievedJoint, ExecutionRun, Stretch
 from .joint_estimate import JointEstimate, LearnedPart
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _MAX_RETURN_SLIP = 0.02
 
 
 def follow_part(
-    run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: JointBelief
+    run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: BelievedJoint
 ) -> Ending | None:
     """Move the part about its estimated joint as planned; return an early ending, or None."""
     way = _PartWay(run, plan, stretch, belief)
@@ -44,7 +44,7 @@ class _PartWay:
     """Path of a part under the hand, and what the hand learns about its joint."""
 
     def __init__(
-        self, run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: JointBelief
+        self, run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: BelievedJoint
     ) -> None:
         self.run, self.plan, self.belief, motion = run, plan, belief, stretch.motion
         times = np.arange(len(plan)) * run.step
@@ -185,7 +185,7 @@ class _PartWay:
 
 
 def _missing(
-    belief: JointBelief, T_held: Float[np.ndarray, "4 4"], T_planned: Float[np.ndarray, "4 4"]
+    belief: BelievedJoint, T_held: Float[np.ndarray, "4 4"], T_planned: Float[np.ndarray, "4 4"]
 ) -> float:
     """Return how much farther than planned a part must move that was moved before [rad] or [m].
 

@@ -86,7 +86,10 @@ def solve_scan(
         arms: The robot once per arm that may do the task, with the arm's reachability map.
         task: The task.
         out: Scene file to write, see `scan_to_scene`.
-        tools, found, labels, given: As for `scan_to_scene`.
+        tools: What segments, labels and models the scan; the default tools if None.
+        found: What is already known of the scan, see `scan_to_scene`.
+        labels: Labels of objects, by name, see `scan_to_scene`.
+        given: Known models of objects, see `scan_to_scene`.
         scanning: How the scan becomes a scene; importance is configured by `config`.
         config: How to rank and search.
         seed: The same seed gives the same answer.

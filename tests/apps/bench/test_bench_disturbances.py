@@ -14,7 +14,7 @@ from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.protocols import ReachScorer
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_by_method
 from momapos.planning.reachability.map_store import load_reach
 

@@ -44,7 +44,7 @@ def test_every_suite_names_existing_methods(name: str) -> None:
         ("paper:", "'': write FIELD=VALUE"),
         ("paper:paper.samples", "'paper.samples': write FIELD=VALUE"),
         ("paper:paper.sample=3", "no setting 'paper.sample' in .*did you mean paper.samples"),
-        ("paper:paper=3", "paper holds several fields; set one of them, such as paper.samples"),
+        ("paper:paper=3", "paper has several fields; set one of them, such as paper.samples"),
         ("paper:expand_distance.x=3", "expand_distance is a value and has no fields"),
         ("paper:paper.samples=few", "paper.samples must be a whole number, not 'few'"),
         ("paper:paper.samples=1+2", "paper.samples must be a whole number, not '1\\+2'"),

@@ -30,7 +30,7 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.verification.exact_check import PlanVerifier
 
 

@@ -66,11 +66,11 @@ def test_the_figure_is_written_to_the_given_file(tmp_path: Path) -> None:
     ("words", "hint"),
     [
         (["fridg"], "did you mean fridge"),
-        (["fridge", "--alpha", "1.5"], "alpha must be between 0 and 1"),
-        (["fridge", "--set", "importance.k0=-0.1"], "k0 must be between 0 and 1"),
+        (["fridge", "--alpha", "1.5"], "alpha must be from 0 to 1"),
+        (["fridge", "--set", "importance.k0=-0.1"], "k0 must be from 0 to 1"),
         (["fridge", "--set", "importance.k0=nan"], "k0 must be a number"),
         (["fridge", "--seed", "-1"], "seed must be"),
-        (["fridge", "--set", "importance.walks=0"], "walks must be between 1"),
+        (["fridge", "--set", "importance.walks=0"], "walks must be from 1"),
         (["fridge", "--set", "importance.graph.near=-1"], "importance.graph.near"),
     ],
 )

@@ -27,7 +27,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.navigation.driving import DriveRecord
 from momapos.planning.navigation.footprint_map import NavigationMap
@@ -376,7 +376,7 @@ def test_a_blocked_in_base_fails_with_that_reason(
     assert main(["run", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 1
     record = read_run(out)
     assert record.execution is None
-    assert record.reason == f"there is no way for the footprint; {NO_POSE_LEFT}"
+    assert record.reason == f"there is no path for the footprint; {NO_POSE_LEFT}"
     assert json.loads(capsys.readouterr().out)["reason"] == record.reason
 
 

@@ -26,7 +26,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.hulls import Boxes
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.placement.area import BaseStatus, base_pose_status
 from momapos.planning.placement.problem import Search
 from momapos.planning.task_setup import placement_geometry

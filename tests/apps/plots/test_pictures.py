@@ -14,7 +14,7 @@ from momapos.apps.plots.image_files import save_figure
 from momapos.apps.plots.robot_spheres import draw_robot
 from momapos.apps.plots.scene_outlines import draw_scene
 from momapos.core.errors import InputError
-from momapos.planning.grasps.tasks import hand_path
+from momapos.planning.grasps.task_requests import hand_path
 from momapos.planning.importance.ranking import rank
 
 HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF", "SVG": b"<?xml"}

@@ -13,7 +13,7 @@ from momapos.apps.web import notebook_page as inline
 from momapos.core.errors import InputError
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 
 PNG = b"\x89PNG\r\n\x1a\n"

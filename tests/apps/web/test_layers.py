@@ -17,7 +17,7 @@ from momapos.model.records.outcomes import Tolerance
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import SceneObject, upright_boxes
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.area import BaseStatus, base_pose_status
 from momapos.planning.result import PlacementResult

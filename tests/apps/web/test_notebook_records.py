@@ -9,7 +9,7 @@ from nbclient import NotebookClient
 
 CELLS = (
     "import momapos\n"
-    "from momapos.planning.grasps.tasks import make_task\n"
+    "from momapos.planning.grasps.task_requests import make_task\n"
     "from momapos.planning.opening_maps import opening_map\n"
     "from momapos.planning.reachability.map_store import load_reach_map\n"
     "scene, robot = momapos.load_scene('kitchen_small'), momapos.load_robot('segway_ur5e')\n"

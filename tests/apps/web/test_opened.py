@@ -20,7 +20,7 @@ from momapos.core.units import parse_quantity
 from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.run_motion import RunMotion
 from momapos.simulation.run_record import Execution, Load, RunRecord, write_run

@@ -13,7 +13,7 @@ from momapos.apps.web.work import Stopped, StopSignal
 from momapos.model.records.outcomes import PoseStatus
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose
 from momapos.planning.reachability.map_store import load_reach
 

@@ -16,7 +16,7 @@ from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import load_robot
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.verification.plan_check import verify_files

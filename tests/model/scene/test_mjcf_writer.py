@@ -19,7 +19,7 @@ from momapos.model.scene.formats.mjcf import read_room
 from momapos.model.scene.formats.mjcf_writer import write_mjcf
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, object_members
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 
 MESHED = """<robot name="chest">

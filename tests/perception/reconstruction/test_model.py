@@ -291,7 +291,7 @@ def test_the_depth_of_a_hinge_depends_on_its_neighbor(beside: Beside) -> None:
 def test_an_opening_door_clears_the_neighboring_object(kind: PartKind, out: float) -> None:
     part, box = Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9), detection(0.5, 0.6, 0.9)
     piece = furniture_model(
-        box, 0.3 - np.pi / 2, face_of(0.5, 0.9), [part], beside=(out, out)
+        box, 0.3 - np.pi / 2, face_of(0.5, 0.9), [part], neighbors=(out, out)
     )  # fmt: skip
     (door,) = piece.parts[1:]
     assert door.motion

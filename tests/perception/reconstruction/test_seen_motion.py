@@ -30,7 +30,7 @@ def cupboard(kind: PartKind) -> Piece:
     box = UprightBox(np.array([1.5, -0.4, 0.5]), np.array([0.6, 0.5, 0.8]), 0.7)
     found = Detection("cupboard", "cabinet", 0.9, box, np.arange(3))
     part = Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9)
-    return furniture_model(found, 0.7 - np.pi / 2, face, [part], beside=(None, None))
+    return furniture_model(found, 0.7 - np.pi / 2, face, [part], neighbors=(None, None))
 
 
 def sheet(

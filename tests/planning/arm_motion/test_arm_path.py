@@ -17,7 +17,7 @@ from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, fi
 from momapos.planning.arm_motion.hand_clearance import arm_spheres
 from momapos.planning.arm_motion.ik_layers import Layers, solve_layers
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.task_setup import PreparedTask, prepare
 
 TASKS = [

@@ -14,7 +14,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion.arm_path import FOUND, HIT
 from momapos.planning.arm_motion.free_turn import find_short_paths, fitted_bases
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.task_setup import prepare

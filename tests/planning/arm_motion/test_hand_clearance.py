@@ -26,7 +26,7 @@ from momapos.planning.arm_motion.hand_clearance import (
 )
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.hand_boxes import hand_of
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.verification.exact_check import PlanVerifier
 

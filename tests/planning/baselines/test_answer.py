@@ -20,7 +20,7 @@ from momapos.planning.arm_motion import arm_planner as planner
 from momapos.planning.arm_motion.arm_planner import plan_motion
 from momapos.planning.baselines.by_method import PLACERS
 from momapos.planning.config import PaperConfig, PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement, plan_by_method
 from momapos.planning.placement.config import OURS, Method, PlaceConfig
 from momapos.planning.result import PlacementResult

@@ -25,7 +25,7 @@ from momapos.planning.baselines.paper_placer import PaperPlacer, in_area, potent
 from momapos.planning.baselines.placer_room import GRASP_WAYPOINT, BasePlacer, PlacerRoom
 from momapos.planning.baselines.samplers import MAX_DISTANCE, behavior, momagen, pycram
 from momapos.planning.config import PaperConfig, PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.placement.area import base_pose_status
 from momapos.planning.task_setup import driving_lengths, prepare
 

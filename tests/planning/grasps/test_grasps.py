@@ -29,7 +29,7 @@ from momapos.planning.grasps.part_grasps import grasps_of, push_grasps
 from momapos.planning.grasps.pinch_grasps import pinch_capacity
 from momapos.planning.grasps.resistance import resistance_of
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion, with_other_handle
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.task_setup import prepare
 
 CONFIG = GraspConfig()

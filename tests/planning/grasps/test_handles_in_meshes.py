@@ -22,7 +22,7 @@ from momapos.planning.grasps.handle_shapes import part_elements
 from momapos.planning.grasps.handles import HandleSource, find_handle, find_handles, handles_in_turn
 from momapos.planning.grasps.part_grasps import grasps_of
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 
 CONFIG = GraspConfig()
 

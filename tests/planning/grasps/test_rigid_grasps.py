@@ -20,7 +20,7 @@ from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.part_grasps import Family
 from momapos.planning.grasps.pinch_grasps import HELD_CLEARANCE_SHARE, Contact, lifting_capacity
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 

@@ -18,7 +18,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.part_grasps import FAMILIES, Family
 from momapos.planning.grasps.sliding_hooks import SLIDE_STATES, SlidingMotion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.sliding_grasp import SlidingHook, sliding_hooks

@@ -16,7 +16,7 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.grasps.turning_grasps import MIN_GROUP
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
@@ -160,7 +160,7 @@ def test_a_short_arm_turns_about_a_round_knob(tmp_path: Path) -> None:
     assert plan.motion is not None
     (hold,) = plan.motion.holds
     np.testing.assert_allclose(np.abs(hold.turn_axis), [1, 0, 0], atol=1e-9)
-    assert hold.words.endswith(", about which the hand turns")
+    assert hold.words.endswith(", the hand turning about it")
 
 
 def test_only_short_arms_turn_about_knobs_and_only_about_round_ones(

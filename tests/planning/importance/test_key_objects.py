@@ -14,7 +14,7 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.importance.config import ImportanceConfig
 from momapos.planning.importance.key_objects import Selection, everything
 from momapos.planning.importance.ranking import rank

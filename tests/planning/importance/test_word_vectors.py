@@ -77,7 +77,7 @@ def test_rank_reads_vectors_from_a_setting(
     assert main([*command, "--scorer", "names"]) == 0
     assert "cup" in capsys.readouterr().out
     assert main(command) == 2
-    assert "word vectors are for the scorer names" in capsys.readouterr().err
+    assert "importance.vectors needs the scorer names" in capsys.readouterr().err
     missing = f"importance.vectors={tmp_path / 'none.txt'}"
     assert main([*command[:-1], missing, "--scorer", "names"]) == 2
     assert "none.txt: no such file" in capsys.readouterr().err

@@ -76,7 +76,7 @@ def test_an_impossible_drive_is_refused_with_the_reason(robots: Callable[[str], 
     assert go(nav_map, goal=off).reason == "the goal is in collision with the edge of the floor"
     blocked = build_navigation_map(room(wall_with_door(0.3)), robots("segway_ur5e"))
     refused = go(blocked)
-    assert refused.reason == "there is no way for the footprint"
+    assert refused.reason == "there is no path for the footprint"
     assert refused.ending is DriveEnding.NO_PATH
     assert not refused.arrived
     assert refused.length == 0.0

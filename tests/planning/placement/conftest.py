@@ -10,7 +10,7 @@ import pytest
 from momapos.model.robots.robot import Robot
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.placement.area import PlacementGeometry
 from rooms import cabinet_room
 

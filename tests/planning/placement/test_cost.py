@@ -22,7 +22,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import make_task
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import iter_placements, plan_base_placement
 from momapos.planning.placement.area import PlacementGeometry
 from momapos.planning.placement.config import PlaceConfig

@@ -56,7 +56,7 @@ def _free_states(robot: Robot, rng: np.random.Generator, count: int) -> np.ndarr
 def test_every_sampled_tool_pose_is_marked_reachable(robot: Robot, reach: ReachMap) -> None:
     q = _free_states(robot, np.random.default_rng(0), 12_000)[:4_000]
     marked = reach.score(robot.chain.tool_poses(q)) > 0
-    # 0.99 at the default resolution, see docs/reachability.md.
+    # 0.99 at the default resolution, see docs/results/reachability.md.
     assert marked.mean() >= 0.97
 
 

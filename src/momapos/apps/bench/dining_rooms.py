@@ -60,7 +60,7 @@ OPEN_SIDES = (("wall_front", 1, 0), ("wall_right", 0, 1), ("wall_left", 0, 0), (
 
 
 @dataclass(frozen=True)
-class Support:
+class SupportSurface:
     """A surface that can support objects."""
 
     place: str
@@ -71,7 +71,7 @@ class Support:
 
 
 @dataclass(frozen=True)
-class RoomObject:
+class MovableObject:
     """A movable object of a room."""
 
     name: str
@@ -95,7 +95,7 @@ class DiningRoom:
     """A room with its movable objects and its parts to open."""
 
     file: Path
-    objects: tuple[RoomObject, ...]
+    objects: tuple[MovableObject, ...]
     parts: tuple[RoomPart, ...]
 
     def carried(self, box: Container | None) -> tuple[str, ...]:
@@ -216,20 +216,20 @@ def _openable(pieces: Sequence[Piece]) -> Iterator[RoomPart]:
                 yield RoomPart("open drawer", box, part.motion.upper)
 
 
-def supports(pieces: Sequence[Piece]) -> list[Support]:
+def supports(pieces: Sequence[Piece]) -> list[SupportSurface]:
     """Return all surfaces that can support objects."""
     found = []
     for piece in pieces:
         body, doors = piece.parts[0], [part for part in piece.parts if part.motion is not None]
         if piece.category in ("dinner table", "table"):
-            found.append(Support(f"on {piece.category}", piece, body.boxes[0]))
+            found.append(SupportSurface(f"on {piece.category}", piece, body.boxes[0]))
         elif piece.name.startswith("countertop"):
-            found.append(Support("on countertop", piece, body.boxes[-1]))
+            found.append(SupportSurface("on countertop", piece, body.boxes[-1]))
         elif piece.category in ("fridge", "dishwasher"):
             for door in doors:
                 box = Container(piece.name, joint_name(door))
                 found += [
-                    Support(f"in {piece.category}", piece, shelf, box)
+                    SupportSurface(f"in {piece.category}", piece, shelf, box)
                     for shelf in _shelves(body, door)
                 ]
         elif piece.category == "cabinet":
@@ -238,7 +238,7 @@ def supports(pieces: Sequence[Piece]) -> list[Support]:
                 if part.motion.kind == "prismatic":
                     bottom = max(part.boxes, key=_area)
                     box = Container(piece.name, joint_name(part))
-                    found.append(Support("in drawer", piece, bottom, box))
+                    found.append(SupportSurface("in drawer", piece, bottom, box))
     return found
 
 
@@ -263,10 +263,10 @@ def _area(box: Box) -> float:
 
 def _place_objects(
     pieces: Sequence[Piece], rng: np.random.Generator
-) -> list[tuple[Piece, RoomObject]]:
+) -> list[tuple[Piece, MovableObject]]:
     """Draw objects for every kind of place, up to `OBJECTS_PER_PLACE`."""
     every, kinds = supports(pieces), list(OBJECT_SIZES)
-    objects: list[tuple[Piece, RoomObject]] = []
+    objects: list[tuple[Piece, MovableObject]] = []
     for place in PLACES:
         there = [support for support in every if support.place == place]
         for _ in range(OBJECTS_PER_PLACE if there else 0):
@@ -277,13 +277,15 @@ def _place_objects(
                 item = _draw_object(name, kind, support, rng)
                 others = [*pieces, *(other for other, _ in objects)]
                 if item is not None and _has_clearance(item, support, others):
-                    objects.append((item, RoomObject(name, place, support.inside)))
+                    objects.append((item, MovableObject(name, place, support.inside)))
                     break
                 kind = str(rng.choice(kinds))
     return objects
 
 
-def _draw_object(name: str, kind: str, support: Support, rng: np.random.Generator) -> Piece | None:
+def _draw_object(
+    name: str, kind: str, support: SupportSurface, rng: np.random.Generator
+) -> Piece | None:
     """Draw an object on a surface; None if it is larger than the surface."""
     size, top = np.array(OBJECT_SIZES[kind]), support.top
     low, high = np.array(top.low), np.array(top.high)
@@ -307,7 +309,7 @@ def _draw_object(name: str, kind: str, support: Support, rng: np.random.Generato
     return solid(name, kind.replace("_", " "), vec(size), vec(xyz), round(piece.yaw + yaw, 5))
 
 
-def _has_clearance(item: Piece, support: Support, pieces: Sequence[Piece]) -> bool:
+def _has_clearance(item: Piece, support: SupportSurface, pieces: Sequence[Piece]) -> bool:
     """Check that the space around and above an object is free."""
     side, above = SIDE_CLEARANCE, LIFT_CLEARANCE
     if support.place == "in drawer":

@@ -140,32 +140,38 @@ def _false_infeasible(solvable: Collection[str], mine: Sequence[Row]) -> Cell:
 
 def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
     """Count the successes of every method by a field of the row."""
-    classes = list(dict.fromkeys(str(getattr(row, field)) for row in rows))
-    lines = []
-    for method, members in grouped(rows, lambda row: row.method).items():
-        line = [Cell(method, _keys(members))]
-        for name in classes:
-            mine = [row for row in members if getattr(row, field) == name]
-            good = [row for row in mine if succeeded(row)]
-            text = f"{len(good)} of {len(mine)} ({_interval(good, mine)})" if mine else "-"
-            line.append(Cell(text, _keys(good)))
-        lines.append(tuple(line))
-    return Table(f"Success by {title}", ("method", *classes), tuple(lines))
+
+    def cell(mine: Sequence[Row]) -> Cell:
+        good = [row for row in mine if succeeded(row)]
+        text = f"{len(good)} of {len(mine)} ({_interval(good, mine)})" if mine else "-"
+        return Cell(text, _keys(good))
+
+    return _table_by(f"Success by {title}", rows, field, cell)
 
 
 def time_table(rows: Sequence[Row]) -> Table:
     """Build the table of each method's median time for the solved tasks of each class."""
-    classes = list(dict.fromkeys(row.group for row in rows))
+
+    def cell(mine: Sequence[Row]) -> Cell:
+        solved = _solved(mine)
+        median = percentile([row.seconds for row in solved if row.seconds is not None], 50)
+        return Cell("-" if median is None else f"{1000 * median:.0f} ms", _keys(solved))
+
+    return _table_by("Time by class, solved tasks", rows, "group", cell)
+
+
+def _table_by(
+    title: str, rows: Sequence[Row], field: str, cell: Callable[[Sequence[Row]], Cell]
+) -> Table:
+    """Build a table with a line per method and a column per value of a field."""
+    classes = list(dict.fromkeys(getattr(row, field) for row in rows))
     lines = []
     for method, members in grouped(rows, lambda row: row.method).items():
-        line = [Cell(method, _keys(members))]
-        for name in classes:
-            mine = [row for row in members if row.group == name and row.outcome == "solved"]
-            seconds = [row.seconds for row in mine if row.seconds is not None]
-            median = percentile(seconds, 50)
-            line.append(Cell("-" if median is None else f"{1000 * median:.0f} ms", _keys(mine)))
-        lines.append(tuple(line))
-    return Table("Time by class, solved tasks", ("method", *classes), tuple(lines))
+        mine = grouped(members, lambda row: getattr(row, field))
+        lines.append(
+            (Cell(method, _keys(members)), *(cell(mine.get(name, [])) for name in classes))
+        )
+    return Table(title, ("method", *classes), tuple(lines))
 
 
 def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:

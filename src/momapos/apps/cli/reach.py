@@ -40,7 +40,7 @@ def reach_build(
         robot: A library robot or a robot file.
         arm: The arm of a robot with several; any: all of them.
         cache: Folder of the cache.
-        out: Build the map anew and write it to this file. momapos finds NAME.reach next to
+        out: Build the map again and write it to this file. momapos finds NAME.reach next to
             NAME.toml, and NAME.ARM.reach for one arm of several.
         plot: Draw slices of the arm's reachable space (PNG, SVG or PDF).
         json: Print one JSON object.

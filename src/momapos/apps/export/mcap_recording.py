@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,11 +37,22 @@ trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory
 _TRIANGLES, _ADD = 11, 0
 
 
-@dataclass(frozen=True)
-class _Messages:
-    """Constructors of ROS messages."""
+@dataclass(frozen=True, eq=False)
+class _Bag:
+    """An open bag: makes and writes ROS messages."""
 
     store: Any
+    writer: Any
+    frame: str
+    """Name of the world frame."""
+    topics: dict[str, Any] = field(default_factory=dict)
+
+    def send(self, topic: str, kind: str, seconds: float, **members: Any) -> None:
+        """Make and write a message of a type; the first one opens its topic."""
+        if topic not in self.topics:
+            self.topics[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        content = self.store.serialize_cdr(self.make(kind, **members), kind)
+        self.writer.write(self.topics[topic], round(seconds * 1e9), content)
 
     def make(self, kind: str, **members: Any) -> Any:
         """Make a message of a type, such as `geometry_msgs/msg/Pose`."""
@@ -68,12 +78,12 @@ class _Messages:
         position, orientation = self.vector(T[:3, 3], "Point"), self.quaternion(T[:3, :3])
         return self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
-    def frames(self, seconds: float, parent: str, poses: dict[str, Any]) -> Any:
-        """Make a TFMessage of frames with one parent."""
+    def send_frames(self, seconds: float, poses: dict[str, Any]) -> None:
+        """Write a TFMessage of frames in the world frame."""
         transforms = [
             self.make(
                 "geometry_msgs/msg/TransformStamped",
-                header=self.header(seconds, parent), child_frame_id=name,
+                header=self.header(seconds, self.frame), child_frame_id=name,
                 transform=self.make(
                     "geometry_msgs/msg/Transform",
                     translation=self.vector(T[:3, 3]), rotation=self.quaternion(T[:3, :3]),
@@ -81,7 +91,7 @@ class _Messages:
             )
             for name, T in poses.items()
         ]  # fmt: skip
-        return self.make("tf2_msgs/msg/TFMessage", transforms=transforms)
+        self.send("/tf", "tf2_msgs/msg/TFMessage", seconds, transforms=transforms)
 
 
 def write_recording(
@@ -111,31 +121,13 @@ def write_recording(
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".momapos-") as near:
             draft = Path(near) / folder.name
             with Writer(draft, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-                _fill(_Messages(store), _opener(writer, store), timeline, scene, robot, frame)
+                _fill(_Bag(store, writer, frame), timeline, scene, robot)
             os.rename(draft, folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
 
 
-Send = Callable[[str, str, float, Any], None]
-"""Writes a message; takes topic, type, time [s] and the message."""
-
-
-def _opener(writer: Any, store: Any) -> Send:
-    """Return a function that writes messages, and opens each topic at its first message."""
-    topics: dict[str, Any] = {}
-
-    def send(topic: str, kind: str, seconds: float, message: Any) -> None:
-        if topic not in topics:
-            topics[topic] = writer.add_connection(topic, kind, typestore=store)
-        writer.write(topics[topic], round(seconds * 1e9), store.serialize_cdr(message, kind))
-
-    return send
-
-
-def _fill(
-    make: _Messages, send: Send, timeline: Timeline, scene: Scene, robot: Robot, frame: str
-) -> None:
+def _fill(bag: _Bag, timeline: Timeline, scene: Scene, robot: Robot) -> None:
     task, samples = timeline.task, timeline.samples
     target = scene.object(task.object)
     model = target.model
@@ -144,18 +136,15 @@ def _fill(
     if text is None and robot.model.urdf.path is not None:
         text = robot.model.urdf.path.read_text(encoding="utf-8", errors="replace")
     if text is not None:
-        kind = "std_msgs/msg/String"
-        send("/robot_description", kind, 0.0, make.make(kind, data=text))
-    _send_scene(make, send, scene, target, moving, frame)
-    _send_path(make, send, timeline, frame)
+        bag.send("/robot_description", "std_msgs/msg/String", 0.0, data=text)
+    _send_scene(bag, scene, target, moving)
+    _send_path(bag, timeline)
     for stage, part in timeline.phases():
         if timeline.arm[stage]:
-            kind = "moveit_msgs/msg/RobotTrajectory"
-            began = float(samples.times[part.start])
-            send("/trajectory", kind, began, _trajectory(make, samples, part, timeline.joints))
+            _send_trajectory(bag, samples, part, list(timeline.joints))
     for i in _at_rate(samples.times):
-        _send_state(make, send, timeline, robot, frame, int(i))
-        _send_part(make, send, timeline, target, moving, frame, int(i))
+        _send_state(bag, timeline, robot, int(i))
+        _send_part(bag, timeline, target, moving, int(i))
 
 
 def _at_rate(times: Float[np.ndarray, " t"]) -> Any:
@@ -164,35 +153,25 @@ def _at_rate(times: Float[np.ndarray, " t"]) -> Any:
     return np.unique(np.minimum(np.searchsorted(times, wanted), len(times) - 1))
 
 
-def _send_state(
-    make: _Messages, send: Send, timeline: Timeline, robot: Robot, frame: str, i: int
-) -> None:
+def _send_state(bag: _Bag, timeline: Timeline, robot: Robot, i: int) -> None:
     samples, joints = timeline.samples, timeline.joints
     now, q, v = float(samples.times[i]), samples.positions[i], samples.velocities[i]
-    kind = "sensor_msgs/msg/JointState"
-    state = make.make(
-        kind, header=make.header(now, ""), name=list(joints), position=q, velocity=v,
-        effort=np.zeros(0),
+    bag.send(
+        "/joint_states", "sensor_msgs/msg/JointState", now, header=bag.header(now, ""),
+        name=list(joints), position=q, velocity=v, effort=np.zeros(0),
     )  # fmt: skip
-    send("/joint_states", kind, now, state)
     T_world_base = pose_planar(samples.base[i])
-    kind = "geometry_msgs/msg/PoseStamped"
-    header = make.header(now, frame)
-    send("/base_pose", kind, now, make.make(kind, header=header, pose=make.pose(T_world_base)))
+    bag.send(
+        "/base_pose", "geometry_msgs/msg/PoseStamped", now, header=bag.header(now, bag.frame),
+        pose=bag.pose(T_world_base),
+    )  # fmt: skip
     poses = robot.model.link_poses(dict(zip(joints, q.tolist(), strict=True)))
     T_world_root = T_world_base @ np.linalg.inv(poses[robot.base_link])
-    links = {name: T_world_root @ T for name, T in poses.items()}
-    send("/tf", "tf2_msgs/msg/TFMessage", now, make.frames(now, frame, links))
+    bag.send_frames(now, {name: T_world_root @ T for name, T in poses.items()})
 
 
 def _send_part(
-    make: _Messages,
-    send: Send,
-    timeline: Timeline,
-    target: SceneObject,
-    moving: tuple[str, ...],
-    frame: str,
-    i: int,
+    bag: _Bag, timeline: Timeline, target: SceneObject, moving: tuple[str, ...], i: int
 ) -> None:
     samples, joint, Ts = timeline.samples, timeline.task.joint, timeline.Ts_world_object
     poses = target.link_poses({} if joint is None else {joint: float(samples.object_q[i])})
@@ -200,34 +179,25 @@ def _send_part(
         T_now_rest = Ts[i] @ invert(poses[target.model.urdf.root])
         poses = {link: T_now_rest @ T for link, T in poses.items()}
     named = {f"{target.name}/{link}": poses[link] for link in moving}
-    now = float(samples.times[i])
-    send("/tf", "tf2_msgs/msg/TFMessage", now, make.frames(now, frame, named))
+    bag.send_frames(float(samples.times[i]), named)
 
 
-def _send_scene(
-    make: _Messages,
-    send: Send,
-    scene: Scene,
-    target: SceneObject,
-    moving: tuple[str, ...],
-    frame: str,
-) -> None:
+def _send_scene(bag: _Bag, scene: Scene, target: SceneObject, moving: tuple[str, ...]) -> None:
     """Send the hulls of all objects as markers; those of moving links in their own frames."""
     markers: list[Any] = []
     for item in scene.objects:
         for link, T in item.link_poses().items():
             own = item is target and link in moving
-            where, pose = (f"{item.name}/{link}", np.eye(4)) if own else (frame, T)
+            where, pose = (f"{item.name}/{link}", np.eye(4)) if own else (bag.frame, T)
             markers += [
-                _marker(make, len(markers) + k, item.name, where, pose, hull, own)
+                _marker(bag, len(markers) + k, item.name, where, pose, hull, own)
                 for k, hull in enumerate(item.model.hulls[link])
             ]
-    kind = "visualization_msgs/msg/MarkerArray"
-    send("/scene", kind, 0.0, make.make(kind, markers=markers))
+    bag.send("/scene", "visualization_msgs/msg/MarkerArray", 0.0, markers=markers)
 
 
 def _marker(
-    make: _Messages,
+    bag: _Bag,
     number: int,
     name: str,
     frame: str,
@@ -237,56 +207,55 @@ def _marker(
 ) -> Any:
     corners = hull.vertices[hull.faces].reshape(-1, 3)
     red, green, blue = (0.2, 0.5, 0.9) if moves else (0.7, 0.7, 0.7)
-    image = make.make(
-        "sensor_msgs/msg/CompressedImage", header=make.header(0.0, ""), format="",
+    image = bag.make(
+        "sensor_msgs/msg/CompressedImage", header=bag.header(0.0, ""), format="",
         data=np.zeros(0, np.uint8),
     )  # fmt: skip
-    return make.make(
+    return bag.make(
         "visualization_msgs/msg/Marker",
-        header=make.header(0.0, frame), ns=name, id=number, type=_TRIANGLES, action=_ADD,
-        pose=make.pose(T), scale=make.vector(np.ones(3)),
-        color=make.make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=1.0),
-        lifetime=make.duration(0.0), frame_locked=moves,
-        points=[make.vector(corner, "Point") for corner in corners], colors=[],
+        header=bag.header(0.0, frame), ns=name, id=number, type=_TRIANGLES, action=_ADD,
+        pose=bag.pose(T), scale=bag.vector(np.ones(3)),
+        color=bag.make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=1.0),
+        lifetime=bag.duration(0.0), frame_locked=moves,
+        points=[bag.vector(corner, "Point") for corner in corners], colors=[],
         texture_resource="", texture=image, uv_coordinates=[], text="", mesh_resource="",
-        mesh_file=make.make("visualization_msgs/msg/MeshFile", filename="",
+        mesh_file=bag.make("visualization_msgs/msg/MeshFile", filename="",
                             data=np.zeros(0, np.uint8)),
         mesh_use_embedded_materials=False,
     )  # fmt: skip
 
 
-def _send_path(make: _Messages, send: Send, timeline: Timeline, frame: str) -> None:
+def _send_path(bag: _Bag, timeline: Timeline) -> None:
     if timeline.base_path is None:
         return
-    header = make.header(0.0, frame)
+    header = bag.header(0.0, bag.frame)
     poses = [
-        make.make("geometry_msgs/msg/PoseStamped", header=header, pose=make.pose(T))
+        bag.make("geometry_msgs/msg/PoseStamped", header=header, pose=bag.pose(T))
         for T in pose_planar(timeline.base_path)
     ]
-    kind = "nav_msgs/msg/Path"
-    send("/base_path", kind, 0.0, make.make(kind, header=header, poses=poses))
+    bag.send("/base_path", "nav_msgs/msg/Path", 0.0, header=header, poses=poses)
 
 
-def _trajectory(make: _Messages, samples: Samples, part: slice, joints: tuple[str, ...]) -> Any:
-    """Make a `moveit_msgs/RobotTrajectory` of one phase; its times begin at 0."""
-    times = samples.times[part] - samples.times[part.start]
-    rows = zip(times, samples.positions[part], samples.velocities[part], strict=True)
-    header, none = make.header(0.0, ""), np.zeros(0)
+def _send_trajectory(bag: _Bag, samples: Samples, part: slice, joints: list[str]) -> None:
+    """Send the `moveit_msgs/RobotTrajectory` of one phase; its times begin at 0."""
+    began, header, none = samples.times[part.start], bag.header(0.0, ""), np.zeros(0)
     points = [
-        make.make(
+        bag.make(
             "trajectory_msgs/msg/JointTrajectoryPoint", positions=q, velocities=v,
-            accelerations=none, effort=none, time_from_start=make.duration(float(t)),
+            accelerations=none, effort=none, time_from_start=bag.duration(float(t)),
         )
-        for t, q, v in rows
+        for t, q, v in zip(
+            samples.times[part] - began, samples.positions[part], samples.velocities[part],
+            strict=True,
+        )
     ]  # fmt: skip
-    return make.make(
-        "moveit_msgs/msg/RobotTrajectory",
-        joint_trajectory=make.make(
-            "trajectory_msgs/msg/JointTrajectory", header=header, joint_names=list(joints),
-            points=points,
-        ),
-        multi_dof_joint_trajectory=make.make(
-            "trajectory_msgs/msg/MultiDOFJointTrajectory", header=header, joint_names=[],
-            points=[],
-        ),
+    arm = bag.make(
+        "trajectory_msgs/msg/JointTrajectory", header=header, joint_names=joints, points=points
+    )
+    base = bag.make(
+        "trajectory_msgs/msg/MultiDOFJointTrajectory", header=header, joint_names=[], points=[]
+    )
+    bag.send(
+        "/trajectory", "moveit_msgs/msg/RobotTrajectory", float(began), joint_trajectory=arm,
+        multi_dof_joint_trajectory=base,
     )  # fmt: skip

@@ -21,7 +21,7 @@ MAX_STEPS = 20
 """Largest number of plans in a tour [-]."""
 
 
-class Step(msgspec.Struct, frozen=True):
+class TourStep(msgspec.Struct, frozen=True):
     """One task of a tour."""
 
     stop: Annotated[int, msgspec.Meta(ge=1, le=MAX_STEPS)]
@@ -34,7 +34,7 @@ class TourFile(msgspec.Struct, frozen=True):
     """The content of a tour file."""
 
     status: Status
-    steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=MAX_STEPS)]
+    steps: Annotated[tuple[TourStep, ...], msgspec.Meta(min_length=1, max_length=MAX_STEPS)]
     stops: int
     driving: float
     """Total driving length [m]."""
@@ -86,7 +86,7 @@ def tour_of(
 ) -> TourFile:
     """Build the content of a tour file, see `write_tour`."""
     steps = tuple(
-        Step(stop, f"{path.stem}_{number}.json") for number, stop in enumerate(stops, start=1)
+        TourStep(stop, f"{path.stem}_{number}.json") for number, stop in enumerate(stops, start=1)
     )
     driving = sum(plan.navigation_cost or 0.0 for plan in plans)
     return TourFile(plans[-1].status, steps, max(stops), driving, tuple(assumed))

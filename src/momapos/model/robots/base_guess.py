@@ -50,8 +50,8 @@ def refuse_without_base(model: Articulated, anchor: str, firsts: Sequence[str]) 
     if not len(points) or float(np.ptp(points[:, :2], axis=0).max()) < MAX_MOUNT_SIZE:
         raise RobotError(
             f"{model.urdf.path}: the arm has no base: there are no wheels and no geometry on the "
-            "floor; set mount.box to (length, width, height) in m to put it on a driving box, or "
-            "mount.urdf to put it on another base (docs/robots.md)"
+            "floor; put it on a driving box with --on-box LENGTHxWIDTHxHEIGHT of momapos robot "
+            "check, or on another base with [mount] in a robot file (docs/robots.md)"
         )
 
 
@@ -140,8 +140,8 @@ def find_drive(model: Articulated, anchor: str, boxed: bool, notes: list[str]) -
     wheels = any(WHEEL.search(name) for name in names)
     if not (wheels or boxed or anchor != model.urdf.root or model.urdf.rigid):
         notes.append(
-            "IMPORTANT: there are no wheels; a mobile robot needs a base: set mount.box or "
-            "mount.urdf for an arm alone"
+            "IMPORTANT: there are no wheels; a mobile robot needs a base: --on-box of momapos "
+            "robot check or [mount] puts an arm on one"
         )
     sideways = [
         joint.name

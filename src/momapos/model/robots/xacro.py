@@ -110,8 +110,8 @@ def _package(name: str, path: Path) -> Path:
             return folder / name
     looked = ", ".join(map(str, above))
     raise RobotError(
-        f"{path}: package {name!r:.80} was not found (searched {looked}); give its folder in "
-        "packages"
+        f"{path}: package {name!r:.80} was not found (searched {looked}); give its folder: "
+        f"--package {name}=DIR of momapos robot check, [packages] in a robot file"
     )
 
 

@@ -62,7 +62,7 @@ class SceneObject:
             category: For example "table".
 
         Raises:
-            SceneError: An edge is not positive and finite.
+            InputError: A number is not finite, or an edge is shorter than 0.1 mm.
         """
         x, y, z = finite_array(f"size of box {name!r}", size, (3,)).tolist()
         if min(x, y, z) < MIN_BOX_EDGE:

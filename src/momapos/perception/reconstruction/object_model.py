@@ -30,7 +30,7 @@ from momapos.model.scene.library import (
 from .alignment import AlignedHandle, AlignedPart, align, front_of
 from .height_maps import Area
 from .model_config import ModelConfig
-from .part_motions import Beside, Motions
+from .part_motions import Motions, Neighbors
 
 MIN_BAR_ASPECT = 2.0
 """A less elongated handle is a knob, without a gap behind it [-]."""
@@ -65,7 +65,7 @@ def furniture_model(
     parts: Sequence[SeenPart],
     config: ModelConfig | None = None,
     *,
-    beside: Beside = (np.inf, np.inf),
+    neighbors: Neighbors = (np.inf, np.inf),
 ) -> Piece:
     """Build the model of one object: its box, hollow, with doors and drawers that open.
 
@@ -80,8 +80,8 @@ def furniture_model(
         face: That side, seen straight on.
         parts: The doors and drawers on it.
         config: Assumptions about invisible dimensions.
-        beside: Protrusion of the neighbors beyond the face, left and right as seen from the front
-            [m]; None without a neighbor, infinite if unknown.
+        neighbors: Protrusion of the neighbors beyond the face, left and right as seen from the
+            front [m]; None without a neighbor, infinite if unknown.
 
     Returns:
         The piece. Moving parts are named by kind, top to bottom and left to right: `door` and
@@ -105,7 +105,7 @@ def furniture_model(
     layers = _layers(size, aligned, config)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
-        _moving(name, part, [p.area for p in aligned], face, layers, config, beside)
+        _moving(name, part, [p.area for p in aligned], face, layers, config, neighbors)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
@@ -248,12 +248,12 @@ def _moving(
     face: FaceImage,
     layers: _Layers,
     config: ModelConfig,
-    beside: Beside,
+    neighbors: Neighbors,
 ) -> FurniturePart:
     front, thickness = _slab(part, layers, config)
     tray = config.tray * (layers.back - layers.wall - layers.opening)
     motions = Motions(
-        part.area, part.out, front, thickness, face, config, min(config.travel, tray), beside,
+        part.area, part.out, front, thickness, face, config, min(config.travel, tray), neighbors,
         any(part.area.stands_on(other) for other in areas),
     )  # fmt: skip
     strip, leaf = motions.recess(part.kind)

@@ -16,7 +16,7 @@ STRIP = 0.03
 """Width of the strip next to a hinge in which the height map is read [m]."""
 MIN_PROBABILITY = 0.005
 """Less probable kinds are not hypotheses [-]."""
-Beside = tuple[float | None, float | None]
+Neighbors = tuple[float | None, float | None]
 """Protrusion of an object's neighbors beyond its face, left and right [m]; None: no neighbor."""
 
 
@@ -36,7 +36,7 @@ class Motions:
     config: ModelConfig
     travel: float
     """Range of its slide [m]."""
-    beside: Beside
+    neighbors: Neighbors
     """Protrusion of the object's neighbors beyond the face, left and right as seen from the front
     [m]; None without a neighbor."""
     below: bool = False
@@ -61,7 +61,7 @@ class Motions:
         return self._at_rim(kind) and self._neighbor(kind) is not None
 
     def _neighbor(self, kind: PartKind) -> float | None:
-        return {"door_left": self.beside[0], "door_right": self.beside[1]}.get(kind)
+        return {"door_left": self.neighbors[0], "door_right": self.neighbors[1]}.get(kind)
 
     def depth(self, kind: PartKind) -> float:
         """Return how far behind the front the hinge of a kind of part lies [m]."""
@@ -116,8 +116,8 @@ class Motions:
     def recess(self, kind: PartKind) -> tuple[Area | None, Area]:
         """Split a leaf into the recessed strip at its hinge, if there is one, and the rest.
 
-        At 90 degrees, the front of a leaf is as far beside its axis as it is in front of it when
-        closed. So the strip that passes a protruding neighbor is set back by the depth of the axis.
+        At 90 degrees, the front of a leaf is as far to the side of its axis as it is in front of
+        it when closed. So the strip that passes a protruding neighbor is set back by the depth of the axis.
         """
         leaf, depth = self.leaf(kind), self.depth(kind)
         out = (self._neighbor(kind) or 0.0) - self.out if self._is_tight(kind) else 0.0

@@ -12,10 +12,10 @@ from .task_motions import TaskMotion as TaskMotion
 from .task_motions import in_scene as in_scene
 from .task_motions import task_motion as task_motion
 from .task_motions import with_other_handle as with_other_handle
-from .tasks import hand_path as hand_path
-from .tasks import in_front_of_parts as in_front_of_parts
-from .tasks import make_task as make_task
-from .tasks import openable as openable
-from .tasks import slides as slides
+from .task_requests import hand_path as hand_path
+from .task_requests import in_front_of_parts as in_front_of_parts
+from .task_requests import make_task as make_task
+from .task_requests import openable as openable
+from .task_requests import slides as slides
 from .turning_grasps import FULL_DOF as FULL_DOF
 from .turning_grasps import no_turning as no_turning

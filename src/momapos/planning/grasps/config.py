@@ -12,7 +12,7 @@ GraspFamily = Literal["pinch", "hook", "push", "suction"]
 
 @dataclass(frozen=True)
 class ResistanceConfig:
-    """Assumed mass and resistance of doors and drawers without such data; see docs/execution.md.
+    """Assumed mass and resistance of doors and drawers without such data; see docs/simulation.md.
 
     Grasps must transmit these. The simulation has its own values.
     """

@@ -77,7 +77,7 @@ class Grasps:
             return f"{family} at {what}"
         strong = f"{self.capacity[grasp]:.0f} N of {self.need[grasp]:.0f} N needed"
         words = f"{family} of {what}; {width:.1f} cm between the fingers, {strong}"
-        return f"{words}, about which the hand turns" if turns else words
+        return f"{words}, the hand turning about it" if turns else words
 
     def take(self, rows: Int[np.ndarray, " k"] | Bool[np.ndarray, " g"]) -> Grasps:
         """Return a subset of the grasps."""

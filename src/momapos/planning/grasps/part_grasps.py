@@ -203,7 +203,7 @@ def _closed(
     R, p, complexity, line, obstacle = _grasp_depths(hand, elements, lines, handle, config)
     if not len(R):
         name = elements[obstacle].link if obstacle >= 0 else handle.name
-        no_room = f"the hand has no room at {what}: {name} is in its way"
+        no_room = f"the hand does not fit at {what}: {name} is in the way"
         return _none(_too_thick(robot, handle, what) or no_room)
     p, travel, met = close_hands(hand, elements, held, R, p, config)
     rows = np.flatnonzero(met)
@@ -211,7 +211,7 @@ def _closed(
         return _none(_too_thick(robot, handle, what) or f"the fingers cannot close on {what}")
     rows = rows[stands_clear(hand, elements, held, R[rows], p[rows], config)]
     if not len(rows):
-        return _none(_too_thick(robot, handle, what) or f"the open hand has no room at {what}")
+        return _none(_too_thick(robot, handle, what) or f"the open hand does not fit at {what}")
     own = tuple(e for e, mine in zip(elements, held, strict=True) if mine)
     contact = contact_of(hand, own, R[rows], p[rows], travel[rows], config.friction)
     kept = contact.is_firm(hand, config)
@@ -316,7 +316,7 @@ def _touching(
     travel = np.minimum(reached, 0.0) if hooks else reached + config.hand_clearance
     rows = np.flatnonzero(np.abs(travel) < hand.tip if hooks else np.abs(travel) < MIN_OVERLAP)
     if not len(rows):
-        return _none(f"the tool has no room at {handle.name}")
+        return _none(f"the tool does not fit at {handle.name}")
     p = origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach)
     code = FAMILIES.index(Family.HOOK if hooks else Family.SUCTION)
     count = len(rows)

@@ -174,7 +174,7 @@ def _pinched(
     R, p, row, travel = R[met], p[met], row[met], travel[met]
     clear = stands_clear(hand, elements, held, R, p, config)
     if not clear.any():
-        return _none(lines, need, wide or f"the open hand of {robot.name} has no room at it")
+        return _none(lines, need, wide or f"the open hand of {robot.name} does not fit around it")
     R, p, row, travel = R[clear], p[clear], row[clear], travel[clear]
     contact = contact_of(hand, elements, R, p, travel, config.friction)
     firm = contact.is_firm(hand, config)
@@ -204,7 +204,7 @@ def _too_wide(robot: Robot, lines: _Lines, config: GraspConfig) -> str:
         return ""
     return (
         f"it is {100 * least:.1f} cm wide, and the gripper of {robot.name} opens "
-        f"{100 * robot.opening:.1f} cm and needs {100 * clearance:.1f} cm beside each finger"
+        f"{100 * robot.opening:.1f} cm and needs {100 * clearance:.1f} cm next to each finger"
     )
 
 

@@ -81,6 +81,4 @@ class ImportanceConfig:
                     f"ImportanceConfig.{name} must be from {least} to {MAX_COUNT}, not {value}"
                 )
         if self.vectors is not None and self.scorer != "names":
-            raise InputError(
-                "ImportanceConfig.vectors needs the scorer names; set scorer to it"
-            )
+            raise InputError("ImportanceConfig.vectors needs the scorer names; set scorer to it")

@@ -17,12 +17,12 @@ class DriveEnding(Enum):
 
     START_BLOCKED = "the start is in collision with"
     GOAL_BLOCKED = "the goal is in collision with"
-    NO_PATH = "there is no way for the footprint"
-    NO_PATH_FROM_ESTIMATE = "there is no way from where it believes to be"
-    PATH_OCCUPIED = "a moving obstacle stands in the way"
+    NO_PATH = "there is no path for the footprint"
+    NO_PATH_FROM_ESTIMATE = "there is no path from the estimated pose"
+    PATH_OCCUPIED = "a moving obstacle blocks the path"
     STUCK = "stuck"
-    OFF_GOAL = "it believes to stand beside the goal"
-    MISSED = "it stands"
+    OFF_GOAL = "the estimated pose is off the goal"
+    MISSED = "it stopped"
     HIT = "it hit"
     TIMEOUT = "timeout"
 

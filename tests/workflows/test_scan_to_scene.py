@@ -28,7 +28,7 @@ from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import Modeled, ScanConfig, Survey, Tools
 from momapos.perception.segmentation.pointing import PointAt
 from momapos.perception.segmentation.segmenter import ClassicalSegmenter
-from momapos.planning.grasps.tasks import hand_path, openable
+from momapos.planning.grasps.task_requests import hand_path, openable
 from momapos.planning.importance.config import ImportanceConfig
 from momapos.workflows.scan import scan_to_scene
 from momapos.workflows.solve import ScanTask, solve_scan

@@ -19,7 +19,7 @@ from momapos.planning.arm_motion.feasibility import payload_hits_at_home, with_p
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.handles import find_handle
 from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.grasps.task_requests import make_task, openable
 
 KITCHENS = ("kitchen_small", "kitchen_island")
 
