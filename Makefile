@@ -55,7 +55,7 @@ check: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-# Types, shapes and dtypes are checked at every call, see tests/shapes.py.
+# Types, shapes and dtypes are checked at the first calls of each function, see tests/shapes.py.
 test: check
 	MOMAPOS_SHAPES=1 $(BIN)/pytest
 

@@ -2,10 +2,10 @@
 
 `install` adds an import hook that checks each function, method, dataclass and record of the
 package: beartype checks the types; jaxtyping checks the shapes and dtypes of arrays, and that axes
-of one name have one length within a call. Imports for type checkers only are also executed. Not
-checked: kernels, which numba compiles and whose entries check their own arguments; modules with
-types of a package that is not installed (torch); modules with types of a neighbor that imports
-them; and processes that a test starts.
+of one name have one length within a call. Imports for type checkers only are also executed. The
+first calls of a function are checked, see `MAX_CHECKED_CALLS`. Not checked: kernels, which numba
+compiles and whose entries check their own arguments; modules with types of a package that is not
+installed (torch); and processes that a test starts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import find_spec
-from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
@@ -30,6 +29,8 @@ import jaxtyping
 PACKAGE = "momapos"
 _KERNELS = {"entry", "kernel", "njit"}
 _CHECK = "_check_shapes"
+MAX_CHECKED_CALLS = 100
+"""Calls of a function that a process checks; checking all of them doubles the time of the tests."""
 
 
 @contextlib.contextmanager
@@ -77,7 +78,7 @@ class _Loader(SourceFileLoader):
         path = self.get_filename(fullname)
         tree = ast.parse(self.get_data(path), path)
         whole = all(find_spec(package) for package in _needed_by_hints(tree))
-        if whole and not _in_a_circle(tree, fullname, Path(path).parent):
+        if whole:
             tree = _Checks().visit(tree)
         return compile(ast.fix_missing_locations(tree), path, "exec", dont_inherit=True)
 
@@ -99,18 +100,6 @@ def _needed_by_hints(tree: ast.Module) -> set[str]:
         for node in imports
         if isinstance(node, ast.ImportFrom) and node.module and not node.level
     }
-
-
-def _in_a_circle(tree: ast.Module, fullname: str, folder: Path) -> bool:
-    """Return whether a neighbor imported for type checkers only imports this module."""
-    own = fullname.rpartition(".")[2]
-    for block in tree.body:
-        for node in ast.walk(block) if _for_hints(block) else ():
-            if isinstance(node, ast.ImportFrom) and node.level == 1 and node.module:
-                neighbor = folder / f"{node.module}.py"
-                if neighbor.is_file() and f"from .{own} import" in neighbor.read_text():
-                    return True
-    return False
 
 
 def _for_hints(node: ast.stmt) -> bool:
@@ -162,15 +151,19 @@ def _hints(record: type) -> dict[str, Any]:
 def _checked(function: Callable[..., Any], hints: Callable[[], dict[str, Any]]) -> Any:
     """Return the function with its check, built at the first call, when all names exist."""
     run: Callable[..., Any] | None = None
+    left = MAX_CHECKED_CALLS
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
-        nonlocal run
+        nonlocal run, left
         __tracebackhide__ = True
         if run is None:
             # jaxtyping treats an unknown name as Any; here it raises.
             function.__annotations__ = hints()
             run = _jaxtyped(function)
+        if left == 0:
+            return function(*args, **kwargs)
+        left -= 1
         return run(*args, **kwargs)
 
     return wrapper

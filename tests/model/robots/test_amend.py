@@ -42,7 +42,7 @@ def save_mesh(path: Path) -> None:
 
 
 def test_an_arm_without_a_base_is_refused_with_a_remedy(arm: Path) -> None:
-    with pytest.raises(RobotError, match=r"the arm has no base.*set mount\.box") as caught:
+    with pytest.raises(RobotError, match=r"the arm has no base.*--on-box") as caught:
         write_robot(arm)
     assert "\n" not in str(caught.value)
     assert list(arm.parent.iterdir()) == [arm]

@@ -25,7 +25,7 @@ from momapos.model.urdf.joint_opening import opening_of
 from momapos.model.urdf.reader import read_urdf
 from momapos.perception.reconstruction.model_config import ModelConfig
 from momapos.perception.reconstruction.object_model import furniture_model
-from momapos.perception.reconstruction.part_motions import Beside
+from momapos.perception.reconstruction.part_motions import Neighbors
 from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.planning.grasps.handles import (
     find_handle,
@@ -266,8 +266,8 @@ def test_the_true_front_of_a_kitchen_piece_gives_the_true_handle_paths(name: str
     assert off.max(-1).min(1).max() < 0.005
 
 
-@pytest.mark.parametrize("beside", [(None, 0.0), (0.0, None), (0.02, -0.1), (0.05, 1.0)])
-def test_the_depth_of_a_hinge_depends_on_its_neighbor(beside: Beside) -> None:
+@pytest.mark.parametrize("neighbors", [(None, 0.0), (0.0, None), (0.02, -0.1), (0.05, 1.0)])
+def test_the_depth_of_a_hinge_depends_on_its_neighbor(neighbors: Neighbors) -> None:
     parts = [
         Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9),
         Part("door_right", (0.5, 0.0, 1.0, 1.0), 0.9),
@@ -275,13 +275,13 @@ def test_the_depth_of_a_hinge_depends_on_its_neighbor(beside: Beside) -> None:
     face, config = face_of(0.8, 0.9), ModelConfig()
     raised(face, (0.0, 0.0, 1.0, 1.0), 0.03)
     found = detection(0.8, 0.6, 0.9)
-    piece = furniture_model(found, 0.3 - np.pi / 2, face, parts, config, beside=beside)
+    piece = furniture_model(found, 0.3 - np.pi / 2, face, parts, config, neighbors=neighbors)
     motions = [part.motion for part in piece.parts[1:]]
     depths = [motion.pivot[1] + 0.33 for motion in motions if motion]
     deep, tight = config.hinge_depth, config.tight_hinge_depth
     assert deep > tight > 0.0
     wall = config.passed * 0.4
-    expected = [deep if out is None else tight if out < wall else 0.0 for out in beside]
+    expected = [deep if out is None else tight if out < wall else 0.0 for out in neighbors]
     assert depths == pytest.approx(expected)
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
 

@@ -117,7 +117,8 @@ class Motions:
         """Split a leaf into the recessed strip at its hinge, if there is one, and the rest.
 
         At 90 degrees, the front of a leaf is as far to the side of its axis as it is in front of
-        it when closed. So the strip that passes a protruding neighbor is set back by the depth of the axis.
+        it when closed. So the strip that passes a protruding neighbor is set back by the depth of
+        the axis.
         """
         leaf, depth = self.leaf(kind), self.depth(kind)
         out = (self._neighbor(kind) or 0.0) - self.out if self._is_tight(kind) else 0.0
