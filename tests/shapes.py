@@ -29,7 +29,7 @@ import jaxtyping
 PACKAGE = "momapos"
 _KERNELS = {"entry", "kernel", "njit"}
 _CHECK = "_check_shapes"
-MAX_CHECKED_CALLS = 100
+MAX_CHECKED_CALLS = 20
 """Calls of a function that a process checks; checking all of them doubles the time of the tests."""
 
 

@@ -54,7 +54,7 @@ class Motions:
             "door_right": self.area.right >= self.face.width,
             "door_up": self.area.top >= self.face.height,
         }
-        return at_rim.get(kind, False)
+        return bool(at_rim.get(kind, False))
 
     def _is_tight(self, kind: PartKind) -> bool:
         """Check whether another object is next to the hinge of a kind of part."""
