@@ -171,3 +171,21 @@ def test_plans_are_equal_and_hashed_by_content(given: dict[str, Any]) -> None:
     assert plan.motion is not None
     other = replace(plan.motion, q=plan.motion.q + 1e-9)
     assert replace(plan, motion=other) != plan
+
+
+def test_a_plan_of_another_robot_is_not_timed(given: dict[str, Any]) -> None:
+    with pytest.raises(momapos.MomaposError, match="not for robot fetch"):
+        momapos.time_plan(given["plan"], momapos.load_robot("fetch"))
+
+
+def test_an_object_and_its_joint_can_be_one_name(given: dict[str, Any]) -> None:
+    one = momapos.make_task(given["scene"], "open", "fridge/door_hinge")
+    assert one == momapos.make_task(given["scene"], "open", "fridge", "door_hinge")
+
+
+def test_keep_poses_keeps_what_it_returns_true_for(given: dict[str, Any]) -> None:
+    parts = {key: given[key] for key in ("scene", "robot", "task", "reach", "config")}
+    plan = momapos.plan_base_placement(**parts, keep_poses=lambda poses: poses[:, 0] < 0.6).plan
+    assert plan.base_pose is None or plan.base_pose[0] < 0.6
+    with pytest.raises(momapos.MomaposError, match="keep_poses must return"):
+        momapos.plan_base_placement(**parts, keep_poses=lambda poses: poses[:, 0])
