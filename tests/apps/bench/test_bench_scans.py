@@ -123,7 +123,10 @@ def test_the_time_of_a_row_from_a_scan_includes_modeling(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["paper-sim", "--scan", "60"], "no scan shows what is in the drawers of paper-sim"),
+        (
+            ["paper-sim", "--scan", "60"],
+            "a scan can't show the objects in the drawers of paper-sim",
+        ),
         (["smoke", "--scan", "-1"], "--scan must be between 0 and 1000, not -1"),
         (["smoke", "--disturbances", "1001"], "--disturbances must be between 0 and 1000"),
     ],
