@@ -11,11 +11,12 @@ from momapos.core import TaskError
 from momapos.core.geometry import invert
 from momapos.model.records import Task
 from momapos.model.scene import Scene, SceneObject
-from momapos.model.urdf import Joint
+from momapos.model.urdf import Joint, opening_of
 
+from .body_paths import BodyPaths, paths_of
 from .convex import Body, overlap
 from .exact_shapes import Shapes, join, of_bodies, prepared
-from .link_bodies import LinkBodies, body_poses, joint_motions
+from .link_bodies import LinkBodies, body_poses
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class MovedPart:
-    """The links that a joint moves, or a whole object."""
+    """The links that a joint and its mimic joints move, or a whole object."""
 
     name: str
     joint: Joint | None
@@ -34,31 +35,44 @@ class MovedPart:
     """Value of the joint where the object is closed: zero, or the nearest limit."""
     goal: float
     """Value that the task requests."""
-    T_world_joint: Float[np.ndarray, "4 4"]
     shapes: Shapes
-    """Shapes of the part, all on one body, the part."""
+    """Shapes of the part, by the body that carries each."""
+    paths: BodyPaths
+    """Poses of these bodies at joint values."""
 
-    def poses(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:
-        """Return world poses of the part at joint values."""
-        if self.joint is None:
-            Ts = np.repeat(self.T_world_joint[None], len(values), axis=0)
-            Ts[:, 2, 3] += values
-            return Ts
-        return np.asarray(self.T_world_joint @ joint_motions(self.joint, values))
+    def poses(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s b 4 4"]:
+        """Return world poses of the part's bodies at joint values."""
+        if self.joint is not None:
+            return self.paths.at(values)
+        Ts = np.repeat(self.paths.offsets[None], len(values), axis=0)
+        Ts[:, 0, 2, 3] += values
+        return Ts
 
     def placed(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s k 4 4"]:
         """Return world poses of the shapes at joint values."""
         return self.placed_at(self.poses(values))
 
-    def placed_at(self, Ts_world_part: Float[np.ndarray, "s 4 4"]) -> Float[np.ndarray, "s k 4 4"]:
-        """Return world poses of the shapes, given those of the part."""
-        return self.shapes.placed(Ts_world_part[:, None])
+    def placed_at(
+        self, Ts_world_body: Float[np.ndarray, "s b 4 4"]
+    ) -> Float[np.ndarray, "s k 4 4"]:
+        """Return world poses of the shapes, given those of the bodies."""
+        return self.shapes.placed(Ts_world_body)
 
-    def distance(self, point: Float[np.ndarray, "3"]) -> float:
-        """Return the distance of a point in the part's frame from the part [m]; negative inside."""
-        Ts_shape_part = invert(self.shapes.Ts_body_shape)
+    def nearest_body(self, point: Float[np.ndarray, "3"], value: float) -> int:
+        """Return which body is nearest to a point in the world, at a joint value."""
+        Ts = self.poses(np.array([value]))[0]
+        if len(Ts) == 1:
+            return 0
+        T_body_world = invert(Ts)
+        local = T_body_world[:, :3, :3] @ point + T_body_world[:, :3, 3]
+        return int(np.argmin([self.distance(x, body) for body, x in enumerate(local)]))
+
+    def distance(self, point: Float[np.ndarray, "3"], body: int = 0) -> float:
+        """Return the distance of a point in a body's frame from its shapes [m]; negative inside."""
+        own = np.flatnonzero(self.shapes.body == body)
+        Ts_shape_part = invert(self.shapes.Ts_body_shape[own])
         local = Ts_shape_part[:, :3, :3] @ point + Ts_shape_part[:, :3, 3]
-        beyond = np.abs(local) - self.shapes.half
+        beyond = np.abs(local) - self.shapes.half[own]
         least = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
         least = np.where(beyond.max(1) < 0.0, beyond.max(1), least)
         nearest, T = np.inf, np.eye(4)
@@ -66,7 +80,7 @@ class MovedPart:
             if least[index] >= nearest:
                 break
             T[:3, 3] = local[index]
-            nearest = min(nearest, -overlap(_POINT, self.shapes.core(index), T))
+            nearest = min(nearest, -overlap(_POINT, self.shapes.core(int(own[index])), T))
         return nearest
 
 
@@ -108,20 +122,27 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
 def _world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
     """Return an object's bodies, and its shapes in world coordinates."""
     bodies, shapes = prepared(item.model)
-    Ts = shapes.placed(body_poses(bodies, item.values(), item.T_world_object))[0]
-    return bodies, shapes.moved_to(Ts)
+    return bodies, shapes.moved_to(shapes.placed(_body_poses(item, bodies)[None])[0])
+
+
+def _body_poses(item: SceneObject, bodies: LinkBodies) -> Float[np.ndarray, "b 4 4"]:
+    """Return world poses of an object's bodies; mimic joints follow their leaders."""
+    mimics = {joint.name for joint in bodies.joints if joint is not None and joint.mimic}
+    values = {name: value for name, value in item.values().items() if name not in mimics}
+    return body_poses(bodies, values, item.T_world_object)[0]
 
 
 def _part(item: SceneObject, task: Task, bodies: LinkBodies, shapes: Shapes) -> MovedPart:
+    """Build the moved part from its shapes, which are in world coordinates."""
     joint, start, rest, goal = None, 0.0, 0.0, 0.0
-    T = item.T_world_object
+    paths, body = BodyPaths((), (), item.T_world_object[None]), np.zeros(len(shapes), np.int64)
     if task.joint is not None and task.to is not None:
-        body = bodies.of_joint[task.joint]
-        joint, start, goal = bodies.joints[body], item.values()[task.joint], task.to
-        rest = bodies.rest[task.joint]
-        Ts = body_poses(bodies, item.values(), item.T_world_object)[0]
-        T = Ts[bodies.parent[body]] @ bodies.Ts_parent_joint[body]
-    named = join([shapes], [f"{item.name}/"])
-    part = MovedPart(item.name, joint, float(start), float(rest), float(goal), T, named)
-    T_part_world = invert(part.poses(np.array([start]))[0])
-    return replace(part, shapes=named.moved_to(T_part_world @ named.Ts_body_shape))
+        joint = bodies.joints[bodies.of_joint[task.joint]]
+        start, goal = item.values()[task.joint], task.to
+        rest = opening_of(item.model, task.joint).closed
+        paths, carrier = paths_of(bodies, task.joint, _body_poses(item, bodies))
+        body = np.array([carrier[b] for b in shapes.body.tolist()], np.int64)
+    named = replace(join([shapes], [f"{item.name}/"]), body=body)
+    part = MovedPart(item.name, joint, float(start), float(rest), float(goal), named, paths)
+    Ts_body_world = invert(part.poses(np.array([start]))[0])
+    return replace(part, shapes=named.moved_to(Ts_body_world[body] @ named.Ts_body_shape))

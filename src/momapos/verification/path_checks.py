@@ -114,8 +114,8 @@ def _densify(
 
 def part_poses(
     part: MovedPart, verb: str, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"]
-) -> Float[np.ndarray, "s 4 4"]:
-    """Return world poses of the part along a path: by its joint's value, or as the tool carries it.
+) -> Float[np.ndarray, "s b 4 4"]:
+    """Return world poses of the part's bodies along a path: by its joint, or as it is carried.
 
     A picked object is carried from the start of the manipulation on, a placed one until then.
     """
@@ -123,8 +123,8 @@ def part_poses(
         return part.poses(path.object_q)
     Ts = part.poses(np.zeros(len(path.q)))
     carried = slice(path.approach) if verb == "place" else slice(path.approach, None)
-    T_tool_part = invert(Ts_world_tool[path.approach]) @ part.T_world_joint
-    Ts[carried] = Ts_world_tool[carried] @ T_tool_part
+    T_tool_part = invert(Ts_world_tool[path.approach]) @ Ts[path.approach, 0]
+    Ts[carried, 0] = Ts_world_tool[carried] @ T_tool_part
     return Ts
 
 
@@ -268,8 +268,8 @@ def grasp_checks(
 ) -> Iterator[Check]:
     """Check that the tool keeps its pose in the part while it holds it.
 
-    The tool may turn about the hold's axis, which is fixed in the part. Tool poses are those of
-    the dense path.
+    Of a part of several bodies it holds the nearest one. It may turn about the hold's axis, which
+    is fixed in that body. Tool poses are those of the dense path.
     """
     if part.joint is None:
         return
@@ -278,7 +278,8 @@ def grasp_checks(
         inside = (path.at >= hold.first) & (path.at <= hold.last)
         inside[: path.approach] = False
         held = np.flatnonzero(inside)
-        T = invert(part.poses(path.object_q[held])) @ Ts_world_tool[held]
+        body = part.nearest_body(Ts_world_tool[held[0], :3, 3], float(path.object_q[held[0]]))
+        T = invert(part.poses(path.object_q[held])[:, body]) @ Ts_world_tool[held]
         states.append(held)
         slips.append(np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1))
         turns.append(_swing_angles(T[:, :3, :3], hold.turn_axis))
@@ -313,15 +314,26 @@ def reach_check(
     Ts_world_tool: Float[np.ndarray, "m 4 4"],
     limits: Limits,
 ) -> Check:
-    """Check that the tool is at the part while it holds it; for a pick, at the end.
-
-    Between two points the distance changes by at most their separation, so few need computing.
-    """
+    """Check that the tool is at the part while it holds it; for a pick, at the end."""
     states = np.concatenate([np.arange(h.first, h.last + 1) for h in holds_of(motion)])
     if part.joint is None:
         states = np.array([0 if verb == "place" else len(motion.q) - 1])
-    T = invert(part.poses(motion.object_q[states]))
-    points = (T @ Ts_world_tool[states])[:, :3, 3]
+    Ts_body_world = invert(part.poses(motion.object_q[states]))
+    points = (Ts_body_world @ Ts_world_tool[states][:, None])[..., :3, 3]
+    if points.shape[1] == 1:
+        worst, where = _farthest(part, points[:, 0])
+    else:
+        away = [min(part.distance(p, b) for b, p in enumerate(row)) for row in points]
+        worst, where = max(away), int(np.argmax(away))
+    detail = f"state {states[where]}"
+    return at_most("grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail)
+
+
+def _farthest(part: MovedPart, points: Float[np.ndarray, "k 3"]) -> tuple[float, int]:
+    """Return the largest distance of points from a part of one body [m], and which point has it.
+
+    Between two points the distance changes by at most their separation, so few need computing.
+    """
     bounds, worst, where = np.full(len(points), np.inf), -np.inf, 0
     while bounds.max() > worst + 1e-6:
         i = int(bounds.argmax())
@@ -330,8 +342,7 @@ def reach_check(
             worst, where = distance, i
         moved = np.linalg.norm(points - points[i], axis=1)
         bounds = np.minimum(bounds, distance + moved)
-    detail = f"state {states[where]}"
-    return at_most("grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail)
+    return worst, where
 
 
 def base_path_checks(

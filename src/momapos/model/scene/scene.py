@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +25,10 @@ MIN_BOX_EDGE = 1e-4
 """Minimum edge of a box [m]."""
 MIN_SCALE = 1e-6
 """Minimum scale of a model, for models in micrometers [-]."""
+SAME_VALUE = 1e-6
+"""Joint values that differ by less count as the same [rad] or [m]."""
+MAX_POSED_MODELS = 128
+"""Number of models at other rest values that are cached [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +142,26 @@ class SceneObject:
         poses = self.model.link_poses(self.values())
         return {name: self.T_world_object @ T for name, T in poses.items()}
 
+    def posed_model(self, joint: str) -> Articulated:
+        """Return the model with what a joint moves at rest as it is in this scene.
+
+        Other joints of the part, such as that of its lever, may have values of their own.
+        """
+        model = self.model
+        inside = {one.name for one in model.joints.values() if one.child in model.moved_by(joint)}
+        values = {
+            name: value
+            for name, value in self.joints.items()
+            if name in inside and name != joint and abs(value - model.rest[name]) > SAME_VALUE
+        }
+        return _posed(model, tuple(sorted(values.items()))) if values else model
+
+    def moving_poses(
+        self, joint: str, values: Float[np.ndarray, " v"]
+    ) -> dict[str, Float[np.ndarray, "v 4 4"]]:
+        """World poses of the links that a joint moves, at values of the joint [rad] or [m]."""
+        return self.model.moving_poses(joint, values, self.joints, self._poses)
+
     @cached_property
     def link_boxes(self) -> dict[str, Boxes]:
         """Boxes of the links that have any, in the world."""
@@ -176,6 +200,11 @@ class SceneObject:
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         """Lower and upper corner of the world-aligned bounding box [m]."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+
+@lru_cache(maxsize=MAX_POSED_MODELS)
+def _posed(model: Articulated, values: tuple[tuple[str, float], ...]) -> Articulated:
+    return model.changed(held={**model.held, **dict(values)})
 
 
 def _planar_pose(xyz: Sequence[float], yaw: float) -> Float[np.ndarray, "4 4"]:

@@ -11,6 +11,7 @@ from .hulls import hull_of as hull_of
 from .hulls import slab as slab
 from .joint_opening import JointOpening as JointOpening
 from .joint_opening import opening_of as opening_of
+from .joint_opening import opens_both_ways as opens_both_ways
 from .mesh_files import MAX_MESH_PARENTS as MAX_MESH_PARENTS
 from .mesh_files import MeshFinder as MeshFinder
 from .meshes import MAX_MESH_BYTES as MAX_MESH_BYTES

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 T = TypeVar("T")
+_GEOMETRY = ("hulls", "boxes", "_pieces")
+"""Computed properties that do not depend on joint values."""
+JointValues: TypeAlias = "Mapping[str, float | Float[np.ndarray, ' v']]"
+"""Values of joints by name [rad] or [m], one or one per state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,17 @@ class Articulated:
 
     cache: Cache | None = field(default=None, repr=False)
     """Cache for its geometry, which is expensive to compute."""
+    closed: Mapping[str, float] = field(default_factory=dict)
+    """Values at which joints are closed, where a scene says so [rad] or [m]; see `opening_of`."""
+
+    def changed(
+        self, *, held: Mapping[str, float] | None = None, closed: Mapping[str, float] | None = None
+    ) -> Articulated:
+        """Return the model with other rest or closed values; it shares the computed geometry."""
+        held, closed = self.held if held is None else held, closed or self.closed
+        other = Articulated(self.urdf, held, self.cache, closed)
+        other.__dict__.update({k: v for k, v in self.__dict__.items() if k in _GEOMETRY})
+        return other
 
     def __repr__(self) -> str:
         counts = f"{len(self.urdf.links)} links, {len(self.joints)} movable joints"
@@ -87,8 +102,8 @@ class Articulated:
         """Return the values of all movable joints, given some; see `value_of`."""
         return {name: self.value_of(joint, values) for name, joint in self.joints.items()}
 
-    def value_of(self, joint: Joint, values: Mapping[str, float]) -> float:
-        """Return a joint's value: from its leader, as given, or at rest."""
+    def value_of(self, joint: Joint, values: JointValues) -> Any:
+        """Return a joint's value or values: from its leader, as given, or at rest."""
         if joint.mimic is not None:
             leader = joint.mimic.joint
             return joint.mimic.at(values.get(leader, self.rest[leader]))
@@ -98,11 +113,55 @@ class Articulated:
         """Return poses of all links in the root's frame; other joints are at rest."""
         poses = {self.urdf.root: np.eye(4)}
         for joint in self.urdf.joints:
-            T = poses[joint.parent] @ joint.T_parent_joint
-            if joint.movable:
-                T = T @ joint_motion(joint, self.value_of(joint, values))
-            poses[joint.child] = T
+            poses[joint.child] = self._child_pose(joint, poses[joint.parent], values)
         return poses
+
+    def _child_pose(
+        self, joint: Joint, T_parent: Float[np.ndarray, "*v 4 4"], values: JointValues
+    ) -> Float[np.ndarray, "*v 4 4"]:
+        T = T_parent @ joint.T_parent_joint
+        if not joint.movable:
+            return T
+        return np.asarray(T @ joint_motion(joint, self.value_of(joint, values)))
+
+    def moving_poses(
+        self,
+        joint: str,
+        values: Float[np.ndarray, " v"],
+        others: Mapping[str, float],
+        poses: Mapping[str, Float[np.ndarray, "4 4"]],
+    ) -> dict[str, Float[np.ndarray, "v 4 4"]]:
+        """Return the poses of the links that a joint and its mimic joints move.
+
+        Args:
+            joint: The joint, which is no mimic joint.
+            values: Its values [rad] or [m].
+            others: Values of the other joints; joints without a value are at rest.
+            poses: Poses of all links, in any frame, at one value of the joint.
+
+        Returns:
+            The poses in that frame, by link, at each value.
+        """
+        given: JointValues = {**others, joint: values}
+        moved, found = set(self.moved_by(joint)), {}
+        for one in self.urdf.joints:
+            if one.child in moved:
+                T = self._child_pose(one, found.get(one.parent, poses[one.parent]), given)
+                found[one.child] = np.broadcast_to(T, (len(values), 4, 4))
+        return found
+
+    def rigid_groups(self, joint: str) -> dict[str, str]:
+        """Return the links that a joint moves, each with the link that carries it.
+
+        A carrier is the child of the joint or of one of its mimic joints. The links that it carries
+        keep their pose in it, as long as no other joint moves.
+        """
+        carriers = {self.joint(joint).child, *(other.child for other in self.followers(joint))}
+        moved, groups = set(self.moved_by(joint)), {}
+        for one in self.urdf.joints:
+            if one.child in moved:
+                groups[one.child] = one.child if one.child in carriers else groups[one.parent]
+        return groups
 
     @cached_property
     def rest_poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:

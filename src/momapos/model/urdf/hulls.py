@@ -6,7 +6,7 @@ element. The batched kernels test the boxes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -100,6 +100,15 @@ class MovingBoxes:
     """Columns are the box axes."""
     half: Float[np.ndarray, "v m 3"]
     """Half edges [m]."""
+
+    @classmethod
+    def join(cls, parts: Sequence[MovingBoxes]) -> MovingBoxes:
+        """Concatenate one or more sets of boxes, which have the same number of values."""
+        return cls(
+            np.concatenate([part.center for part in parts], axis=1),
+            np.concatenate([part.rotation for part in parts], axis=1),
+            np.concatenate([part.half for part in parts], axis=1),
+        )
 
     def at(self, value: int) -> Boxes:
         """Return the boxes at the value with an index."""

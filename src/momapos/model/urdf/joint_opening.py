@@ -16,6 +16,10 @@ MIN_SIDE_SHARE = 0.05
 """Zero is well within a joint's range if each side has at least this share of the range [-]."""
 MIN_PROTRUSION_DROP = 0.1
 """A part is closed at a limit, not at zero, if it protrudes less there by more than this [m]."""
+MIN_FREE_SIDE = 0.05
+"""A part without limits opens to the side on which it protrudes more by at least this [m]."""
+TRIAL_ANGLE, TRIAL_TRAVEL = np.pi / 4, 0.2
+"""Motion to either side for that comparison: a door is in front or inside [rad], [m]."""
 _MAX_CACHED = 4096
 
 
@@ -37,21 +41,31 @@ class JointOpening:
 def opening_of(model: Articulated, joint: str) -> JointOpening:
     """Return at which value a part is closed, and toward which limit it opens.
 
-    A part is closed at zero, or at the limit nearest to zero. Some files have their zero halfway:
-    if zero is well within the range, and the part protrudes much less from the rest of its object
-    at a limit, it is closed there. It opens toward the farther limit.
+    A part is closed where its model's `closed` says so. Otherwise it is closed at zero or at the
+    limit nearest to zero, unless it protrudes from the rest of its object there and protrudes much
+    less at a limit: then it is closed at that limit. It opens toward the farther limit. Without
+    limits it opens to the side on which it comes out of its object.
     """
     record = model.joint(joint)
     lower, upper = record.lower, record.upper
-    closed = min(max(0.0, lower), upper)
-    if np.isfinite([lower, upper]).all() and _well_within(record):
-        closed = _flush(model, record, (closed, lower, upper))
+    if joint in model.closed:
+        closed = model.closed[joint]
+    else:
+        closed = min(max(0.0, lower), upper)
+        if np.isfinite([lower, upper]).all():
+            closed = _flush(model, record, (closed, lower, upper))
+    if not np.isfinite([lower, upper]).any():
+        return JointOpening(closed, np.inf if _comes_out(model, record, closed) else -np.inf)
     return JointOpening(closed, upper if upper - closed >= closed - lower else lower)
 
 
-def _well_within(joint: Joint) -> bool:
-    least = MIN_SIDE_SHARE * (joint.upper - joint.lower)
-    return joint.lower < -least and joint.upper > least
+def opens_both_ways(model: Articulated, joint: str) -> bool:
+    """Check whether a part is closed well within its range, as a swing door is."""
+    record, closed = model.joint(joint), opening_of(model, joint).closed
+    least = MIN_SIDE_SHARE * (record.upper - record.lower)
+    return bool(
+        np.isfinite(least) and record.lower < closed - least < closed + least < record.upper
+    )
 
 
 def _flush(model: Articulated, joint: Joint, values: tuple[float, ...]) -> float:
@@ -59,6 +73,13 @@ def _flush(model: Articulated, joint: Joint, values: tuple[float, ...]) -> float
     out = [_protrusion(model, joint.name, value) for value in values]
     best = int(np.argmin(out))
     return values[best] if out[0] - out[best] > MIN_PROTRUSION_DROP else values[0]
+
+
+def _comes_out(model: Articulated, joint: Joint, closed: float) -> bool:
+    """Return whether a part comes out toward larger values rather than toward smaller ones."""
+    trial = TRIAL_TRAVEL if joint.kind == "prismatic" else TRIAL_ANGLE
+    up, down = (_protrusion(model, joint.name, closed + s * trial) for s in (1.0, -1.0))
+    return down - up < MIN_FREE_SIDE
 
 
 def _protrusion(model: Articulated, joint: str, value: float) -> float:
@@ -74,5 +95,5 @@ def _protrusion(model: Articulated, joint: str, value: float) -> float:
     rest = corners([name for name in model.links if name not in moved])
     if not len(part) or not len(rest):
         return 0.0
-    beside = np.maximum(rest.min(0) - part, part - rest.max(0)).max(0)
-    return float(np.maximum(beside, 0.0).sum())
+    outside = np.maximum(rest.min(0) - part, part - rest.max(0)).max(0)
+    return float(np.maximum(outside, 0.0).sum())

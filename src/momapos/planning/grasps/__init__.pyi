@@ -1,14 +1,14 @@
 from .config import GraspConfig as GraspConfig
 from .config import MotionConfig as MotionConfig
 from .hand_boxes import hand_of as hand_of
-from .handles import Handle as Handle
+from .handle_records import Handle as Handle
+from .motion_record import TaskMotion as TaskMotion
 from .resistance import stays_in_place as stays_in_place
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
 from .task_boxes import scene_boxes as scene_boxes
 from .task_motions import LIFT_HEIGHT as LIFT_HEIGHT
 from .task_motions import GraspFilter as GraspFilter
-from .task_motions import TaskMotion as TaskMotion
 from .task_motions import in_scene as in_scene
 from .task_motions import task_motion as task_motion
 from .task_motions import with_other_handle as with_other_handle

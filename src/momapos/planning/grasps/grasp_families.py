@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.model.robots import Robot
-from momapos.model.urdf import Articulated
+from momapos.model.urdf import Articulated, opens_both_ways
 
 from .config import GraspConfig
 from .hand_boxes import empty_handed
-from .handles import Handle, handles_in_turn, lever_arms
+from .handle_records import Handle
+from .handle_shapes import Part
+from .handles import handles_in_turn
 from .part_grasps import (
     FAMILIES,
     Family,
@@ -23,6 +25,7 @@ from .part_grasps import (
     poses_of,
     push_grasps,
 )
+from .part_motion import lever_arms
 from .push_grasps import push_from_behind
 
 if TYPE_CHECKING:
@@ -112,6 +115,8 @@ def select_part_grasps(
 ) -> GraspSelection:
     """Select the grasps of the part's first handle by which the robot can move it.
 
+    A door that swings both ways is grasped on either side.
+
     Args:
         robot: The robot.
         model, joint: The part.
@@ -127,15 +132,18 @@ def select_part_grasps(
     found: list[tuple[Handle, PartGrasps]] = []
     handles: list[Handle] = []
     reasons: list[str] = []
+    two_sided = opens_both_ways(model, joint)
     for handle in handles_in_turn(model, joint, sign):
-        if handle in excluded:
+        if handle in excluded or (found and not _on_other_side(handle, found[0][0])):
             continue
         handles.append(handle)
         grasps = grasps_of(robot, model, joint, sign, handle, config)
         strong, reason = _strong(robot, model, joint, grasps, torque, handle, config)
         if len(strong.code):
             found.append((handle, strong))
-            break
+            if len(found) == 1 + two_sided:
+                break
+            continue
         reasons.append(reason)
     pushes = closes and Family.PUSH in config.families
     pushed = push_grasps(robot, model, joint, sign, config) if pushes else None
@@ -157,6 +165,11 @@ def select_part_grasps(
     return _ordered(model, joint, [(handles[0], bare)], torque, named[0] + edges, "")
 
 
+def _on_other_side(handle: Handle, first: Handle) -> bool:
+    """Check whether a handle is on the other side of a swing door than the first one."""
+    return not handle.edge and handle.carrier == first.carrier and handle.out @ first.out < -0.5
+
+
 def _strong(
     robot: Robot,
     model: Articulated,
@@ -172,7 +185,8 @@ def _strong(
     grasps = grasps.only(np.isin(grasps.code, [FAMILIES.index(Family(f)) for f in config.families]))
     if not len(grasps.code):
         return grasps, f"{robot.name} holds {handle.name} by other grasps than those allowed"
-    need = torque / np.maximum(lever_arms(model, joint, grasps.point), 1e-3)
+    part = Part(model, joint, handle.carrier)
+    need = torque / np.maximum(lever_arms(part, grasps.point), 1e-3)
     strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():
         return grasps.only(strong), ""
@@ -193,8 +207,8 @@ def _ordered(
 ) -> GraspSelection:
     """Order the grasps of some handles, see `firmest_first`."""
     parts = [grasps for _, grasps in found]
-    point = np.concatenate([g.point for g in parts])
-    need = torque / np.maximum(lever_arms(model, joint, point), 1e-3)
+    arms = [lever_arms(Part(model, joint, h.carrier), g.point) for h, g in found]
+    need = torque / np.maximum(np.concatenate(arms), 1e-3)
     capacity = np.concatenate([g.capacity for g in parts])
     handle = np.repeat(np.arange(len(parts)), [len(g.code) for g in parts])
     complexity = np.concatenate([g.complexity for g in parts])

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import invert
-from momapos.model.urdf import Articulated, Geometry
+from momapos.core.geometry import apply, invert
+from momapos.model.urdf import Articulated, Geometry, Joint
 
 from .swept_boxes import Convex, convex_of
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 HANDLE_WORD = "handle"
 _MODELS = 1024
@@ -25,6 +26,9 @@ MIN_PROTRUSION = 0.008
 """Minimum height of a handle above the panel [m]."""
 CONTACT_GAP = 0.01
 """Elements whose axis-aligned boxes are within twice this distance form one group [m]."""
+MAX_HANDLE_BREADTH = 0.25
+"""A jointed link whose second extent is smaller may be a handle: levers at both sides of a door are
+15 cm across, drawers and flaps inside doors more than 25 cm [m]."""
 VISUAL_TOLERANCE = 0.01
 """A collision element represents a visual if it exceeds the visual's box by less [m]."""
 
@@ -50,50 +54,101 @@ class Element:
         return self.convex.vertices.max(0)
 
 
-def rigid_links(model: Articulated, joint: str) -> tuple[str, ...]:
-    """Return the child link of a joint and all links fixed to it."""
-    links = {model.joint(joint).child}
+@dataclass(frozen=True)
+class Part:
+    """What a joint and its mimic joints move, in the frame of a link that carries some of it."""
+
+    model: Articulated
+    joint: str
+    carrier: str
+    """The child link of the joint or of one of its mimic joints."""
+
+    @classmethod
+    def of(cls, model: Articulated, joint: str) -> Part:
+        """Return the part in the frame of the joint's own child link."""
+        return cls(model, joint, model.joint(joint).child)
+
+    @property
+    def leads(self) -> bool:
+        """Whether the joint itself moves the carrier, not one of its mimic joints."""
+        return self.model.joint(self.joint).child == self.carrier
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """All links that move."""
+        return self.model.moved_by(self.joint)
+
+    def poses(self, links: Collection[str]) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Return the poses of links in the carrier's frame, with all joints at rest."""
+        poses = self.model.rest_poses
+        T_carrier_root = invert(poses[self.carrier])
+        return {name: T_carrier_root @ poses[name] for name in links}
+
+
+def parts_moved_by(model: Articulated, joint: str) -> tuple[Part, ...]:
+    """Return what a joint moves in the frame of each carrier, that of the joint's child first."""
+    carriers = dict.fromkeys([model.joint(joint).child, *model.rigid_groups(joint).values()])
+    return tuple(Part(model, joint, carrier) for carrier in carriers)
+
+
+@lru_cache(maxsize=_MODELS)
+def rigid_links(part: Part) -> tuple[str, ...]:
+    """Return the carrier of a part, the links fixed to it, and the handles jointed to it."""
+    model, links = part.model, {part.carrier}
     for other in model.urdf.joints:
-        if other.parent in links and not other.movable:
+        fixed = not other.movable or is_handle_joint(model, other)
+        if other.parent in links and fixed:
             links.add(other.child)
     return tuple(name for name in model.links if name in links)
 
 
-def poses_in_part(
-    model: Articulated, joint: str, links: tuple[str, ...]
-) -> dict[str, Float[np.ndarray, "4 4"]]:
-    """Return the poses of links in the frame of the moving link, with all joints at rest."""
-    poses = model.rest_poses
-    T_part_root = invert(poses[model.joint(joint).child])
-    return {name: T_part_root @ poses[name] for name in links}
-
-
-def named_shapes(model: Articulated, joint: str) -> list[tuple[str, Geometry]]:
-    """Return the shapes named "handle" on the part itself, not on parts jointed to it."""
-    return model.shapes_named(HANDLE_WORD, rigid_links(model, joint))
+def is_handle_joint(model: Articulated, joint: Joint) -> bool:
+    """Check whether a joint moves only a handle of another part, such as a lever or a T-handle."""
+    if not joint.movable or joint.mimic is not None or model.followers(joint.name):
+        return False
+    if not any(joint.parent in model.links_below(other.child) for other in model.joints.values()):
+        return False
+    return _size_of_links(model, joint.name)[1] < MAX_HANDLE_BREADTH
 
 
 @lru_cache(maxsize=_MODELS)
-def part_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
+def _size_of_links(model: Articulated, joint: str) -> tuple[float, float, float]:
+    """Return the extents of what a joint moves, the largest first; infinite without a shape [m]."""
+    points = [
+        apply(T, hull.vertices)
+        for link, T in Part.of(model, joint).poses(model.moved_by(joint)).items()
+        for hull in model.hulls[link]
+    ]
+    if not points:
+        return np.inf, np.inf, np.inf
+    a, b, c = np.sort(np.ptp(np.concatenate(points), axis=0))[::-1].tolist()
+    return a, b, c
+
+
+def named_shapes(part: Part) -> list[tuple[str, Geometry]]:
+    """Return the shapes named "handle" on the part itself and on handles jointed to it."""
+    return part.model.shapes_named(HANDLE_WORD, rigid_links(part))
+
+
+@lru_cache(maxsize=_MODELS)
+def part_elements(part: Part) -> tuple[Element, ...]:
     """Return the collision elements of all links that a joint moves."""
-    links = model.moved_by(joint)
-    T_link = poses_in_part(model, joint, links)
+    T_link = part.poses(part.moved)
     return tuple(
         Element(link, hull.name or link, convex_of(hull, T_link[link]), index)
-        for link in links
-        for index, hull in enumerate(model.hulls[link])
+        for link in part.moved
+        for index, hull in enumerate(part.model.hulls[link])
     )
 
 
 @lru_cache(maxsize=_MODELS)
-def part_pieces(model: Articulated, joint: str) -> tuple[Element, ...]:
+def part_pieces(part: Part) -> tuple[Element, ...]:
     """Return the same, with non-convex meshes split into convex pieces."""
-    links = model.moved_by(joint)
-    T_link = poses_in_part(model, joint, links)
+    T_link = part.poses(part.moved)
     found: list[Element] = []
-    for whole in part_elements(model, joint):
+    for whole in part_elements(part):
         assert whole.index is not None
-        pieces = model.pieces(whole.link, whole.index)
+        pieces = part.model.pieces(whole.link, whole.index)
         T, name = T_link[whole.link], whole.name
         cut = [Element(whole.link, name, convex_of(piece, T), whole.index) for piece in pieces]
         found += cut if len(cut) > 1 else [whole]
@@ -101,10 +156,10 @@ def part_pieces(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 
 @lru_cache(maxsize=_MODELS)
-def visual_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
-    """Return the convex hulls of the visuals of the links that a joint moves rigidly."""
-    links = rigid_links(model, joint)
-    T_link = poses_in_part(model, joint, links)
+def visual_elements(part: Part) -> tuple[Element, ...]:
+    """Return the convex hulls of the visuals of the links that move rigidly with the carrier."""
+    model, links = part.model, rigid_links(part)
+    T_link = part.poses(links)
     return tuple(
         Element(link, shape.name or link, convex_of(model.hull(link, shape), T_link[link]), None)
         for link in links
@@ -113,13 +168,13 @@ def visual_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 
 @lru_cache(maxsize=_MODELS)
-def named_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
+def named_elements(part: Part) -> tuple[Element, ...]:
     """Return the elements named "handle"; for a visual, its collision elements if there are any."""
-    links = rigid_links(model, joint)
-    T_link = poses_in_part(model, joint, links)
-    by_link = {link: [e for e in part_elements(model, joint) if e.link == link] for link in links}
+    model, links = part.model, rigid_links(part)
+    T_link = part.poses(links)
+    by_link = {link: [e for e in part_elements(part) if e.link == link] for link in links}
     found: list[Element] = []
-    for link, shape in named_shapes(model, joint):
+    for link, shape in named_shapes(part):
         solid = [
             e
             for e, known in zip(by_link[link], model.urdf.links[link].collisions, strict=True)
@@ -131,6 +186,12 @@ def named_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
             solid = [e for e in by_link[link] if _inside(e, drawn)] or [drawn]
         found += [e for e in solid if not any(e is other for other in found)]
     return tuple(found)
+
+
+def own_elements(part: Part) -> tuple[Element, ...]:
+    """Return the collision elements that move rigidly with a part's carrier."""
+    links = rigid_links(part)
+    return tuple(e for e in part_elements(part) if e.link in links)
 
 
 def _inside(element: Element, other: Element) -> bool:
@@ -154,9 +215,7 @@ def protrusions(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> l
     """
     if len(elements) < 2:
         return []
-    area = _faces(elements, out)
-    panel = area > PANEL_SHARE * area.max()
-    tops = np.array([(e.convex.vertices @ out).max() for e in elements])
+    tops, panel = _tops(elements, out)
     front = tops[panel].max()
     sizes = np.array([np.ptp(e.convex.vertices, axis=0).max() for e in elements])
     chosen = [
@@ -165,6 +224,26 @@ def protrusions(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> l
         if not wide and top > front + MIN_PROTRUSION and size > MIN_PROTRUSION
     ]
     return clusters(chosen)
+
+
+def front_along(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> float:
+    """Return where the panel of a part ends in a direction [m]."""
+    tops, panel = _tops(elements, out)
+    return float(tops[panel].max())
+
+
+def _tops(
+    elements: tuple[Element, ...], out: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, " e"], Bool[np.ndarray, " e"]]:
+    """Return where each element ends in a direction [m], and which belong to the panel."""
+    area = _faces(elements, out)
+    tops = np.array([(e.convex.vertices @ out).max() for e in elements])
+    return tops, area > PANEL_SHARE * area.max()
+
+
+def front_area(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> float:
+    """Return the area of the widest face across a direction [m^2]."""
+    return float(_faces(elements, out).max())
 
 
 def _faces(elements: tuple[Element, ...], out: Float[np.ndarray, "3"]) -> Float[np.ndarray, " e"]:
@@ -198,3 +277,8 @@ def clusters(elements: list[Element] | tuple[Element, ...]) -> list[list[Element
 def corners(elements: list[Element] | tuple[Element, ...]) -> Float[np.ndarray, "n 3"]:
     """Return the corners of all elements."""
     return np.concatenate([e.convex.vertices for e in elements])
+
+
+def longest_name(elements: list[Element]) -> str:
+    """Return the name of the longest element."""
+    return max(elements, key=lambda e: float(np.ptp(e.convex.vertices, axis=0).max())).name

@@ -14,10 +14,12 @@ from momapos.model.robots import Grip, Robot
 from momapos.model.urdf import Articulated
 
 from .config import GraspConfig
+from .fronts import front_face, front_part
 from .hand_boxes import Hand, empty_handed, hand_of
 from .handle_core import HandleKind
-from .handle_shapes import Element, corners, part_elements, part_pieces
-from .handles import Handle, HandleSource, front_face, motion_direction
+from .handle_records import Handle, HandleSource
+from .handle_shapes import Element, Part, corners, part_elements, part_pieces
+from .part_motion import motion_directions
 from .pinch_grasps import (
     advance,
     close_hands,
@@ -175,7 +177,7 @@ def push_grasps(
     robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
 ) -> tuple[Handle, PartGrasps] | None:
     """Generate pushes that close a part with the fingertips; None if it has no front."""
-    face = front_face(model, joint, sign)
+    face = front_face(front_part(model, joint, sign), sign)
     if face is None:
         return None
     found = _touching(robot, hand_of(robot), model, joint, sign, face, config)
@@ -218,9 +220,10 @@ def _closed(
     if not kept.any():
         return _none(f"the pads touch too little of {what}")
     rows, point = rows[kept], contact.point[kept]
-    pull = np.array([motion_direction(model, joint, sign, x) for x in point])
-    lean = np.abs(np.einsum("gi,gi->g", R[rows] @ hand.closing, pull))
-    capacity = pinch_capacity(robot.grip_force, config.friction, lean)
+    pulls = motion_directions(Part(model, joint, handle.carrier), sign, point)
+    leans = np.abs(np.einsum("gi,vgi->vg", R[rows] @ hand.closing, pulls))
+    lean = leans[0]
+    capacity = pinch_capacity(robot.grip_force, config.friction, leans).min(0)
     code = np.where(lean > HOOK_SHARE, FAMILIES.index(Family.HOOK), FAMILIES.index(Family.PINCH))
     width = robot.opening - travel[rows].sum(1)
     return PartGrasps(
@@ -232,8 +235,9 @@ def elements_near_handle(
     model: Articulated, joint: str, handle: Handle
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """Return the elements near a handle, and which of them the pads may touch."""
-    part = part_pieces(model, joint) if handle.in_pieces else part_elements(model, joint)
-    near = near_elements(part, handle.center, HAND_REACH + handle.half_length)
+    part = Part(model, joint, handle.carrier)
+    around = part_pieces(part) if handle.in_pieces else part_elements(part)
+    near = near_elements(around, handle.center, HAND_REACH + handle.half_length)
     own = {id(e) for e in handle.elements}
     extra = tuple(e for e in handle.elements if not any(e is other for other in near))
     elements = (*near, *extra)
@@ -300,7 +304,7 @@ def _touching(
 ) -> PartGrasps:
     """Generate grasps that touch without closing: suction cup, hook, pushing fingertips."""
     if robot.grips is Grip.SUCTION and handle.kind is HandleKind.EDGE:
-        handle = front_face(model, joint, sign) or handle
+        handle = front_face(Part(model, joint, handle.carrier), sign) or handle
     elements, held = elements_near_handle(model, joint, handle)
     lines = approach_lines(robot, handle, config)
     hooks = robot.grips is not Grip.SUCTION and handle.kind is not HandleKind.FACE

@@ -11,8 +11,9 @@ from momapos.model.robots import Robot
 from momapos.model.urdf import Articulated
 
 from .config import GraspConfig
+from .fronts import PUSH_INSET, front_face, front_part
 from .hand_boxes import Hand, hand_of
-from .handles import PUSH_INSET, Handle, front_face
+from .handle_records import Handle
 from .part_grasps import grasp_frames
 
 if TYPE_CHECKING:
@@ -39,10 +40,10 @@ def push_from_behind(
         The back of the part, the poses in the part's frame and their complexity; None if the part
         has no back or the robot no fingers.
     """
-    back, hand = front_face(model, joint, -sign), hand_of(robot)
+    back, hand = front_face(front_part(model, joint, sign), -sign), hand_of(robot)
     if back is None or not (hand.side != 0).any():
         return None
-    record = model.joint(joint)
+    record = next(one for one in model.urdf.joints if one.child == back.carrier)
     inward = np.cross(back.long, back.out)
     to_hinge = -back.center + record.axis * float(back.center @ record.axis)
     inward = inward * (1.0 if inward @ to_hinge > 0 else -1.0)

@@ -24,12 +24,12 @@ from momapos.model.scene import SceneObject
 
 from .config import GraspConfig
 from .hand_boxes import Hand, hand_of
+from .handle_records import Handle
 from .handle_shapes import Element
-from .handles import Handle
+from .motion_record import TaskMotion
 from .part_grasps import FAMILIES, Family, elements_near_handle
 from .pinch_grasps import stands_clear
 from .resistance import stays_in_place
-from .task_motions import TaskMotion
 from .turning_grasps import Turning
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def sliding_motion(
         return None
     rests = _rests(motion, target, config)
     joint, handle = target.joint(motion.task.joint), motion.handle
-    T_part = target.link_poses()[joint.child]
+    T_part = target.link_poses()[handle.carrier]
     Ts_part_tool = invert(T_part) @ motion.Ts_world_tool[:, motion.grasp_step]
     hooks = motion.grasps.code == _HOOK
     hooks &= motion.grasps.handle == motion.grasps.handle[0]

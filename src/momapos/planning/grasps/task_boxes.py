@@ -2,47 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.core.geometry import invert
 from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import Boxes, MovingBoxes
 
-from .handles import Handle
+from .handle_records import Handle
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+Body: TypeAlias = "tuple[Float[np.ndarray, 'v 4 4'], Mapping[str, Float[np.ndarray, '4 4']]]"
+"""A rigid body that moves: its world pose at each value, and the poses of its links in it."""
+
 
 def moving_boxes(
     target: SceneObject,
-    Ts_world_part: Float[np.ndarray, "v 4 4"],
-    T_part_link: dict[str, Float[np.ndarray, "4 4"]],
+    bodies: Sequence[Body],
     held: Mapping[str, Collection[int]] | None,
 ) -> tuple[MovingBoxes, list[str], Bool[np.ndarray, " m"]]:
     """Return the boxes of the moving links at each value, their labels, and which may be touched.
 
     Args:
         target: The object.
-        Ts_world_part: Pose of the part at each value.
-        T_part_link: Poses of the moving links in the part.
+        bodies: The rigid bodies that move, one or more.
         held: Indices of the grasped collision elements by link; None for all.
     """
     found, labels, touched = [], [], [np.zeros(0, bool)]
-    for link, T in T_part_link.items():
-        for index, boxes in enumerate(target.model.boxes[link]):
-            found.append(boxes.moved(T))
-            labels += [f"{target.name}/{link}"] * len(boxes)
-            touched.append(np.full(len(boxes), held is None or index in held.get(link, ())))
-    part, R, p = Boxes.join(found), Ts_world_part[:, :3, :3], Ts_world_part[:, None, :3, 3]
-    world = MovingBoxes(
-        np.einsum("vij,mj->vmi", R, part.center) + p,
-        np.einsum("vij,mjk->vmik", R, part.rotation),
-        np.broadcast_to(part.half, (len(R), *part.half.shape)).copy(),
+    for Ts_world_body, T_body_link in bodies:
+        carried = []
+        for link, T in T_body_link.items():
+            for index, boxes in enumerate(target.model.boxes[link]):
+                carried.append(boxes.moved(T))
+                labels += [f"{target.name}/{link}"] * len(boxes)
+                touched.append(np.full(len(boxes), held is None or index in held.get(link, ())))
+        found.append(_along(Boxes.join(carried), Ts_world_body))
+    return MovingBoxes.join(found), labels, np.concatenate(touched)
+
+
+def bodies_moved_by(
+    target: SceneObject, joint: str, values: Float[np.ndarray, " v"]
+) -> dict[str, Body]:
+    """Return the bodies that a joint and its mimic joints move, by the link that carries each."""
+    poses, moving = target.link_poses(), target.moving_poses(joint, values)
+    groups = target.model.rigid_groups(joint)
+    back = {carrier: invert(poses[carrier]) for carrier in dict.fromkeys(groups.values())}
+    return {
+        carrier: (
+            moving[carrier],
+            {link: T @ poses[link] for link, one in groups.items() if one == carrier},
+        )
+        for carrier, T in back.items()
+    }
+
+
+def _along(boxes: Boxes, Ts: Float[np.ndarray, "v 4 4"]) -> MovingBoxes:
+    """Return boxes at each pose of the link that carries them."""
+    R, p = Ts[:, :3, :3], Ts[:, None, :3, 3]
+    return MovingBoxes(
+        np.einsum("vij,mj->vmi", R, boxes.center) + p,
+        np.einsum("vij,mjk->vmik", R, boxes.rotation),
+        np.broadcast_to(boxes.half, (len(R), *boxes.half.shape)).copy(),
     )
-    return world, labels, np.concatenate(touched)
 
 
 def held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:

@@ -16,7 +16,7 @@ from momapos.model.robots import Robot
 
 from .grasp_families import GraspSelection
 from .handle_core import HandleKind
-from .handles import Handle
+from .handle_records import Handle
 from .part_grasps import FAMILIES, Family
 
 if TYPE_CHECKING:

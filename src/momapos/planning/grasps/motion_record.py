@@ -1,0 +1,161 @@
+"""The motion of a task: tool poses of every grasp at every step, and the boxes that move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import rotation_about
+from momapos.model.records import Hold, Task
+from momapos.model.urdf import Boxes, MovingBoxes
+
+from .grasp_families import Grasps
+from .handle_records import Handle
+from .turning_grasps import Turning
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True, eq=False)
+class TaskMotion:
+    """Tool poses of every grasp along the motion, and the boxes that move with it."""
+
+    task: Task
+    Ts_world_tool: Float[np.ndarray, "g d 4 4"]
+    """Straight approach, then the motion."""
+    object_q: Float[np.ndarray, " d"]
+    """Value of the object's joint at each step [rad] or [m]; zeros for rigid objects."""
+    waypoint_steps: Int[np.ndarray, " w"]
+    """Steps that are waypoints; the first is the pre-grasp."""
+    grasp_step: int
+    """Step at which the hand grasps the object."""
+    holding: Bool[np.ndarray, " d"]
+    """Whether the gripper may touch the grasped part, at each step."""
+    static: Boxes
+    """Static boxes in the world."""
+    moving: MovingBoxes
+    """Moving boxes in the world, at each value."""
+    value: Int[np.ndarray, " d"]
+    """Index into `moving` at each step."""
+    grasped: Bool[np.ndarray, " m"]
+    """Moving boxes that the gripper may touch."""
+    labels: tuple[str, ...]
+    """Names of the static boxes, then of the moving ones."""
+    grasps: Grasps
+    refusal: str
+    """Why no grasp holds, for any base pose; "" if some do."""
+    turning: Turning
+    """Grasps between which the hand may turn."""
+    release_step: int | None = None
+    """Step after which the hand releases the part of a joint; None if it never does."""
+    better_handle_reason: str = ""
+    """Why a better handle is not used; "" if there is none."""
+
+    def __repr__(self) -> str:
+        grasps, steps = self.Ts_world_tool.shape[:2]
+        what = f"{self.task.verb} {self.task.object}"
+        return f"<TaskMotion of {what}: {grasps} grasps, {steps} steps>"
+
+    @property
+    def waypoints(self) -> Float[np.ndarray, "w 3"]:
+        """Tool positions of the first grasp at the waypoints, without the pre-grasp [m]."""
+        return self.Ts_world_tool[0, self.waypoint_steps[1:], :3, 3]
+
+    def only(self, rows: Bool[np.ndarray, " g"]) -> TaskMotion:
+        """Return the motion with a subset of its grasps."""
+        return replace(
+            self,
+            Ts_world_tool=self.Ts_world_tool[rows],
+            grasps=self.grasps.take(rows),
+            turning=self.turning.only(rows),
+        )
+
+    @property
+    def closed(self) -> Bool[np.ndarray, " d"]:
+        """Whether the fingers are closed at each step, if they close at all."""
+        steps = np.arange(len(self.object_q))
+        if self.task.verb == "place":
+            return steps <= self.grasp_step
+        last = steps[-1] if self.release_step is None else self.release_step
+        return (self.grasp_step <= steps) & (steps <= last)
+
+    @property
+    def closes(self) -> Bool[np.ndarray, " d"]:
+        """Whether the fingers close or open at each step."""
+        steps = [s for s in (self.grasp_step, self.release_step) if s is not None]
+        return np.isin(np.arange(len(self.object_q)), steps)
+
+    @property
+    def free_ends(self) -> tuple[int, ...]:
+        """Steps at which a free arm motion ends or begins."""
+        return (0,) if self.release_step is None else (0, len(self.object_q) - 1)
+
+    @property
+    def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
+        """Rows of grasp numbers, and the row of each waypoint.
+
+        On its path to a waypoint, the hand may change between grasps with the same number in the
+        waypoint's row. It keeps its grasp during the approach.
+        """
+        grasps = np.arange(len(self.Ts_world_tool))
+        return np.stack([0 * grasps, grasps]), (self.layer_of == 1).astype(np.int64)
+
+    @property
+    def layer_of(self) -> Int[np.ndarray, " w"]:
+        """Layer of each waypoint; waypoints of one layer share their arm states."""
+        return np.arange(len(self.waypoint_steps))
+
+    @property
+    def handle(self) -> Handle | None:
+        """Handle of the first grasp; None for rigid objects."""
+        handles = self.grasps.handles
+        return handles[int(self.grasps.handle[0])] if handles else None
+
+    def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
+        """Return the tool pose at every step, given the grasp at each waypoint.
+
+        Between waypoints with different grasps the hand turns about the axis of `turning`.
+        """
+        first = grasps[0]
+        Ts = self.Ts_world_tool[first]
+        if (grasps == first).all():
+            return Ts
+        steps = np.arange(len(Ts))
+        turn = np.interp(steps, self.waypoint_steps, self.turning.angles[grasps])
+        axis = self.turning.axis @ self.turning.R_part_tool[first]
+        out = Ts.copy()
+        out[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn - self.turning.angles[first])
+        return out
+
+    def holds(self, mode: int) -> tuple[Hold, ...]:
+        """Return a plan's record of a grasp mode; empty for rigid objects."""
+        if self.task.joint is None:
+            return ()
+        grasp = int(self.turning.members(np.array([mode]))[0, 0])
+        last = len(self.object_q) - 1 if self.release_step is None else self.release_step
+        axis = self.turning.axis_of(mode)
+        words = self.grasps.describe(grasp, turns=axis is not None)
+        family = str(self.grasps.family[grasp])
+        return (Hold(0, last - self.grasp_step, axis, family, words),)
+
+    def executed_steps(
+        self, mode: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
+    ) -> tuple[Int[np.ndarray, " k"], tuple[Hold, ...]]:
+        """Return the steps that are executed in a grasp mode, and the holds.
+
+        Args:
+            mode: The grasp mode.
+            Ts_world_tool: Tool pose at every step.
+        """
+        return np.arange(len(Ts_world_tool)), self.holds(mode)
+
+    def sweep(self) -> Boxes:
+        """Return the moving boxes at all values as one set."""
+        return self.moving.sweep()
+
+    def static_obstacles(self) -> Boxes:
+        """Return all boxes as they are before the task, in the order of `labels`."""
+        return Boxes.join([self.static, self.moving.at(0)])
