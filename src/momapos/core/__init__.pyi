@@ -20,6 +20,7 @@ from .errors import InputError as InputError
 from .errors import MomaposError as MomaposError
 from .errors import RobotError as RobotError
 from .errors import SceneError as SceneError
+from .errors import TaskDoneError as TaskDoneError
 from .errors import TaskError as TaskError
 from .errors import UnknownNameError as UnknownNameError
 from .errors import UrdfError as UrdfError

@@ -75,6 +75,10 @@ class TaskError(InputError):
     """A task does not fit the scene or the robot."""
 
 
+class TaskDoneError(TaskError):
+    """Nothing is left to do: the part is where the task would move it."""
+
+
 class UnknownNameError(InputError):
     """A name does not exist; the message suggests similar ones."""
 

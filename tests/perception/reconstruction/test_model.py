@@ -27,11 +27,11 @@ from momapos.perception.reconstruction.model_config import ModelConfig
 from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.reconstruction.part_motions import Neighbors
 from momapos.perception.reconstruction.scene_builder import build_scene
+from momapos.planning.grasps.handle_shapes import CarriedPart, rigid_links
 from momapos.planning.grasps.handles import (
     find_handle,
     has_handle,
     opening_direction,
-    rigid_links,
 )
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -109,7 +109,7 @@ def test_every_part_of_a_random_front_opens_without_self_collision(
     _, item = modeled(detection(*size, yaw), parts, face)
     assert len(item.model.joints) == len(parts)
     for name, joint in item.model.joints.items():
-        moving = list(rigid_links(item.model, name))
+        moving = list(rigid_links(CarriedPart.of(item.model, name)))
         still = [link for link in item.model.links if link not in moving]
         assert deepest(boxes(item, moving, {}), boxes(item, still, {})) < 1e-5, name
         for value in np.linspace(0, joint.upper, 7)[1:]:
@@ -233,7 +233,7 @@ def test_the_true_front_of_a_kitchen_piece_gives_the_true_handle_paths(name: str
 
     parts, truth = [], {}
     for joint, record in joints.items():
-        links = rigid_links(item.model, joint)
+        links = rigid_links(CarriedPart.of(item.model, joint))
         area, height_map = seen([n for n in links if "handle" not in n])
         handle, handle_height_map = seen([n for n in links if "handle" in n])
         raised(face, area, height_map)

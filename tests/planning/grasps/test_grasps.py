@@ -18,14 +18,14 @@ from momapos.planning.grasps.config import GraspConfig, MotionConfig, Resistance
 from momapos.planning.grasps.grasp_families import Family, Grasps
 from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.handle_core import HandleKind
-from momapos.planning.grasps.handle_shapes import part_elements
+from momapos.planning.grasps.handle_shapes import CarriedPart, part_elements
 from momapos.planning.grasps.handles import (
     HandleSource,
     find_handle,
     find_handles,
-    motion_direction,
 )
 from momapos.planning.grasps.part_grasps import grasps_of, push_grasps
+from momapos.planning.grasps.part_motion import motion_direction
 from momapos.planning.grasps.pinch_grasps import pinch_capacity
 from momapos.planning.grasps.resistance import resistance_of
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion, with_other_handle
@@ -86,7 +86,7 @@ def test_closed_fingers_touch_only_the_handle_and_only_with_their_pads(robot: Ro
             touched = {1: -np.inf, -1: -np.inf}
             for side, pad, points in box_corners(robot, (robot.opening - width) / 2):
                 at = points @ T[:3, :3].T + T[:3, 3]
-                for element in part_elements(model, joint):
+                for element in part_elements(CarriedPart.of(model, joint)):
                     depth = element.convex.depth(at).max()
                     if pad and id(element) in own:
                         touched[side] = max(touched[side], depth)
@@ -103,7 +103,7 @@ def test_open_fingers_approach_without_contact(robot: Robot) -> None:
         for _, _, points in box_corners(robot, 0.0):
             for distance in np.linspace(0, CONFIG.pregrasp, 9):
                 at = points @ T[:3, :3].T + T[:3, 3] - distance * back
-                for element in part_elements(model, "door_hinge"):
+                for element in part_elements(CarriedPart.of(model, "door_hinge")):
                     assert element.convex.depth(at).max() <= 0.0
 
 
@@ -258,7 +258,7 @@ def test_a_door_is_closed_by_pushing_its_front(robot: Robot, tmp_path: Path) -> 
     assert len(found.code)
     for T, point in zip(found.Ts_part_tool, found.point, strict=True):
         into = T[:3, :3] @ robot.approach_axis
-        assert into @ motion_direction(model, "hinge", 1.0, point) < 0.0
+        assert into @ motion_direction(CarriedPart.of(model, "hinge"), 1.0, point) < 0.0
     ajar = changed(tmp_path).with_joint("cabinet", "hinge", 1.2)
     motion = task_motion(ajar, robot, make_task(ajar, "close", "cabinet"), MotionConfig())
     assert set(motion.grasps.family) >= {Family.PINCH, Family.PUSH}

@@ -11,8 +11,8 @@ from tests.rooms import cabinet_room
 
 from momapos.model.robots.robot import Robot
 from momapos.planning.grasps.config import GraspConfig
+from momapos.planning.grasps.fronts import PUSH_INSET
 from momapos.planning.grasps.hand_boxes import Hand, hand_of
-from momapos.planning.grasps.handles import PUSH_INSET
 from momapos.planning.grasps.push_grasps import push_from_behind
 
 GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 41)] * 3), axis=-1).reshape(-1, 3)

@@ -46,10 +46,10 @@ def test_closing_returns_to_the_closed_value() -> None:
         ("open", "fridge", None, None, "several moving parts"),
         ("open", "cup", None, None, "no movable joint"),
         ("open", "microwave", "door_hinge", 9.0, "outside its limits"),
-        ("open", "microwave", "door_hinge", 0.0, "already at"),
+        ("open", "microwave", "door_hinge", 0.0, "already closed"),
         ("open", "microwave", "door_hinge", "1e400", "finite"),
         ("close", "microwave", "door_hinge", 1.0, "means to open"),
-        ("close", "microwave", "door_hinge", None, "already at"),
+        ("close", "microwave", "door_hinge", None, "already closed"),
         ("pick", "fridge", None, None, "rigid objects"),
         ("pick", "cup", "door", None, "leave out"),
         ("turn", "microwave", None, None, "one of open, close, pick, place"),
@@ -198,7 +198,7 @@ def test_as_far_as_possible_ends_at_the_limit_and_is_not_for_closing(tmp_path: P
     ajar = scene.with_joint("cabinet", "hinge", 1.0)
     with pytest.raises(TaskError, match="close always closes a part completely"):
         make_task(ajar, "close", "cabinet", to="max")
-    with pytest.raises(TaskError, match="nothing to open"):
+    with pytest.raises(TaskError, match="already open"):
         make_task(scene.with_joint("cabinet", "hinge", 1.9), "open", "cabinet", to="max")
 
 

@@ -15,7 +15,7 @@ from momapos.model.records import NO_STAND, RULED_OUT
 from momapos.planning.placement import OURS
 
 if TYPE_CHECKING:
-    from momapos.model.records import CostTerm, KeyObjects, PlacementPlan
+    from momapos.model.records import CostTerm, KeyObjects, PlacementPlan, Task
     from momapos.planning import PlacementResult
 
 MAX_REASONS = 8
@@ -91,7 +91,7 @@ def summary(
         tried: The result of each arm, if several were tried.
     """
     plan = answer.plan
-    lines = [_question(answer, most), ""]
+    lines = [_question(answer, most), *_follower(plan.task), ""]
     if plan.base_pose is not None and plan.motion is not None:
         span = "" if plan.task.joint is None else f", from {_span(answer)}"
         lines += [
@@ -243,6 +243,12 @@ def _question(answer: PlacementResult, most: bool) -> str:
     if most and plan.status == "solved":
         to = " (maximum)" if task.farthest else " (largest found within the time limit)"
     return f"{plan.robot_name}: {task_text(answer)}{to}: {plan.status}"
+
+
+def _follower(task: Task) -> list[str]:
+    if not task.follower:
+        return []
+    return [f"  {task.follower} follows {task.joint}, whose value and limits count"]
 
 
 def _value(answer: PlacementResult, value: float) -> str:

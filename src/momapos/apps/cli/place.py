@@ -303,7 +303,9 @@ def _answer(
     find_named_robot(options.robot)
     refuse_unknown_object(find_scene(scene_name), name)
 
-    from momapos.core import user_cache
+    import json
+
+    from momapos.core import TaskDoneError, user_cache
     from momapos.planning import add_max_opening, cheapest, with_tolerance
     from momapos.planning.grasps import make_task
     from momapos.workflows import plan_by_hypothesis
@@ -313,7 +315,11 @@ def _answer(
 
     cache = user_cache()
     scene = load_scene_with_joints(scene_name, options.joint, cache)
-    task = make_task(scene, verb, name, joint or None, to)
+    try:
+        task = make_task(scene, verb, name, joint or None, to)
+    except TaskDoneError as done:
+        print(json.dumps({"status": "done", "detail": str(done)}) if options.json else done)
+        return EXIT_STATUS["solved"]
     query = _read_query(options, scene, config)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))

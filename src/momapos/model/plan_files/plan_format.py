@@ -67,7 +67,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "rest": dict(plan.robot_rest),
             "arm": plan.robot_arm,
         },
-        "task": asdict(plan.task),
+        "task": _task_to_dict(plan.task),
         "status": plan.status,
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
@@ -117,6 +117,13 @@ def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
 
 def _times(times: Float[np.ndarray, " m"] | None) -> list[float] | None:
     return None if times is None else times.tolist()
+
+
+def _task_to_dict(task: Task) -> dict[str, Any]:
+    members = asdict(task)
+    if not task.follower:
+        del members["follower"]
+    return members
 
 
 def _pose_to_dict(pose: tuple[float, float, float] | None) -> dict[str, float] | None:

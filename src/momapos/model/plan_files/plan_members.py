@@ -30,6 +30,7 @@ class PlanTask(msgspec.Struct):
     joint: str | None = None
     to: float | None = None
     farthest: bool = False
+    follower: str = ""
 
 
 class PlanPose(msgspec.Struct):

@@ -27,6 +27,8 @@ class Task:
     """The value the joint must reach [rad] or [m]."""
     farthest: bool = False
     """Whether `to` is an upper bound, up to which the joint must move as far as possible."""
+    follower: str = ""
+    """The requested joint, if it is a mimic joint that follows `joint`."""
 
     def __post_init__(self) -> None:
         one_of("Task.verb", self.verb, get_args(Verb))

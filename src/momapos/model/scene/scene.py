@@ -278,9 +278,16 @@ class Scene:
         return replace(self, objects=tuple(objects))
 
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
-        """Return the scene with one joint of one object at another value."""
+        """Return the scene with one joint of one object at another value.
+
+        Raises:
+            UnknownNameError: The object or joint does not exist.
+            SceneError: The joint is a mimic joint.
+        """
         target = self.object(name)
-        target.joint(joint)
+        mimic = target.joint(joint).mimic
+        if mimic is not None:
+            raise SceneError(f"{name}/{joint} follows {mimic.joint}; set {name}/{mimic.joint}")
         value = finite_number(f"value of {name}/{joint}", value)
         changed = replace(target, joints={**target.joints, joint: value})
         return replace(

@@ -44,10 +44,13 @@ if TYPE_CHECKING:
 VERSION = 1
 MAX_OBJECTS = 2_000
 """Maximum number of objects; relations between all pairs of them take about 5 s [-]."""
+MIMIC_TOLERANCE = 1e-3
+"""Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
 MAX_EDGE = 1e3  # maximum edge of a box [m]
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
 _OBJECT_KEYS = {
-    "name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses", "confidence",
+    "name", "category", "pose", "urdf", "scale", "joints", "closed", "box", "hypotheses",
+    "confidence",
 }  # fmt: skip
 
 
@@ -202,7 +205,10 @@ class _ObjectReader:
         if not isinstance(category, str):
             raise SceneError(f"{self.where}: category must be a string")
         model = self.model()
-        joints, names = self.joints(model), list(model.joints)
+        joints, names = self.joint_values("joints", model), list(model.joints)
+        closed = self.joint_values("closed", model)
+        if closed:
+            model = model.changed(closed=closed)
         found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
         sure = read_confidence(self.item.get("confidence"), names, self.where)
         return SceneObject(self.name, category, self.pose(), model, joints, found, sure)
@@ -253,23 +259,37 @@ class _ObjectReader:
             raise SceneError(f"{self.where}: urdf {text!r} does not exist below {self.folder}")
         return self.folder / text
 
-    def joints(self, model: Articulated) -> dict[str, float]:
-        joints = self.item.get("joints", {})
+    def joint_values(self, key: str, model: Articulated) -> dict[str, float]:
+        joints = self.item.get(key, {})
         if not isinstance(joints, dict):
-            raise SceneError(f"{self.where}: joints must be {{name: value}}")
+            raise SceneError(f"{self.where}: {key} must be {{name: value}}")
         values = {}
         for name, value in joints.items():
             if name not in model.joints:
                 raise unknown_name("movable joint", name, model.joints, self.where)
-            number = float(read_numbers([value], 1, f"{self.where}: joint {name!r}")[0])
+            number = float(read_numbers([value], 1, f"{self.where}: {key}: {name!r}")[0])
             joint = model.joint(name)
             if not joint.lower - 1e-6 <= number <= joint.upper + 1e-6:
                 raise SceneError(
-                    f"{self.where}: joint {name!r} is {number:g}, its limits are "
+                    f"{self.where}: {key}: {name!r} is {number:g}, its limits are "
                     f"{joint.lower:g} to {joint.upper:g}"
                 )
             values[name] = number
-        return values
+        return self.without_mimics(key, values, model)
+
+    def without_mimics(
+        self, key: str, values: Mapping[str, float], model: Articulated
+    ) -> dict[str, float]:
+        """Return values without those of mimic joints, which must agree with their leaders."""
+        there = model.all_values(values)
+        for name, value in values.items():
+            mimic = model.joint(name).mimic
+            if mimic is not None and abs(there[name] - value) > MIMIC_TOLERANCE:
+                raise SceneError(
+                    f"{self.where}: {key}: {name!r} is {value:g}, but it follows {mimic.joint!r} "
+                    f"and is at {there[name]:g}; set {mimic.joint!r} instead"
+                )
+        return {name: v for name, v in values.items() if model.joint(name).mimic is None}
 
 
 def _unknown_keys(item: Mapping[str, Any], known: set[str], where: str) -> list[str]:
@@ -339,6 +359,8 @@ def room_members(scene: Scene) -> dict[str, Any]:
 def object_members(item: SceneObject) -> dict[str, Any]:
     """Return the members of a scene file about an object, without its pose and model."""
     members: dict[str, Any] = {"category": item.category}
+    if item.model.closed:
+        members["closed"] = dict(item.model.closed)
     if item.confidence is not None:
         members["confidence"] = confidence_to_json(item.confidence)
     if item.hypotheses:

@@ -11,8 +11,8 @@ from momapos.model.urdf import Articulated
 from .handle_core import HandleKind
 from .handle_records import Handle, HandleSource
 from .handle_shapes import (
+    CarriedPart,
     Element,
-    Part,
     corners,
     front_area,
     longest_name,
@@ -31,7 +31,9 @@ EDGE_WIDTH = 0.02
 """Elements of a panel that end this close to its edge form the edge [m]."""
 
 
-def panel_normal(elements: tuple[Element, ...], part: Part, sign: float) -> Float[np.ndarray, "3"]:
+def panel_normal(
+    elements: tuple[Element, ...], part: CarriedPart, sign: float
+) -> Float[np.ndarray, "3"]:
     """Return the unit normal of a part's front, on the side to which it opens."""
     opens = motion_direction(part, sign, corners(elements).mean(0))
     front = widest(elements, opens)
@@ -41,7 +43,7 @@ def panel_normal(elements: tuple[Element, ...], part: Part, sign: float) -> Floa
     return normal * np.sign(normal @ opens)
 
 
-def free_edges(elements: tuple[Element, ...], part: Part, sign: float) -> list[Handle]:
+def free_edges(elements: tuple[Element, ...], part: CarriedPart, sign: float) -> list[Handle]:
     """Return the edge of a panel farthest from the hinge, or both edges of a drawer's front."""
     record = next(j for j in part.model.urdf.joints if j.child == part.carrier)
     opens = motion_direction(part, sign, corners(elements).mean(0))
@@ -87,7 +89,7 @@ def _edge(
     )  # fmt: skip
 
 
-def front_part(model: Articulated, joint: str, sign: float) -> Part | None:
+def front_part(model: Articulated, joint: str, sign: float) -> CarriedPart | None:
     """Return the part with the widest front, of the links that a joint and its mimic joints move.
 
     None if they have no collision geometry.
@@ -96,14 +98,14 @@ def front_part(model: Articulated, joint: str, sign: float) -> Part | None:
     if len(parts) < 2:
         return parts[0] if parts else None
 
-    def width(part: Part) -> float:
+    def width(part: CarriedPart) -> float:
         own = own_elements(part)
         return front_area(own, motion_direction(part, sign, corners(own).mean(0)))
 
     return max(parts, key=width)
 
 
-def front_face(part: Part | None, sign: float) -> Handle | None:
+def front_face(part: CarriedPart | None, sign: float) -> Handle | None:
     """Return the front of a part near its free edge; None if it has no collision geometry."""
     own = () if part is None else own_elements(part)
     if part is None or not own:

@@ -14,7 +14,7 @@ from momapos.model.urdf import Articulated, opens_both_ways
 from .config import GraspConfig
 from .hand_boxes import empty_handed
 from .handle_records import Handle
-from .handle_shapes import Part
+from .handle_shapes import CarriedPart
 from .handles import handles_in_turn
 from .part_grasps import (
     FAMILIES,
@@ -185,7 +185,7 @@ def _strong(
     grasps = grasps.only(np.isin(grasps.code, [FAMILIES.index(Family(f)) for f in config.families]))
     if not len(grasps.code):
         return grasps, f"{robot.name} holds {handle.name} by other grasps than those allowed"
-    part = Part(model, joint, handle.carrier)
+    part = CarriedPart(model, joint, handle.carrier)
     need = torque / np.maximum(lever_arms(part, grasps.point), 1e-3)
     strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():
@@ -207,7 +207,7 @@ def _ordered(
 ) -> GraspSelection:
     """Order the grasps of some handles, see `firmest_first`."""
     parts = [grasps for _, grasps in found]
-    arms = [lever_arms(Part(model, joint, h.carrier), g.point) for h, g in found]
+    arms = [lever_arms(CarriedPart(model, joint, h.carrier), g.point) for h, g in found]
     need = torque / np.maximum(np.concatenate(arms), 1e-3)
     capacity = np.concatenate([g.capacity for g in parts])
     handle = np.repeat(np.arange(len(parts)), [len(g.code) for g in parts])

@@ -55,7 +55,7 @@ class Element:
 
 
 @dataclass(frozen=True)
-class Part:
+class CarriedPart:
     """What a joint and its mimic joints move, in the frame of a link that carries some of it."""
 
     model: Articulated
@@ -64,7 +64,7 @@ class Part:
     """The child link of the joint or of one of its mimic joints."""
 
     @classmethod
-    def of(cls, model: Articulated, joint: str) -> Part:
+    def of(cls, model: Articulated, joint: str) -> CarriedPart:
         """Return the part in the frame of the joint's own child link."""
         return cls(model, joint, model.joint(joint).child)
 
@@ -85,14 +85,14 @@ class Part:
         return {name: T_carrier_root @ poses[name] for name in links}
 
 
-def parts_moved_by(model: Articulated, joint: str) -> tuple[Part, ...]:
+def parts_moved_by(model: Articulated, joint: str) -> tuple[CarriedPart, ...]:
     """Return what a joint moves in the frame of each carrier, that of the joint's child first."""
     carriers = dict.fromkeys([model.joint(joint).child, *model.rigid_groups(joint).values()])
-    return tuple(Part(model, joint, carrier) for carrier in carriers)
+    return tuple(CarriedPart(model, joint, carrier) for carrier in carriers)
 
 
 @lru_cache(maxsize=_MODELS)
-def rigid_links(part: Part) -> tuple[str, ...]:
+def rigid_links(part: CarriedPart) -> tuple[str, ...]:
     """Return the carrier of a part, the links fixed to it, and the handles jointed to it."""
     model, links = part.model, {part.carrier}
     for other in model.urdf.joints:
@@ -116,7 +116,7 @@ def _size_of_links(model: Articulated, joint: str) -> tuple[float, float, float]
     """Return the extents of what a joint moves, the largest first; infinite without a shape [m]."""
     points = [
         apply(T, hull.vertices)
-        for link, T in Part.of(model, joint).poses(model.moved_by(joint)).items()
+        for link, T in CarriedPart.of(model, joint).poses(model.moved_by(joint)).items()
         for hull in model.hulls[link]
     ]
     if not points:
@@ -125,13 +125,13 @@ def _size_of_links(model: Articulated, joint: str) -> tuple[float, float, float]
     return a, b, c
 
 
-def named_shapes(part: Part) -> list[tuple[str, Geometry]]:
+def named_shapes(part: CarriedPart) -> list[tuple[str, Geometry]]:
     """Return the shapes named "handle" on the part itself and on handles jointed to it."""
     return part.model.shapes_named(HANDLE_WORD, rigid_links(part))
 
 
 @lru_cache(maxsize=_MODELS)
-def part_elements(part: Part) -> tuple[Element, ...]:
+def part_elements(part: CarriedPart) -> tuple[Element, ...]:
     """Return the collision elements of all links that a joint moves."""
     T_link = part.poses(part.moved)
     return tuple(
@@ -142,7 +142,7 @@ def part_elements(part: Part) -> tuple[Element, ...]:
 
 
 @lru_cache(maxsize=_MODELS)
-def part_pieces(part: Part) -> tuple[Element, ...]:
+def part_pieces(part: CarriedPart) -> tuple[Element, ...]:
     """Return the same, with non-convex meshes split into convex pieces."""
     T_link = part.poses(part.moved)
     found: list[Element] = []
@@ -156,7 +156,7 @@ def part_pieces(part: Part) -> tuple[Element, ...]:
 
 
 @lru_cache(maxsize=_MODELS)
-def visual_elements(part: Part) -> tuple[Element, ...]:
+def visual_elements(part: CarriedPart) -> tuple[Element, ...]:
     """Return the convex hulls of the visuals of the links that move rigidly with the carrier."""
     model, links = part.model, rigid_links(part)
     T_link = part.poses(links)
@@ -168,7 +168,7 @@ def visual_elements(part: Part) -> tuple[Element, ...]:
 
 
 @lru_cache(maxsize=_MODELS)
-def named_elements(part: Part) -> tuple[Element, ...]:
+def named_elements(part: CarriedPart) -> tuple[Element, ...]:
     """Return the elements named "handle"; for a visual, its collision elements if there are any."""
     model, links = part.model, rigid_links(part)
     T_link = part.poses(links)
@@ -188,7 +188,7 @@ def named_elements(part: Part) -> tuple[Element, ...]:
     return tuple(found)
 
 
-def own_elements(part: Part) -> tuple[Element, ...]:
+def own_elements(part: CarriedPart) -> tuple[Element, ...]:
     """Return the collision elements that move rigidly with a part's carrier."""
     links = rigid_links(part)
     return tuple(e for e in part_elements(part) if e.link in links)

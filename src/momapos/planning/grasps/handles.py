@@ -20,8 +20,8 @@ from .handle_core import MAX_HELD_DEPTH, HandleKind, core_of
 from .handle_records import Handle, HandleSource
 from .handle_shapes import (
     MIN_PROTRUSION,
+    CarriedPart,
     Element,
-    Part,
     clusters,
     corners,
     front_along,
@@ -71,9 +71,9 @@ def opening_direction(
 @lru_cache(maxsize=_MODELS)
 def _opening(
     model: Articulated, joint: str
-) -> tuple[Part, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+) -> tuple[CarriedPart, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the same in the part's frame, and the part."""
-    part = front_part(model, joint, opening_of(model, joint).sign) or Part.of(model, joint)
+    part = front_part(model, joint, opening_of(model, joint).sign) or CarriedPart.of(model, joint)
     links = rigid_links(part)
     T_link = part.poses(links)
     centers = [apply(T_link[n], h.vertices).mean(0) for n in links for h in model.hulls[n]]
@@ -84,7 +84,7 @@ def _opening(
 def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "k 3"]:
     """Return the handle's path in the world [m] from the joint's current value to another."""
     handle = find_handle(item.model, joint, opening_of(item.model, joint).sign)
-    return part_path(item, Part(item.model, joint, handle.carrier), handle.center, to)
+    return part_path(item, CarriedPart(item.model, joint, handle.carrier), handle.center, to)
 
 
 def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
@@ -138,7 +138,7 @@ def handles_in_turn(model: Articulated, joint: str, sign: float) -> Iterator[Han
 
 
 @lru_cache(maxsize=_MODELS)
-def handles_by_hulls(part: Part, sign: float) -> tuple[Handle, ...]:
+def handles_by_hulls(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     """Find the geometry named "handle" and the elements that protrude from the panel."""
     own, named = own_elements(part), named_elements(part)
     if not own:
@@ -159,7 +159,7 @@ def handles_by_hulls(part: Part, sign: float) -> tuple[Handle, ...]:
 
 def _on_face(
     named: tuple[Element, ...],
-    part: Part,
+    part: CarriedPart,
     sign: float,
     own: tuple[Element, ...],
     face: Float[np.ndarray, "3"],
@@ -196,7 +196,7 @@ def _side_faces(
 
 
 @lru_cache(maxsize=_MODELS)
-def handles_by_pieces(part: Part, sign: float) -> tuple[Handle, ...]:
+def handles_by_pieces(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     """Find protrusions and strips among the convex pieces of the meshes."""
     whole = part_elements(part)
     links = rigid_links(part)
@@ -222,7 +222,7 @@ def handles_by_pieces(part: Part, sign: float) -> tuple[Handle, ...]:
 
 def _by_shape(
     groups: list[list[Element]],
-    part: Part,
+    part: CarriedPart,
     sign: float,
     own: tuple[Element, ...],
     facing: Float[np.ndarray, "3"] | None,
@@ -246,7 +246,7 @@ def _of_strip(strip: Strip, kind: HandleKind, carrier: str) -> Handle:
 def _of(
     found: HandleSource,
     group: list[Element],
-    part: Part,
+    part: CarriedPart,
     sign: float,
     own: tuple[Element, ...],
     facing: Float[np.ndarray, "3"] | None,

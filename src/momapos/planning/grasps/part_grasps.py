@@ -18,7 +18,7 @@ from .fronts import front_face, front_part
 from .hand_boxes import Hand, empty_handed, hand_of
 from .handle_core import HandleKind
 from .handle_records import Handle, HandleSource
-from .handle_shapes import Element, Part, corners, part_elements, part_pieces
+from .handle_shapes import CarriedPart, Element, corners, part_elements, part_pieces
 from .part_motion import motion_directions
 from .pinch_grasps import (
     advance,
@@ -220,7 +220,7 @@ def _closed(
     if not kept.any():
         return _none(f"the pads touch too little of {what}")
     rows, point = rows[kept], contact.point[kept]
-    pulls = motion_directions(Part(model, joint, handle.carrier), sign, point)
+    pulls = motion_directions(CarriedPart(model, joint, handle.carrier), sign, point)
     leans = np.abs(np.einsum("gi,vgi->vg", R[rows] @ hand.closing, pulls))
     lean = leans[0]
     capacity = pinch_capacity(robot.grip_force, config.friction, leans).min(0)
@@ -235,7 +235,7 @@ def elements_near_handle(
     model: Articulated, joint: str, handle: Handle
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """Return the elements near a handle, and which of them the pads may touch."""
-    part = Part(model, joint, handle.carrier)
+    part = CarriedPart(model, joint, handle.carrier)
     around = part_pieces(part) if handle.in_pieces else part_elements(part)
     near = near_elements(around, handle.center, HAND_REACH + handle.half_length)
     own = {id(e) for e in handle.elements}
@@ -304,7 +304,7 @@ def _touching(
 ) -> PartGrasps:
     """Generate grasps that touch without closing: suction cup, hook, pushing fingertips."""
     if robot.grips is Grip.SUCTION and handle.kind is HandleKind.EDGE:
-        handle = front_face(Part(model, joint, handle.carrier), sign) or handle
+        handle = front_face(CarriedPart(model, joint, handle.carrier), sign) or handle
     elements, held = elements_near_handle(model, joint, handle)
     lines = approach_lines(robot, handle, config)
     hooks = robot.grips is not Grip.SUCTION and handle.kind is not HandleKind.FACE

@@ -11,7 +11,7 @@ from momapos.core.geometry import apply
 from momapos.model.scene import SceneObject
 from momapos.model.urdf import opening_of
 
-from .handle_shapes import Part
+from .handle_shapes import CarriedPart
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -29,7 +29,7 @@ MIN_SPEED = 1e-6
 """Speed per unit of the joint below which a point counts as at rest [m/rad] or [m/m]."""
 
 
-def velocities(part: Part, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "v n 3"]:
+def velocities(part: CarriedPart, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "v n 3"]:
     """Return how fast points of a part's carrier move per unit of its joint.
 
     The velocity of the joint's own child is the same at every value, in the child's frame. That of
@@ -52,7 +52,7 @@ def velocities(part: Part, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
 
 
 @lru_cache(maxsize=_MODELS)
-def _twists(part: Part) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
+def _twists(part: CarriedPart) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
     """Return angular and linear velocity of a carrier that follows, in its frame, by value."""
     opening = opening_of(part.model, part.joint)
     end = opening.wide if np.isfinite(opening.wide) else opening.closed + opening.sign * np.pi / 2
@@ -70,7 +70,7 @@ def _twists(part: Part) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 
 
 
 def motion_directions(
-    part: Part, sign: float, points: Float[np.ndarray, "n 3"]
+    part: CarriedPart, sign: float, points: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "v n 3"]:
     """Return the unit directions in which points move when the joint opens; see `velocities`.
 
@@ -83,13 +83,13 @@ def motion_directions(
 
 
 def motion_direction(
-    part: Part, sign: float, point: Float[np.ndarray, "3"]
+    part: CarriedPart, sign: float, point: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
     """Return the direction in which a point starts to move when the joint opens."""
     return motion_directions(part, sign, point[None])[0, 0]
 
 
-def lever_arms(part: Part, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+def lever_arms(part: CarriedPart, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     """Return the travel of points per unit of the joint: for a hinge the distance from its axis.
 
     For a link that follows, the travel is the smallest one along the motion.
@@ -105,7 +105,7 @@ def lever_arms(part: Part, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
 
 
 def part_path(
-    item: SceneObject, part: Part, point: Float[np.ndarray, "3"], to: float
+    item: SceneObject, part: CarriedPart, point: Float[np.ndarray, "3"], to: float
 ) -> Float[np.ndarray, "k 3"]:
     """Return the path of a point in the world [m] from the joint's present value to another."""
     values = np.linspace(item.values()[part.joint], to, _PATH_POINTS)

@@ -12,7 +12,7 @@ from momapos.model.scene import SceneObject
 from momapos.model.urdf import Articulated, Hull, joint_motion
 
 from .config import ResistanceConfig
-from .handle_shapes import Part
+from .handle_shapes import CarriedPart
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -74,7 +74,7 @@ def _mass(
     model: Articulated, joint: str, config: ResistanceConfig
 ) -> tuple[float, Float[np.ndarray, "3"]]:
     """Return mass [kg] and center of mass [m] of the part that a joint moves, in its frame."""
-    return _mass_of_links(model, Part.of(model, joint).poses(model.moved_by(joint)), config)
+    return _mass_of_links(model, CarriedPart.of(model, joint).poses(model.moved_by(joint)), config)
 
 
 def mass_of(model: Articulated, config: ResistanceConfig) -> tuple[float, Float[np.ndarray, "3"]]:

@@ -19,7 +19,7 @@ from .config import GraspConfig, MotionConfig
 from .grasp_families import select_inner_pushes, select_part_grasps
 from .handle_core import HandleKind
 from .handle_records import Handle
-from .handle_shapes import Part
+from .handle_shapes import CarriedPart
 from .handles import find_handle, handles_in_turn
 from .motion_record import TaskMotion
 from .part_motion import lever_arms
@@ -124,7 +124,7 @@ def _joint_motion(
     values = np.linspace(start, task.to, (count - 1) * config.substeps + 1)
     model, sign = target.posed_model(joint.name), opening_sign(target, joint.name, task.to)
     handle = find_handle(model, joint.name, sign)
-    part = Part(model, joint.name, handle.carrier)
+    part = CarriedPart(model, joint.name, handle.carrier)
     lever = float(lever_arms(part, handle.center[None])[0])
     torque = resistance_of(target, joint.name, values, lever, config.grasps.resistance)
     chosen = select_inner_pushes(robot, model, joint.name, sign, config.grasps) if inside else None

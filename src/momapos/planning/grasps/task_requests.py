@@ -12,6 +12,7 @@ from momapos.core import (
     LENGTHS,
     MAX,
     Quantity,
+    TaskDoneError,
     TaskError,
     expect,
     finite_number,
@@ -21,6 +22,7 @@ from momapos.model.records import Task, Verb
 from momapos.model.scene import Scene, SceneObject, joint_value
 from momapos.model.urdf import Articulated, Joint, opening_of
 
+from .handle_shapes import is_handle_joint
 from .handles import handle_path, has_handle, opening_direction
 
 if TYPE_CHECKING:
@@ -51,12 +53,14 @@ def make_task(
         scene: The scene.
         verb: open, close, pick or place.
         object_name: The object, or object and joint as in "fridge/door_hinge".
-        joint: The joint; optional if only one part has a handle.
+        joint: The joint; optional if only one part has a handle. A mimic joint stands for its
+            leader, whose limits then count.
         to: Value to reach, as a number [rad] or [m] or a text with a unit such as "90deg" or
             "30cm"; a quarter turn or the whole slide by default. "max" opens the part as far as
             possible; the plan contains the value.
 
     Raises:
+        TaskDoneError: The part is already where the task would move it.
         TaskError: The request does not fit the object; the message says what would.
         UnknownNameError: There is no such object or joint.
     """
@@ -75,7 +79,8 @@ def make_task(
         if target.model.joints:
             raise TaskError(f"{object_name!r} has joints; {verb} is for rigid objects")
         return Task(verb, object_name)  # type: ignore[arg-type]
-    record = target.joint(joint) if joint else _only_joint(target)
+    named = target.joint(joint) if joint else _only_joint(target)
+    record = named if named.mimic is None else target.joint(named.mimic.joint)
     start = target.values()[record.name]
     farthest = isinstance(to, str) and to.strip() == MAX
     if farthest:
@@ -85,7 +90,8 @@ def make_task(
     else:
         goal = _within_limits(f"{target.name}/{record.name}", record, to)
     _check_goal(target, record, verb, start, goal)
-    return Task(verb, object_name, record.name, goal, farthest)  # type: ignore[arg-type]
+    follower = "" if named is record else named.name
+    return Task(verb, object_name, record.name, goal, farthest, follower)  # type: ignore[arg-type]
 
 
 def openable(scene: Scene) -> list[tuple[str, str]]:
@@ -94,9 +100,15 @@ def openable(scene: Scene) -> list[tuple[str, str]]:
     return [
         (item.name, joint)
         for item in scene.objects
-        for joint in item.model.joints
+        for joint in parts_of(item)
         if has_handle(item.model, joint)
     ]
+
+
+def parts_of(item: SceneObject) -> list[str]:
+    """Return the joints that move a part of their own: no mimic joints, no joints of handles."""
+    joints = item.model.joints.values()
+    return [j.name for j in joints if j.mimic is None and not is_handle_joint(item.model, j)]
 
 
 def in_front_of_parts(scene: Scene) -> Float[np.ndarray, "2"]:
@@ -146,9 +158,9 @@ def hand_path(
 
 
 def _only_joint(target: SceneObject) -> Joint:
-    joints = list(target.model.joints)
-    if not joints:
+    if not target.model.joints:
         raise TaskError(f"{target.name!r} has no movable joint; it can only be picked or placed")
+    joints = parts_of(target) or list(target.model.joints)
     handled = [name for name in joints if has_handle(target.model, name)]
     choice = handled or joints
     if len(choice) > 1:
@@ -235,15 +247,23 @@ def _longest(joint: Joint) -> float:
 
 def _check_goal(target: SceneObject, joint: Joint, verb: str, start: float, goal: float) -> None:
     where, unit = f"{target.name}/{joint.name}", _unit(joint)
+    closed = opening_of(target.model, joint.name).closed
+    opens = abs(goal - closed) > abs(start - closed)
     if abs(goal - start) < LIMIT_TOLERANCE:
-        raise TaskError(f"{where}: already at {goal:g} {unit}; nothing to {verb}")
+        state = "closed" if abs(goal - closed) < LIMIT_TOLERANCE else "open"
+        raise TaskDoneError(f"{where}: already {state}, at {_in_words(joint, goal)}")
     longest = _longest(joint)
     if abs(goal - start) > longest + LIMIT_TOLERANCE:
         raise TaskError(
             f"{where}: from {start:g} to {goal:g} {unit} is too far; a part moves at most "
             f"{longest:.4g} {unit}" + ("" if joint.kind == "prismatic" else " (a full turn)")
         )
-    opens = (goal - start) * opening_of(target.model, joint.name).sign > 0
     if opens != (verb == "open"):
         word = "open" if opens else "close"
         raise TaskError(f"{where}: from {start:g} to {goal:g} {unit} means to {word} it")
+
+
+def _in_words(joint: Joint, value: float) -> str:
+    if joint.kind == "prismatic":
+        return f"{100 * value:.4g} cm"
+    return f"{math.degrees(value):.4g} deg"
