@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from momapos.core.geometry import apply
+from momapos.core.geometry import apply, invert
 
 from .articulated import Articulated
 from .reader import Joint
@@ -16,6 +16,8 @@ MIN_SIDE_SHARE = 0.05
 """Zero is well within a joint's range if each side has at least this share of the range [-]."""
 MIN_PROTRUSION_DROP = 0.1
 """A part is closed at a limit, not at zero, if it protrudes less there by more than this [m]."""
+MIN_BREADTH = 0.1
+"""A part whose second extent is smaller is a lever or a tap, which nothing closes [m]."""
 MIN_FREE_SIDE = 0.05
 """A part without limits opens to the side on which it protrudes more by at least this [m]."""
 TRIAL_ANGLE, TRIAL_TRAVEL = np.pi / 4, 0.2
@@ -70,6 +72,8 @@ def opens_both_ways(model: Articulated, joint: str) -> bool:
 
 def _flush(model: Articulated, joint: Joint, values: tuple[float, ...]) -> float:
     """Return the first value, or the one at which the part protrudes much less."""
+    if _breadth(model, joint) < MIN_BREADTH:
+        return values[0]
     out = [_protrusion(model, joint.name, value) for value in values]
     best = int(np.argmin(out))
     return values[best] if out[0] - out[best] > MIN_PROTRUSION_DROP else values[0]
@@ -80,6 +84,17 @@ def _comes_out(model: Articulated, joint: Joint, closed: float) -> bool:
     trial = TRIAL_TRAVEL if joint.kind == "prismatic" else TRIAL_ANGLE
     up, down = (_protrusion(model, joint.name, closed + s * trial) for s in (1.0, -1.0))
     return down - up < MIN_FREE_SIDE
+
+
+def _breadth(model: Articulated, joint: Joint) -> float:
+    """Return the second extent of what a joint moves, in its child's frame [m]."""
+    T_child_root = invert(model.rest_poses[joint.child])
+    points = [
+        apply(T_child_root @ model.rest_poses[link], hull.vertices)
+        for link in model.moved_by(joint.name)
+        for hull in model.hulls[link]
+    ]
+    return float(np.sort(np.ptp(np.concatenate(points), axis=0))[1]) if points else 0.0
 
 
 def _protrusion(model: Articulated, joint: str, value: float) -> float:
