@@ -17,6 +17,8 @@ BUILT_IN = (
     "kitchen_island/wall_cabinet_lift",
 )
 """Furniture of the package: hinges on either side, drawers, a flap."""
+CASES = DATA.parent / "findings" / "cases"
+"""Small inputs of other people's kinds; it may be missing."""
 TOOLS = DATA.parent / "tools"
 """Independent checks of our files; it may be missing."""
 

@@ -100,7 +100,7 @@ def _value(joint: Joint, values: Values, bodies: LinkBodies) -> float | np.ndarr
     if joint.name in values:
         return values[joint.name]
     if joint.mimic is not None and joint.mimic.joint in values:
-        return following(joint.mimic, np.asarray(values[joint.mimic.joint]))
+        return following(joint.mimic, np.atleast_1d(values[joint.mimic.joint]))
     return bodies.rest[joint.name]
 
 

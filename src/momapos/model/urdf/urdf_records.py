@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -48,8 +48,8 @@ class Mimic:
     offset: float = 0.0
     """Offset [rad] or [m]."""
 
-    def at(self, value: float) -> float:
-        """Return the joint's value for a value of the leader."""
+    def at(self, value: Any) -> Any:
+        """Return the joint's value or values for a value or values of the leader."""
         return self.ratio * value + self.offset
 
 

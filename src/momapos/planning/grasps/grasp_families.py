@@ -167,7 +167,8 @@ def select_part_grasps(
 
 def _on_other_side(handle: Handle, first: Handle) -> bool:
     """Check whether a handle is on the other side of a swing door than the first one."""
-    return not handle.edge and handle.carrier == first.carrier and handle.out @ first.out < -0.5
+    facing = float(handle.out @ first.out)
+    return not handle.edge and handle.carrier == first.carrier and facing < -0.5
 
 
 def _strong(

@@ -222,8 +222,8 @@ def contact_of(
 
 
 def pinch_capacity(
-    force: float, friction: float, lean: Float[np.ndarray, " g"]
-) -> Float[np.ndarray, " g"]:
+    force: float, friction: float, lean: Float[np.ndarray, " *g"]
+) -> Float[np.ndarray, " *g"]:
     """Return the pull that two closed fingers transmit [N].
 
     Friction at both pads carries the component across the closing axis. The force of one finger
