@@ -11,7 +11,7 @@ import numpy as np
 
 from .config import ComplianceConfig
 from .geoms import HAND, ROBOT, Kind, matrix_quat
-from .simulation import Simulation
+from .simulation import Simulation, set_followers
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -53,10 +53,8 @@ class CollisionAvoidance:
         self._model = copy(known.model)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = known.data.qpos
-        self._T_world_part = np.eye(4)  # of the part's body, with its joint as modeled
-        mujoco.mju_quat2Mat(rotation := np.empty(9), known.model.body_quat[known.part_body])
-        self._T_world_part[:3, :3] = rotation.reshape(3, 3)
-        self._T_world_part[:3, 3] = known.model.body_pos[known.part_body]
+        # Of the part's bodies that no other one carries, with the joint as modeled.
+        self._Ts_world_part = {body: known.fixed_pose(body) for body in known.part_roots}
         self._jacobians = np.zeros((2, 3, known.model.nv))
         joint = known.model.body_jntadr[known.part_body]
         self._loose = known.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
@@ -120,10 +118,12 @@ class CollisionAvoidance:
         known, model, data = self.known, self._model, self._data
         data.qpos[known.arm_q] = q
         if not self._loose:
-            T = self._T_world_part if T_off is None else T_off @ self._T_world_part
-            model.body_pos[known.part_body] = T[:3, 3]
-            model.body_quat[known.part_body] = matrix_quat(T[:3, :3])
+            for body, T_modeled in self._Ts_world_part.items():
+                T = T_modeled if T_off is None else T_off @ T_modeled
+                model.body_pos[body] = T[:3, 3]
+                model.body_quat[body] = matrix_quat(T[:3, :3])
             data.qpos[known.part_q] = value
+            set_followers(model, data.qpos)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         return self._gap(Kind.BASE, Kind.PART), self._gap(Kind.ARM, Kind.PART)

@@ -238,7 +238,8 @@ def _belief(item: SceneObject, name: str | None) -> BelievedJoint | None:
     joint = item.model.joint(name)
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
     axis = Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3])
-    return BelievedJoint(axis, opening_of(item.model, name).closed)
+    alone = not item.model.followers(name)
+    return BelievedJoint(axis, opening_of(item.model, name).closed, alone)
 
 
 def _outcome(

@@ -46,6 +46,8 @@ class BelievedJoint:
     axis: Axis
     closed: float
     """Closed value of the joint [rad] or [m]."""
+    alone: bool = True
+    """Whether no mimic joint moves with it, so that the path of the hand tells its axis."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from .config import Stage
 from .feel import sense_forces
 from .run_motion import DIGITS, DRIVE, RunMotion, Triple, rounded
 from .simulated_robot import BASE_JOINTS
+from .simulated_room import is_part
 from .simulation import Simulation
 
 if TYPE_CHECKING:
@@ -175,12 +176,8 @@ def base_pose(world: Simulation, q: np.ndarray) -> Float[np.ndarray, "3"]:
 
 def joints_of(world: Simulation) -> list[str]:
     """Return the names of the robot's moving joints: arm and fingers."""
-    model, part = world.model, world.model.body_jntadr[world.part_body]
-    return [
-        model.joint(k).name
-        for k in range(model.njnt)
-        if k != part and model.joint(k).name not in (*BASE_JOINTS, "")
-    ]
+    names = [world.model.joint(k).name for k in range(world.model.njnt)]
+    return [name for name in names if name not in (*BASE_JOINTS, "") and not is_part(name)]
 
 
 def _sampled(times: Float[np.ndarray, " t"]) -> Iterator[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from momapos.core.geometry import apply, invert, pose
 from momapos.model.records import Hold, Motion, Task
 from momapos.model.scene import Scene, SceneObject
-from momapos.model.urdf import Geometry, Joint, opening_of
+from momapos.model.urdf import Geometry, Hull, Joint, opening_of
 
 from .config import ExecutionConfig, FurnitureConfig
 from .dynamics import hull_volume, volume
@@ -178,39 +178,109 @@ def add_part(
     deviation: Deviation | None,
     config: ExecutionConfig,
     reached: Collection[tuple[str, int]] = (),
+    held: str = "",
 ) -> None:
-    """Add what the task moves: the links beyond its joint, or a movable object.
+    """Add what the task moves: the links beyond its joint and its mimic joints, or an object.
 
-    Other joints of the part are locked at the scene's values. `reached` names elements as (link,
-    index) whose non-convex meshes are split into convex pieces, so that the hand can reach behind a
-    handle in the mesh of its panel.
+    The links that a mimic joint moves are a body of their own. Other joints of the part are locked
+    at the scene's values.
+
+    Args:
+        spec: The world.
+        scene: The room.
+        task: The task.
+        resistance: Resistance of the part.
+        deviation: Difference of the part's joint from the scene.
+        config: Model parameters.
+        reached: Elements as (link, index) whose non-convex meshes are split into convex pieces, so
+            that the hand can reach behind a handle in the mesh of its panel.
+        held: The link whose body the hand holds; by default the child of the task's joint.
     """
     item = scene.object(task.object)
     poses = _poses(item, task, deviation)
-    body = spec.worldbody.add_body(name=PART)
-    if task.joint is None:
-        T_world_at = poses[item.model.urdf.root]
-        place_body(body, T_world_at).add_freejoint(name=PART)
-    else:
-        joint = item.model.joint(task.joint)
-        T_world_at = poses[joint.child]
-        place_body(body, T_world_at)
-        _add_joint(body, joint, item.values()[task.joint], resistance, deviation)
     links = [link for link in item.model.links if link in moved_links(item, task)]
-    shapes = [(link, i, s) for link in links for i, s in _numbered(item, link)]
-    density = resistance.mass / max(sum(volume(shape) for _, _, shape in shapes), 1e-9)
-    for link, i, shape in shapes:
-        T = invert(T_world_at) @ poses[link]
-        name = f"{item.name}/{link}#{i}"
-        pieces = item.model.pieces(link, i) if (link, i) in reached else ()
-        if len(pieces) < 2:
-            geoms, fuller = [add_shape(spec, body, shape, T, name)], 1.0
+    size = sum(volume(s) for link in links for s in item.model.urdf.links[link].collisions)
+    shapes = PartShapes(item, poses, resistance.mass / max(size, 1e-9), config, set(reached))
+    if task.joint is None:
+        body = spec.worldbody.add_body(name=PART)
+        place_body(body, poses[item.model.urdf.root]).add_freejoint(name=PART)
+        shapes.add(spec, body, item.model.urdf.root, links)
+        return
+    groups, bodies = item.model.rigid_groups(task.joint), {}
+    held = held or item.model.joint(task.joint).child
+    for carrier in dict.fromkeys(groups.values()):
+        joint = next(j for j in item.model.joints.values() if j.child == carrier)
+        above = groups.get(joint.parent)
+        onto = spec.worldbody if above is None else bodies[above]
+        T = poses[carrier] if above is None else invert(poses[above]) @ poses[carrier]
+        body = onto.add_body(name=PART if carrier == held else f"{PART}/{carrier}")
+        bodies[carrier] = place_body(body, T)
+        leads = joint.name == task.joint
+        added = _add_joint(body, joint, item.values()[joint.name], deviation if leads else None)
+        added.name = PART if leads else f"{PART}/{joint.name}"
+        if leads:
+            added.frictionloss = resistance.friction
+            added.damping = [resistance.damping, 0, 0]
         else:
-            geoms = [add_hull(spec, body, h, T, f"{name}.{k}") for k, h in enumerate(pieces)]
-            fuller = volume(shape) / sum(map(hull_volume, pieces))
-        for geom in geoms:
-            dress(geom, Kind.PART, touched=config.hold == "contact", handle=_is_handle(link, shape))
-            geom.density = density * fuller
+            _couple(spec, joint, config)
+        shapes.add(spec, body, carrier, [link for link, on in groups.items() if on == carrier])
+
+
+def is_part(name: str) -> bool:
+    """Check whether a body or joint belongs to the part, by its name."""
+    return name == PART or name.startswith(f"{PART}/")
+
+
+@dataclass(frozen=True, eq=False)
+class PartShapes:
+    """Adds the shapes of a part to its bodies."""
+
+    item: SceneObject
+    poses: Mapping[str, Float[np.ndarray, "4 4"]]
+    """Poses of its links in the world."""
+    density: float
+    """[kg/m^3]"""
+    config: ExecutionConfig
+    reached: Collection[tuple[str, int]]
+    """See `add_part`."""
+
+    def add(self, spec: Any, body: Any, at: str, links: Sequence[str]) -> None:
+        """Add the shapes of links to a body, whose frame is that of a link."""
+        item, back = self.item, invert(self.poses[at])
+        for link in links:
+            for i, shape in enumerate(item.model.urdf.links[link].collisions):
+                T, name = back @ self.poses[link], f"{item.name}/{link}#{i}"
+                pieces = item.model.pieces(link, i) if (link, i) in self.reached else ()
+                if len(pieces) < 2:
+                    geoms, fuller = [add_shape(spec, body, shape, T, name)], 1.0
+                else:
+                    geoms = [
+                        add_hull(spec, body, h, T, f"{name}.{k}") for k, h in enumerate(pieces)
+                    ]
+                    fuller = volume(shape) / sum(map(hull_volume, pieces))
+                for geom in geoms:
+                    contact, handle = self.config.hold == "contact", _is_handle(link, shape)
+                    dress(geom, Kind.PART, touched=contact, handle=handle)
+                    geom.density = self.density * fuller
+
+
+def held_link(item: SceneObject, joint: str, motion: Motion) -> str:
+    """Return the link whose body is nearest to the hand when it grasps the part in a motion."""
+    first = motion.holds[0].first if motion.holds else 0
+    poses = item.link_poses({joint: float(motion.object_q[first])})
+    tool, groups = motion.Ts_world_tool[first, :3, 3], item.model.rigid_groups(joint)
+    gaps = dict.fromkeys(groups.values(), np.inf)
+    for link, carrier in groups.items():
+        at = apply(invert(poses[link]), tool[None])[0]
+        for hull in item.model.hulls[link]:
+            gaps[carrier] = min(gaps[carrier], _distance_to_box(hull, at))
+    return min(gaps, key=gaps.__getitem__)
+
+
+def _distance_to_box(hull: Hull, point: Float[np.ndarray, "3"]) -> float:
+    """Return the distance of a point from the box around a hull [m]."""
+    beyond = np.maximum(hull.vertices.min(0) - point, point - hull.vertices.max(0))
+    return float(np.linalg.norm(np.maximum(beyond, 0.0)))
 
 
 def reached_elements(item: SceneObject, joint: str, motion: Motion) -> set[tuple[str, int]]:
@@ -222,29 +292,35 @@ def reached_elements(item: SceneObject, joint: str, motion: Motion) -> set[tuple
         for link in item.model.moved_by(joint):
             at = apply(invert(poses[link]), tool[None])[0]
             for i, hull in enumerate(item.model.hulls[link]):
-                beyond = np.maximum(hull.vertices.min(0) - at, at - hull.vertices.max(0))
-                if np.linalg.norm(np.maximum(beyond, 0.0)) < MAX_HAND_DISTANCE:
+                if _distance_to_box(hull, at) < MAX_HAND_DISTANCE:
                     found.add((link, i))
     return found
 
 
-def _numbered(item: SceneObject, link: str) -> list[tuple[int, Geometry]]:
-    return list(enumerate(item.model.urdf.links[link].collisions))
-
-
-def _add_joint(
-    body: Any, joint: Joint, value: float, resistance: PartResistance, deviation: Deviation | None
-) -> None:
-    """Add the part's joint to a body whose pose belongs to the given joint value."""
+def _add_joint(body: Any, joint: Joint, value: float, deviation: Deviation | None) -> Any:
+    """Add a joint to a body whose pose belongs to the given joint value."""
     slides = joint.kind == "prismatic"
     kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
     axis = joint.axis if deviation is None else deviation.axis
-    added = body.add_joint(name=PART, type=kind, axis=axis, ref=value)
+    added = body.add_joint(type=kind, axis=axis, ref=value)
     if deviation is not None:
         added.pos = deviation.shift
-    added.frictionloss, added.damping = resistance.friction, [resistance.damping, 0, 0]
-    if math.isfinite(joint.lower) and math.isfinite(joint.upper):
+    if math.isfinite(joint.lower) and math.isfinite(joint.upper) and joint.mimic is None:
         added.limited, added.range = 1, [joint.lower, joint.upper]
+    return added
+
+
+def _couple(spec: Any, joint: Joint, config: ExecutionConfig) -> None:
+    """Make a mimic joint of the part follow its leader."""
+    assert joint.mimic is not None
+    coupling = spec.add_equality(
+        name=f"{PART}/{joint.name}", type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT, active=True,
+    )  # fmt: skip
+    coupling.name1, coupling.name2 = f"{PART}/{joint.name}", PART
+    # Relative to the reference values, which satisfy the relation with its offset.
+    coupling.data = [0.0, joint.mimic.ratio, *np.zeros(len(coupling.data) - 2)]
+    coupling.solref = [config.gripper.time_constant, 1.0]
 
 
 def _is_handle(link: str, shape: Geometry) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -20,7 +21,7 @@ from .dynamics import Dynamics
 from .geoms import HAND, ROBOT, Kind, matrix_quat
 from .simulated_hand import Finger, SimulatedHand
 from .simulated_robot import BASE_JOINTS, TOOL_POINT, add_robot, body_of, tune
-from .simulated_room import PART, Deviation, PartResistance, add_part, add_room
+from .simulated_room import PART, Deviation, PartResistance, add_part, add_room, is_part
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -72,7 +73,10 @@ class Simulation:
     def weight_on_part(self) -> float:
         """Torque or force of gravity on the part's joint at its present value, positive toward
         larger values [Nm] or [N]."""
-        return -float(self.data.qfrc_bias[self.part_v])
+        bias = float(self.data.qfrc_bias[self.part_v])
+        for follower, _, ratio in _couplings(self.model):
+            bias += ratio * float(self.data.qfrc_bias[self.model.joint(follower).dofadr[0]])
+        return -bias
 
     @property
     def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
@@ -83,6 +87,19 @@ class Simulation:
     def T_world_part(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the part in the world."""
         return self._pose(self.part_body)
+
+    @property
+    def part_roots(self) -> list[int]:
+        """Bodies of the part that no other one of them carries."""
+        bodies = [self.model.body(name).id for name in _part_bodies(self.model)]
+        return [body for body in bodies if self.model.body_parentid[body] == 0]
+
+    def fixed_pose(self, body: int) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a body in its parent with all joints at their reference values."""
+        T = np.eye(4)
+        mujoco.mju_quat2Mat(rotation := np.empty(9), self.model.body_quat[body])
+        T[:3, :3], T[:3, 3] = rotation.reshape(3, 3), self.model.body_pos[body]
+        return T
 
     def _pose(self, body: int) -> Float[np.ndarray, "4 4"]:
         T = np.eye(4)
@@ -134,6 +151,7 @@ def build_simulation(
     *,
     begin: float | None = None,
     reached: Collection[tuple[str, int]] = (),
+    held: str = "",
 ) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
 
@@ -154,13 +172,14 @@ def build_simulation(
         config: Model parameters.
         begin: Value of the part's joint [rad] or [m]; by default as in the scene.
         reached: Elements of the part that the hand touches, see `add_part`.
+        held: Link of the part that the hand holds, see `add_part`.
 
     Raises:
         InputError: The engine rejects the model.
     """
     spec = _spec(config)
     add_room(spec, scene, task, deviation)
-    add_part(spec, scene, task, resistance, deviation, config, reached)
+    add_part(spec, scene, task, resistance, deviation, config, reached, held)
     add_robot(spec, robot, base_pose, hand, dynamics, config)
     _add_weld(spec, robot, config)
     fingers = hand.fingers if config.hold == "contact" else ()
@@ -175,7 +194,8 @@ def build_simulation(
         apart = touching
         if deviation is not None and task.joint is not None:
             # A deviating joint would move the part through its frame: exclude all fixed bodies.
-            apart = list(dict.fromkeys([*touching, *((PART, name) for name in _standing(model))]))
+            pairs = product(_part_bodies(model), _standing(model))
+            apart = list(dict.fromkeys([*touching, *pairs]))
         for one, other in apart:
             spec.add_exclude(bodyname1=one, bodyname2=other)
         model = spec.compile()
@@ -192,7 +212,11 @@ def build_simulation(
     data = _values(model, values)
     for name, rest in at.items():
         data.ctrl[model.actuator(name).id] = rest
-    loose = [one if other == PART else other for one, other in touching if PART in (one, other)]
+    loose = [
+        one if is_part(other) else other
+        for one, other in touching
+        if is_part(one) or is_part(other)
+    ]
     names = tuple(dict.fromkeys("floor" if n == "world" else n.split("#")[0] for n in loose))
     return _index(model, data, robot, hand, fingers, names, balanced)
 
@@ -228,8 +252,29 @@ def _values(model: Any, values: dict[str, float | None]) -> Any:
     for name, value in values.items():
         if value is not None:
             data.qpos[model.joint(name).qposadr[0]] = value
+    set_followers(model, data.qpos)
     mujoco.mj_forward(model, data)
     return data
+
+
+def set_followers(model: Any, q: Float[np.ndarray, " q"]) -> None:
+    """Set the mimic joints of the part to where its joint takes them."""
+    for follower, leader, ratio in _couplings(model):
+        x, y = model.joint(leader).qposadr[0], model.joint(follower).qposadr[0]
+        q[y] = model.qpos0[y] + ratio * (q[x] - model.qpos0[x])
+
+
+def _couplings(model: Any) -> list[tuple[str, str, float]]:
+    """Return the mimic joints of the part, with their leader and ratio."""
+    return [
+        (model.joint(model.eq_obj1id[i]).name, PART, float(model.eq_data[i, 1]))
+        for i in range(model.neq)
+        if is_part(model.equality(i).name)
+    ]
+
+
+def _part_bodies(model: Any) -> list[str]:
+    return [name for name in (model.body(i).name for i in range(model.nbody)) if is_part(name)]
 
 
 def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str, str]]:
@@ -274,7 +319,9 @@ def _bearings(
     way = [rest[joint], *np.linspace(low, high, _CONTACT_SAMPLES).tolist()]
     pairs = [p for v in way for p in _touching(model, _values(model, {PART: v}), config)]
     return [
-        pair for pair in pairs if PART in pair and any(n.rpartition("#")[0] in own for n in pair)
+        pair
+        for pair in pairs
+        if any(map(is_part, pair)) and any(n.rpartition("#")[0] in own for n in pair)
     ]
 
 

@@ -77,7 +77,7 @@ def _move(run: ExecutionRun, stretch: Stretch) -> Ending | None:
     plan = stretch.plan
     if stretch.between is not None:
         return go_between(run, stretch.between)
-    if run.belief is None or stretch.hold is None:
+    if run.belief is None or not run.belief.alone or stretch.hold is None:
         offset = run.arm.q - plan.q[0]  # keep the object as it came into the hand
         for q, v, a in zip(plan.q, plan.v, plan.a, strict=True):
             run.arm.go(q + offset, v, a)

@@ -20,6 +20,7 @@ from .simulated_room import (
     PartResistance,
     Seal,
     draw_resistance,
+    held_link,
     reached_elements,
     seal_of,
 )
@@ -61,16 +62,18 @@ class WorldSetup:
             begin: Initial value of the part's joint [rad] or [m]; by default the room's.
         """
         reached: set[tuple[str, int]] = set()
+        held = ""
         if room.task.joint is not None:
             values = room.values(self.motion.object_q, self.scene, self.task)
             item = room.scene.object(room.task.object)
             motion = replace(self.motion, object_q=values)
             reached = reached_elements(item, room.task.joint, motion)
+            held = held_link(item, room.task.joint, motion)
         states = np.concatenate([self.motion.approach, self.motion.q])
         tuned = states[np.linspace(0, len(states) - 1, _TUNED_STATES).astype(int)]
         return build_simulation(
             room.scene, self.robot, self.base_pose, tuned, room.task, self.hand, self.dynamics,
-            resistance, deviation, self.config, begin=begin, reached=reached,
+            resistance, deviation, self.config, begin=begin, reached=reached, held=held,
         )  # fmt: skip
 
 
