@@ -12,7 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests import optional
-from tests.cupboards import Box, carcass, furniture_room, joint, link
+from tests.cupboards import (
+    DOOR,
+    FOLLOWERS,
+    HINGE,
+    SLIDE,
+    Box,
+    carcass,
+    furniture_room,
+    joint,
+    link,
+    pull_out,
+    tray,
+)
 from tests.real import CASES, TOOLS
 
 from momapos.core.errors import SceneError, TaskDoneError, TaskError, UrdfError
@@ -28,76 +40,6 @@ from momapos.planning.result import PlacementResult
 from momapos.verification.plan_check import verify_files
 
 CONFIG = PipelineConfig(timeout=60.0)
-BAR: Box = ((0.02, 0.16, 0.02), (-0.31, 0.0, 0.0))
-HINGE = joint("hinge", "revolute", ("body", "door"), (-0.262, -0.295, 0.45), (0, 0, 1), (0, 1.6))
-DOOR = link("door", ((0.02, 0.59, 0.88), (0, 0.295, 0)))
-SLIDE = joint("slide", "prismatic", ("body", "tray"), (0, 0, 0.6), (-1, 0, 0), (0, 0.4))
-
-
-def tray(handle: Box | None = BAR) -> str:
-    front, bottom = ((0.02, 0.55, 0.2), (-0.262, 0, 0)), ((0.45, 0.5, 0.02), (0, 0, -0.08))
-    return link("tray", front, bottom, handle=handle)
-
-
-def rails(name: str) -> str:
-    return link(name, ((0.4, 0.02, 0.02), (0, 0.27, 0)), ((0.4, 0.02, 0.02), (0, -0.27, 0)))
-
-
-def half_door(name: str, side: int, handle: Box | None = None) -> str:
-    return link(name, ((0.02, 0.29, 0.88), (0, side * 0.145, 0)), handle=handle)
-
-
-def pull_out(*names: str, mimics: tuple[str, ...]) -> list[str]:
-    """Return a drawer on rails that each slide by the same distance in the one before."""
-    links = ("body", *names)
-    joints = [
-        joint(
-            f"{child}_slide", "prismatic", (parent, child), (0, 0, 0.6 if parent == "body" else 0),
-            (-1, 0, 0), (0, 0.14), mimic,
-        )
-        for parent, child, mimic in zip(links, names, mimics, strict=False)
-    ]  # fmt: skip
-    return [carcass(), *map(rails, names[:-1]), tray(), *joints]
-
-
-KNOB_BAR: Box = ((0.02, 0.02, 0.16), (-0.05, -0.26, 0.1))
-PAIR = [carcass(), half_door("left", 1), half_door("right", -1, KNOB_BAR)]
-RIGHT = joint("right", "revolute", ("body", "right"), (-0.262, 0.298, 0.45), (0, 0, 1), (-1.6, 0))
-
-
-def left(mimic: str) -> str:
-    ends, at = ("body", "left"), (-0.262, -0.298, 0.45)
-    return joint("left", "revolute", ends, at, (0, 0, 1), (0, 1.7), f'joint="right" {mimic}')
-
-
-FOLLOWERS = {
-    "rails behind the tray": (
-        pull_out("outer", "tray", mimics=('joint="tray_slide"', "")), "outer_slide", "tray_slide",
-    ),
-    "a tray behind its rails": (
-        pull_out("outer", "tray", mimics=("", 'joint="outer_slide"')), "tray_slide", "outer_slide",
-    ),
-    "a chain of rails": (
-        pull_out(
-            "outer", "inner", "tray", mimics=('joint="tray_slide"', 'joint="outer_slide"', ""),
-        ),
-        "inner_slide", "tray_slide",
-    ),
-    "a door that mirrors the other": ([*PAIR, left('multiplier="-1"'), RIGHT], "left", "right"),
-    "a door that lags behind by an offset": (
-        [*PAIR, left('multiplier="-0.9" offset="0.1"'), RIGHT], "left", "right",
-    ),
-    "a lid that turns as its drawer slides": (
-        [
-            carcass(), tray(), link("lid", ((0.3, 0.5, 0.015), (0.15, 0, 0))), SLIDE,
-            joint(
-                "lid_hinge", "revolute", ("tray", "lid"), (-0.2, 0, 0.05), (0, 1, 0), (-1.2, 0),
-                'joint="slide" multiplier="-2"',
-            ),
-        ],
-        "lid_hinge", "slide",
-    ),
-}  # fmt: skip
 
 
 def sliding_door(axis: int, *bars: Box, handle: Box | None = None) -> list[str]:

@@ -10,7 +10,6 @@ import numpy as np
 from momapos.core.geometry import apply, contains, place_points
 from momapos.model.records import Hold, ReachScorer
 from momapos.model.scene import Scene
-from momapos.model.urdf import joint_motion
 from momapos.planning import PlacementResult
 
 from .candidate_markers import KINDS, Outcomes, outcomes, thin
@@ -195,9 +194,8 @@ def _draw_handle(axes: Any, scene: Scene, answer: PlacementResult) -> None:
     if task.joint is None or task.to is None or handle is None:
         return
     item = scene.object(task.object)
-    joint = item.joint(task.joint)
     values = np.array([item.values()[task.joint], task.to])
-    T = item.link_poses()[joint.parent] @ joint.T_parent_joint @ joint_motion(joint, values)
+    T = item.moving_poses(task.joint, values)[handle.carrier]
     ends = handle.center + np.outer((-1, 1), handle.half_length * handle.long)
     for points in apply(T, ends):
         axes.plot(
