@@ -206,7 +206,7 @@ def add_part(
         place_body(body, poses[item.model.urdf.root]).add_freejoint(name=PART)
         shapes.add(spec, body, item.model.urdf.root, links)
         return
-    groups, bodies = item.model.rigid_groups(task.joint), {}
+    groups, bodies = item.model.rigid_groups(task.joint), dict[str, Any]()
     held = held or item.model.joint(task.joint).child
     for carrier in dict.fromkeys(groups.values()):
         joint = next(j for j in item.model.joints.values() if j.child == carrier)

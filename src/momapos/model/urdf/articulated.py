@@ -143,7 +143,7 @@ class Articulated:
             The poses in that frame, by link, at each value.
         """
         given: JointValues = {**others, joint: values}
-        moved, found = set(self.moved_by(joint)), {}
+        moved, found = set(self.moved_by(joint)), dict[str, np.ndarray]()
         for one in self.urdf.joints:
             if one.child in moved:
                 T = self._child_pose(one, found.get(one.parent, poses[one.parent]), given)
@@ -157,7 +157,7 @@ class Articulated:
         keep their pose in it, as long as no other joint moves.
         """
         carriers = {self.joint(joint).child, *(other.child for other in self.followers(joint))}
-        moved, groups = set(self.moved_by(joint)), {}
+        moved, groups = set(self.moved_by(joint)), dict[str, str]()
         for one in self.urdf.joints:
             if one.child in moved:
                 groups[one.child] = one.child if one.child in carriers else groups[one.parent]
