@@ -143,6 +143,31 @@ def test_a_handle_is_found_on_a_joint_of_its_own_and_on_any_face(
     assert not handle.edge
 
 
+def tap(lever: Box, axis: tuple[float, float, float], limits: tuple[float, float]) -> list[str]:
+    """Return a tap on a counter: a column with a lever on top, or at its side."""
+    counter, column = ((0.6, 1.2, 0.86), (0.15, 0, 0.43)), ((0.04, 0.04, 0.16), (0, 0, 0.94))
+    at = (0, 0, 1.04) if axis[2] else (-0.03, 0, 0.98)
+    turn = joint("turn", "revolute", ("body", "lever"), at, axis, limits)
+    return [link("body", counter, column), link("lever", lever), turn]
+
+
+TAPS = {
+    "on top": tap(((0.15, 0.02, 0.015), (-0.07, 0, 0)), (0, 0, 1), (-0.8, 0.8)),
+    "to the side": tap(((0.02, 0.14, 0.02), (0, -0.06, 0)), (0, 0, 1), (0, 1.2)),
+    "upright": tap(((0.02, 0.02, 0.12), (0, 0, 0.05)), (1, 0, 0), (0, 1.2)),
+}
+
+
+@pytest.mark.parametrize("robot_name", ["fetch", "segway_ur5e", "ranger_rm63"])
+@pytest.mark.parametrize("kind", TAPS)
+def test_a_lever_is_its_own_handle(
+    robots: Callable[[str], Robot], tmp_path: Path, kind: str, robot_name: str
+) -> None:
+    scene = save_scene(furniture_room(tmp_path, TAPS[kind]), tmp_path / "scene.json")
+    answer = plan(scene, robots(robot_name), "open", "cupboard", "turn", folder=tmp_path)
+    assert not answer.prepared.motion.grasps.handles[0].edge
+
+
 def test_opening_a_door_by_its_object_means_the_leaf_not_its_lever(tmp_path: Path) -> None:
     scene = furniture_room(tmp_path, OWN_HANDLES["a lever named handle"])
     assert openable(scene) == [("cupboard", "hinge")]

@@ -115,7 +115,7 @@ def select_part_grasps(
 ) -> GraspSelection:
     """Select the grasps of the part's first handle by which the robot can move it.
 
-    A door that swings both ways is grasped on either side.
+    A door that swings both ways is grasped on either side, a lever anywhere.
 
     Args:
         robot: The robot.
@@ -134,14 +134,14 @@ def select_part_grasps(
     reasons: list[str] = []
     two_sided = opens_both_ways(model, joint)
     for handle in handles_in_turn(model, joint, sign):
-        if handle in excluded or (found and not _on_other_side(handle, found[0][0])):
+        if handle in excluded or (found and not _adds_to(found[0][0], handle)):
             continue
         handles.append(handle)
         grasps = grasps_of(robot, model, joint, sign, handle, config)
         strong, reason = _strong(robot, model, joint, grasps, torque, handle, config)
         if len(strong.code):
             found.append((handle, strong))
-            if len(found) == 1 + two_sided:
+            if not two_sided and not handle.whole and not found[0][0].whole:
                 break
             continue
         reasons.append(reason)
@@ -165,10 +165,10 @@ def select_part_grasps(
     return _ordered(model, joint, [(handles[0], bare)], torque, named[0] + edges, "")
 
 
-def _on_other_side(handle: Handle, first: Handle) -> bool:
-    """Check whether a handle is on the other side of a swing door than the first one."""
+def _adds_to(first: Handle, handle: Handle) -> bool:
+    """Check whether a handle is another hold of a lever, or on the other side of a swing door."""
     facing = float(handle.out @ first.out)
-    return not handle.edge and handle.carrier == first.carrier and facing < -0.5
+    return first.whole or (not handle.edge and handle.carrier == first.carrier and facing < -0.5)
 
 
 def _strong(

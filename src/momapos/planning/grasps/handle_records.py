@@ -51,6 +51,8 @@ class Handle:
     """Elements that the pads may touch."""
     in_pieces: bool = False
     """Whether collision checks use convex pieces of the part's meshes instead of their hulls."""
+    whole: bool = False
+    """Whether the part is nothing but this handle, as the lever of a tap."""
 
     @property
     def knob(self) -> bool:

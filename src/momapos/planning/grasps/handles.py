@@ -50,6 +50,9 @@ MAX_STRIPS = 4
 MIN_LEVER_SHARE = 0.5
 """Minimum lever arm of a strip, as a share of the part's largest one: close to the hinge, an error
 of the hand moves the free edge by much more [-]."""
+MAX_LEVER_LENGTH, MAX_LEVER_BREADTH = 0.3, 0.08
+"""A part smaller than this is its own handle: hands open by 8 to 14 cm, and levers of taps and
+windows are 5 to 25 cm long [m]."""
 MAX_SIDE_SLANT = 0.7
 """Cosine with the opening direction below which a face counts as a side of the part [-]."""
 
@@ -150,11 +153,20 @@ def handles_by_hulls(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
         handles += _on_face(named, part, sign, own, -opens, -opens)
     if any(h.found is HandleSource.NAME for h in handles) or (handles and not named):
         return tuple(_named_first(handles))
+    if not named and _is_hand_sized(part, own):
+        return (replace(_of(HandleSource.SHAPE, list(own), part, sign, (), None), whole=True),)
     faces, in_plane = _side_faces(own, opens)
     aside = next(filter(None, (_on_face(named, part, sign, own, f, f) for f in faces)), [])
     aside = [h for h in aside if not named or h.found is HandleSource.NAME]
     whole = [_of(HandleSource.NAME, g, part, sign, own, None) for g in clusters(named)[:1]]
     return (*aside, *whole, *handles) if in_plane else (*whole, *handles, *aside)
+
+
+def _is_hand_sized(part: CarriedPart, own: tuple[Element, ...]) -> bool:
+    """Check whether a part is its own handle: the lever of a tap, a knob, a switch."""
+    _, _, half = part.model.box_around(corners(own))
+    length, breadth, _ = np.sort(2 * half)[::-1].tolist()
+    return bool(length < MAX_LEVER_LENGTH and breadth < MAX_LEVER_BREADTH)
 
 
 def _on_face(

@@ -36,6 +36,8 @@ HAND_REACH = 0.35
 """Elements farther from a handle cannot touch the hand [m]."""
 MIN_OVERLAP = 0.003
 """Minimum depth of the fingertips beyond the near side of the handle [m]."""
+FREE_TILTS = (50.0, -50.0)
+"""Further tilts along a handle with a free end, around which there is room for the hand [deg]."""
 HOOK_SHARE = 0.8
 """Share of the pull along the closing axis above which a grasp is a hook [-]."""
 _PARTS = 512
@@ -124,7 +126,9 @@ def approach_lines(robot: Robot, handle: Handle, config: GraspConfig) -> Approac
         rolls = np.array([0, np.pi])
         if 2 * handle.half_length < robot.opening:
             rolls = np.array([0, np.pi, np.pi / 2, -np.pi / 2])
-    turns, tilts = np.radians(config.turns), np.radians(config.tilts)
+    free = handle.kind in (HandleKind.LEVER, HandleKind.KNOB)
+    tilts = np.radians(sorted({*config.tilts, *(FREE_TILTS if free else ())}, key=abs))
+    turns = np.radians(config.turns)
     grid = np.stack(np.meshgrid(rolls, _points(handle, config), tilts, turns, indexing="ij"), -1)
     roll, point, tilt, turn = grid.reshape(-1, 4).T
     R_turn = rotation_about(handle.long, turn)
