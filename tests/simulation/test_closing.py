@@ -12,7 +12,7 @@ from tests.verification.door_case import OPEN, Case, make_case
 
 from momapos.model.records.plans import Motion
 from momapos.model.records.tasks import Task
-from momapos.simulation.config import Ending, ExecutionConfig, FurnitureConfig
+from momapos.simulation.config import STOP_FORCE, Ending, ExecutionConfig, FurnitureConfig
 from momapos.simulation.feel import sense_forces
 from momapos.simulation.simulation import Simulation
 
@@ -97,13 +97,13 @@ def test_a_stopped_arm_does_not_press(tmp_path: Path) -> None:
             forces.append(sense_forces(world).size[0])
 
     assert closing(tmp_path, case).run(watch=watch).success
-    assert np.mean(forces[-20:]) < ExecutionConfig().control.stop_force
+    assert np.mean(forces[-20:]) < STOP_FORCE
 
 
 def test_a_door_with_constant_friction_is_moved_to_its_end(tmp_path: Path) -> None:
     stiff = ExecutionConfig(furniture=FurnitureConfig(hinge_friction=30.0))
     done = closing(tmp_path, make_case()).run(config=stiff)
     assert done.success, done.reason
-    assert done.load.force > ExecutionConfig().control.stop_force
+    assert done.load.force > STOP_FORCE
     assert done.reached == pytest.approx(0.0, abs=0.02)
     assert done.ending == Ending.DONE

@@ -42,6 +42,8 @@ _NO_LIMIT = 1e3
 """A finite number in place of infinity [m/s] or [m/s^2]."""
 _MIN_GRID_POINTS = 400
 """Smallest number of points per piece at which the limits hold [-]."""
+DEFAULT_SPEED = 1.5
+"""Speed limit of joints without a limit in the URDF [rad/s] or [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,6 @@ class SpeedConfig:
     """Acceleration limit of prismatic joints [m/s^2]."""
     carry_acceleration: float = 1.0
     """Acceleration limit of the tool along each axis while it carries an object [m/s^2]."""
-    default_speed: float = 1.5
-    """Speed limit of joints without a limit in the URDF [rad/s] or [m/s]."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -178,7 +178,7 @@ def time_motion(
     """
     joints = [robot.model.joint(name) for name in robot.moved_joints]
     speed = np.array([joint.velocity for joint in joints])
-    speed = np.where(np.isfinite(speed), speed, config.default_speed)
+    speed = np.where(np.isfinite(speed), speed, DEFAULT_SPEED)
     slides = np.array([joint.kind == "prismatic" for joint in joints])
     acceleration = np.where(slides, config.slide_acceleration, config.acceleration)
     approach = motion.approach if len(motion.approach) else motion.q[:1]

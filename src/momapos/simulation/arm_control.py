@@ -12,7 +12,17 @@ import mujoco
 import numpy as np
 
 from .avoidance import Bounds, no_bounds
-from .config import ComplianceConfig
+from .config import (
+    ARM_FORCE,
+    ARM_TORQUE,
+    FILTER_TIME,
+    FOLLOW_RATE,
+    RETURN_RATE,
+    TURN_DAMPING,
+    TURN_RETURN_RATE,
+    TURN_SPEED,
+    ComplianceConfig,
+)
 from .feel import SensedForces
 from .simulation import Simulation
 
@@ -106,12 +116,12 @@ class CompliantArm:
         self._low = np.where(limited, limits[:, 0], -np.inf)
         self._high = np.where(limited, limits[:, 1], np.inf)
         slides = world.model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
-        self._bears = np.where(slides, config.arm_force, config.arm_torque)
+        self._bears = np.where(slides, ARM_FORCE, ARM_TORQUE)
         self._wrench, self._load = np.zeros(6), np.zeros(len(self.q))
 
     def update_forces(self, touch: SensedForces) -> None:
         """Update the low-pass filtered force at the hand."""
-        share = self.step / (self.config.filter_time + self.step)
+        share = self.step / (FILTER_TIME + self.step)
         self._wrench += share * (np.concatenate([touch.force, touch.torque]) - self._wrench)
         self._load += share * (touch.arm - self._load)
 
@@ -147,12 +157,10 @@ class CompliantArm:
             sure = np.eye(3) - reference.yields
             off[:3] += sure @ (T[:3, 3] - reference.here)
         stiff = off[:3] - reference.loose @ off[:3]
-        line = config.follow_rate * stiff + config.return_rate * (off[:3] - stiff)
+        line = FOLLOW_RATE * stiff + RETURN_RATE * (off[:3] - stiff)
         line += reference.yields @ self._wrench[:3] / config.damping
-        turn = config.turn_return_rate * off[3:] + self._wrench[3:] / config.turn_damping
-        twist = np.concatenate(
-            [_clip_length(line, config.speed), _clip_length(turn, config.turn_speed)]
-        )
+        turn = TURN_RETURN_RATE * off[3:] + self._wrench[3:] / TURN_DAMPING
+        twist = np.concatenate([_clip_length(line, config.speed), _clip_length(turn, TURN_SPEED)])
         free = reference.v + _NULL_RATE * (reference.q - self.q)
         # Feed forward only the plan's speed: feeding forward the compliant motion oscillates.
         self.go(self._moved(J, reference.twist + twist, free, reference.bounds), reference.v)

@@ -37,7 +37,6 @@ class Ending(StrEnum):
 AT_END = (Ending.STOPPED_AT_END, Ending.SLIPPED_AT_END)
 GOOD = (Ending.DONE, *AT_END)
 """Endings of completed motions."""
-
 RECOVERABLE = (
     Ending.ASTRAY, Ending.OUT_OF_REACH, Ending.NOTHING_HELD, Ending.ONE_SIDED, Ending.TOO_HARD,
     Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.NOTHING_MET, Ending.SLIPPED,
@@ -92,20 +91,28 @@ class FurnitureConfig:
     """Relative spread of masses, friction and opening forces around the values above [-]."""
 
 
-@dataclass(frozen=True)
-class ControlConfig:
-    """Control of the robot's motors."""
+ARMATURE = 0.1
+"""Motor inertia reflected through the gear [kg m^2]; ten times as many kg for slides."""
+BANDWIDTH = 60.0
+"""Natural frequency of the critically damped position loops [rad/s]."""
+BASE_BANDWIDTH = 60.0
+"""Natural frequency of the base on its tires with the brakes on [rad/s]."""
+BASE_FRICTION = 0.6
+"""Friction between wheels and floor; a larger force makes the base slide [-]."""
+STOP_FORCE = 20.0
+"""Extra resistance of the part near the end of its path that stops the arm [N]."""
 
-    bandwidth: float = 60.0
-    """Natural frequency of the critically damped position loops [rad/s]."""
-    stop_force: float = 20.0
-    """Extra resistance of the part near the end of its path that stops the arm [N]."""
-    armature: float = 0.1
-    """Motor inertia reflected through the gear [kg m^2]; ten times as many kg for slides."""
-    base_bandwidth: float = 60.0
-    """Natural frequency of the base on its tires with the brakes on [rad/s]."""
-    base_friction: float = 0.6
-    """Friction between wheels and floor; a larger force makes the base slide [-]."""
+
+PAD_TIME = 0.005
+"""Time constant of the contact between a pad and a grasped object [s]. The engine softens
+contacts with light bodies: with its default, pads sink 6 mm into an apple or the bar of a light
+door, which then creeps out of the hand."""
+WELD_TIME = 0.01
+"""Time constant of the compliant weld; smaller is stiffer [s]."""
+WELD_FORCE = 150.0
+"""Force above which the weld breaks [N]."""
+WELD_TORQUE = 25.0
+"""Torque above which the weld breaks [Nm]."""
 
 
 @dataclass(frozen=True)
@@ -122,20 +129,44 @@ class GripConfig:
     """Share of the grip force that the pads of both sides must bear for a grasp to hold [-]."""
     patience: float = 0.6
     """Time to wait for that load after the fingers should be closed [s]."""
-    pad_time: float = 0.005
-    """Time constant of the contact between a pad and a grasped object [s]. The engine softens
-    contacts with light bodies: with its default, pads sink 6 mm into an apple or the bar of a light
-    door, which then creeps out of the hand."""
     lost: float = 0.15
     """The grasp is lost when neither side bears a load for this long [s]."""
     reach: float = 0.02
     """Maximum distance from the gripper or the tool's origin at which the weld attaches [m]."""
-    time_constant: float = 0.01
-    """Time constant of the compliant weld; smaller is stiffer [s]."""
-    weld_force: float = 150.0
-    """Force above which the weld breaks [N]."""
-    weld_torque: float = 25.0
-    """Torque above which the weld breaks [Nm]."""
+
+
+ARM_FORCE = 60.0
+"""... or, for a sliding joint [N]."""
+ARM_TORQUE = 12.0
+"""Joint load that the hand does not explain and that means an obstacle [Nm] ..."""
+BASE_CLEARANCE = 0.015
+"""Minimum clearance between the part and the robot's base, unless the plan has less [m]."""
+FILTER_TIME = 0.02
+"""Time constant of the low-pass filter of the force at the hand [s]."""
+FOLLOW_RATE = 6.0
+"""Rate at which the hand corrects an offset along the path [1/s]."""
+NOTICED_FORCE = 1.0
+"""A pushing hand that never felt more than this has met nothing [N]."""
+PUSH_SPEED = 0.1
+"""Maximum tool speed while pushing; a faster push would throw the part ahead [m/s]."""
+RETURN_RATE = 1.0
+"""Rate at which the hand corrects an offset across the path [1/s]."""
+SEARCH_BACK = 0.003
+"""... and grasps this much before the contact it found there [m]."""
+MIN_PACE = 0.2
+"""Minimum share of the speed that remains under large contact forces [-]."""
+TILT_ERROR = float(np.radians(5.0))
+"""Standard deviation of the direction of a hinge axis or slide in that prior [rad]."""
+TURN_DAMPING = 15.0
+"""Torque per angular speed of the hand [Nms/rad]."""
+TURN_RETURN_RATE = 5.0
+"""Rate at which the hand corrects a rotation [1/s]."""
+TURN_SPEED = 0.4
+"""Maximum angular speed of compliance and correction [rad/s]."""
+PATH_FORCE = 60.0
+"""Force at the hand that means an obstacle, before the hand is near its target [N]."""
+WEIGHT_TIME = 0.15
+"""Time constant of the low-pass filter of the carried weight [s]."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +188,6 @@ class ComplianceConfig:
     """Speed of the hand where the arm is `ExecutionConfig.near` from its surroundings [m/s]."""
     pace_rate: float = 4.0
     """Maximum change of the speed per second, as a share of the planned speed [1/s]."""
-    slowest: float = 0.2
-    """Minimum share of the speed that remains under large contact forces [-]."""
     bump: float = 25.0
     """Force against the approach at which the hand backs off and comes in with an offset [N] ..."""
     early: float = 0.012
@@ -167,33 +196,15 @@ class ComplianceConfig:
     """Offsets of successive retries; after the last one the hand pushes on [m]."""
     search: float = 0.03
     """If nothing is between the fingers, the hand searches this much farther ahead [m] ..."""
-    search_back: float = 0.003
-    """... and grasps this much before the contact it found there [m]."""
     damping: float = 400.0
     """Force per speed of the hand [Ns/m]."""
-    turn_damping: float = 15.0
-    """Torque per angular speed of the hand [Nms/rad]."""
-    return_rate: float = 1.0
-    """Rate at which the hand corrects an offset across the path [1/s]."""
-    turn_return_rate: float = 5.0
-    """Rate at which the hand corrects a rotation [1/s]."""
-    follow_rate: float = 6.0
-    """Rate at which the hand corrects an offset along the path [1/s]."""
     speed: float = 0.08
     """Maximum speed of compliance and correction [m/s]."""
-    turn_speed: float = 0.4
-    """Maximum angular speed of compliance and correction [rad/s]."""
     joint_speed: float = 2.0
     """Maximum joint speed under compliance [rad/s] or [m/s]; near singularities and between
     conflicting bounds the control would ask for more."""
-    push_speed: float = 0.1
-    """Maximum tool speed while pushing; a faster push would throw the part ahead [m/s]."""
     home: float = 1.5
     """Time in which a hand that let go returns to the plan [s]."""
-    filter_time: float = 0.02
-    """Time constant of the low-pass filter of the force at the hand [s]."""
-    weight_time: float = 0.15
-    """Time constant of the low-pass filter of the carried weight [s]."""
     force: float = 120.0
     """Force at the hand above which the run stops [N]."""
     torque: float = 20.0
@@ -202,22 +213,10 @@ class ComplianceConfig:
     """Distance below which obstacles slow the arm's approach toward them [m]."""
     apart: float = 0.003
     """Minimum distance from the arm to obstacles [m]."""
-    base_room: float = 0.015
-    """Minimum clearance between the part and the robot's base, unless the plan has less [m]."""
     avoid_rate: float = 20.0
     """Approach speed per distance left to `apart` [1/s]."""
-    way_force: float = 60.0
-    """Force at the hand that means an obstacle, before the hand is near its target [N]."""
-    arm_torque: float = 12.0
-    """Joint load that the hand does not explain and that means an obstacle [Nm] ..."""
-    arm_force: float = 60.0
-    """... or, for a sliding joint [N]."""
-    noticed: float = 1.0
-    """A pushing hand that never felt more than this has met nothing [N]."""
     axis_error: float = 0.03
     """Standard deviation of a hinge's position in the joint estimate's prior [m]."""
-    tilt_error: float = float(np.radians(5.0))
-    """Standard deviation of the direction of a hinge axis or slide in that prior [rad]."""
     hand_error: float = 0.003
     """Standard deviation of the hand's position on the part in the joint estimate [m]."""
 
@@ -273,7 +272,6 @@ class ExecutionConfig:
     """Maximum observed distance from the robot to its surroundings [m]."""
     furniture: FurnitureConfig = field(default_factory=FurnitureConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
-    control: ControlConfig = field(default_factory=ControlConfig)
     gripper: GripConfig = field(default_factory=GripConfig)
     compliance: ComplianceConfig = field(default_factory=ComplianceConfig)
     errors: ModelErrorConfig = field(default_factory=ModelErrorConfig)

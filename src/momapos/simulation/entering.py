@@ -9,7 +9,7 @@ import numpy as np
 from .approach import PacedTrajectory
 from .arm_control import EVERYWHERE, Reference
 from .avoidance import PROXIMITY_INTERVAL, Bounds
-from .config import Ending, Stage
+from .config import MIN_PACE, PATH_FORCE, SEARCH_BACK, STOP_FORCE, Ending, Stage
 from .execution_run import ExecutionRun
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
         ending = run.tick(Stage.APPROACH) or run.check_grasp()
         if ending is not None:
             return ending
-        if run.held and near and run.arm.wrench[2] > run.config.control.stop_force:
+        if run.held and near and run.arm.wrench[2] > STOP_FORCE:
             return None  # the carried object rests on something
-        if not near and np.linalg.norm(run.arm.wrench[:3]) > compliance.way_force:
+        if not near and np.linalg.norm(run.arm.wrench[:3]) > PATH_FORCE:
             return Ending.BLOCKED
         if sign < 0 and (left > compliance.near / 2 or run.passed == 0.0):
             sign = 1.0
@@ -72,7 +72,7 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
             return ending
         met = float(-run.arm.wrench[:3] @ ahead) > compliance.bump / 2
         if sign > 0 and (met or gone >= most):
-            sign, most = -1.0, gone - compliance.search_back
+            sign, most = -1.0, gone - SEARCH_BACK
     run.forward_offset = gone * ahead
     return None
 
@@ -139,7 +139,7 @@ def _easing(run: ExecutionRun) -> float:
     """Return the share of the planned speed, lower the more force the arm feels."""
     compliance = run.config.compliance
     felt = float(np.linalg.norm(run.arm.wrench[:3])) / compliance.bump
-    return max(compliance.slowest, 1.0 - max(felt, run.arm.load))
+    return max(MIN_PACE, 1.0 - max(felt, run.arm.load))
 
 
 def _bumped(run: ExecutionRun, T: Float[np.ndarray, "4 4"]) -> bool:

@@ -17,7 +17,7 @@ from momapos.model.urdf import opening_of
 
 from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import ArmKinematics
-from .config import AT_END, GOOD, RECOVERABLE, Ending, ExecutionConfig
+from .config import AT_END, GOOD, PUSH_SPEED, RECOVERABLE, Ending, ExecutionConfig
 from .dynamics import Dynamics, read_dynamics
 from .execution_run import BelievedJoint, ExecutionRun, Stretch, Watch
 from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
@@ -198,7 +198,7 @@ def _stretches(
         )  # fmt: skip
         speed = config.speed
         if held is not None and held.family == "push":
-            most = min(speed.tool_speed, config.compliance.push_speed)
+            most = min(speed.tool_speed, PUSH_SPEED)
             speed = replace(speed, tool_speed=most)
         # A placed object is let go first: there is nothing to carry.
         verb = None if task.verb == "place" else task.verb

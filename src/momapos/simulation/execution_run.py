@@ -18,7 +18,7 @@ from momapos.model.scene import SceneObject
 from .approach import PacedTrajectory
 from .arm_control import EVERYWHERE, CompliantArm, Reference
 from .avoidance import CollisionAvoidance
-from .config import Ending, ExecutionConfig, Stage
+from .config import BANDWIDTH, WEIGHT_TIME, WELD_FORCE, WELD_TORQUE, Ending, ExecutionConfig, Stage
 from .feel import sense_forces
 from .geoms import ROBOT, matrix_quat
 from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
@@ -99,7 +99,7 @@ class ExecutionRun:
         self.T_part_first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
         self.avoidance = CollisionAvoidance(known, config.compliance)
-        self.payload = Payload(config.compliance.weight_time, self.step)
+        self.payload = Payload(WEIGHT_TIME, self.step)
         self.estimate: JointEstimate | None = None
         self.touch = sense_forces(world)
         self.held, self.strained, self.unloaded = False, 0, 0
@@ -154,7 +154,7 @@ class ExecutionRun:
 
     def tick(self, stage: Stage) -> Ending | None:
         """Advance by one control step; return the ending it causes, or None."""
-        world, w = self.world, self.config.control.bandwidth
+        world, w = self.world, BANDWIDTH
         # The motors push in proportion to the error; this lead makes them follow without lag.
         lead = 2 / w * self.arm.v + self.arm.a / w**2 + self.payload.lead(self.world)
         world.data.ctrl[world.arm_motor] = self.arm.q + lead
@@ -176,10 +176,10 @@ class ExecutionRun:
 
     def _check_overload(self) -> Ending | None:
         """Break the weld, or stop the arm, if the load at the hand stays too high."""
-        grip, most = self.config.gripper, self.config.compliance
+        most = self.config.compliance
         force, torque = self.touch.size
         welded = self.held and self.world.welded
-        if welded and (force > grip.weld_force or torque > grip.weld_torque):
+        if welded and (force > WELD_FORCE or torque > WELD_TORQUE):
             self.strained += 1
             if self.strained >= MAX_OVERLOAD_STEPS:
                 self.world.release()

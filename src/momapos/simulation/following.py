@@ -13,7 +13,7 @@ from momapos.model import Trajectory
 
 from .arm_control import EVERYWHERE, Reference, twist_between
 from .avoidance import PROXIMITY_INTERVAL, Bounds
-from .config import Ending, Stage
+from .config import BASE_CLEARANCE, NOTICED_FORCE, STOP_FORCE, Ending, Stage
 from .execution_run import BelievedJoint, ExecutionRun, Stretch
 from .joint_estimate import JointEstimate, LearnedPart
 
@@ -140,7 +140,7 @@ class _PartWay:
                 run.arm.follow(Reference(q, still, goal, twist, across, across, here))
                 if run.tick(Stage.MANIPULATE) is not None or run.check_grasp() is not None:
                     return
-            resists = -run.arm.wrench[:3] @ way > run.config.control.stop_force
+            resists = -run.arm.wrench[:3] @ way > STOP_FORCE
             if resists:
                 run.arm.stop()
                 if np.linalg.norm(here - start) > _MAX_RETURN_SLIP:
@@ -157,7 +157,7 @@ class _PartWay:
         base, arm = avoidance.part_gaps
         if min(base, arm) < compliance.apart:
             return True
-        if base > compliance.base_room:
+        if base > BASE_CLEARANCE:
             return False
         planned, _ = avoidance.gaps(self.run.arm.q, float(self.values[k]))
         return base < planned - compliance.apart
@@ -172,7 +172,7 @@ class _PartWay:
 
     def end(self) -> Ending | None:
         """Return how the path ends after its last step."""
-        if self.pushes and self.most_felt < self.run.config.compliance.noticed:
+        if self.pushes and self.most_felt < NOTICED_FORCE:
             if self.run.learned is not None:  # most parts that were pushed away fall closed
                 self.run.learned = replace(self.run.learned, value=self.belief.closed)
             return Ending.NOTHING_MET
@@ -212,7 +212,7 @@ def _at_stop(
     push = float(-run.touch.force @ left) / distance
     if run.usual_push is None:  # weight and friction, which resist all along the path
         run.usual_push = max(0.0, push)
-    if push - run.usual_push < run.config.control.stop_force:
+    if push - run.usual_push < STOP_FORCE:
         return False
     run.detail = f"{1000 * distance:.0f} mm left"
     return True

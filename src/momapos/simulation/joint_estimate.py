@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.core.geometry import orthonormal, pose, rotation_about, rotation_of
 
-from .config import ComplianceConfig
+from .config import TILT_ERROR, ComplianceConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -156,7 +156,7 @@ class JointEstimate:
 
     def _residuals(self) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r k"]]:
         """Return prior and measurements over their standard deviations, and their Jacobian."""
-        sigma = np.full(len(self._x), self.config.tilt_error)
+        sigma = np.full(len(self._x), TILT_ERROR)
         sigma[2:] = self.config.axis_error
         r, step = self._off(self._x), 1e-6
         J = np.stack([(self._off(self._x + d) - r) / step for d in step * np.eye(len(self._x))], 1)

@@ -13,7 +13,7 @@ from momapos.model.robots import Robot
 
 from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import EVERYWHERE, Reference
-from .config import Ending, Stage
+from .config import PATH_FORCE, Ending, Stage
 from .entering import go_back
 from .execution_run import ExecutionRun
 
@@ -84,7 +84,7 @@ def _follow_home(run: ExecutionRun, home: PacedTrajectory) -> bool:
         q, v, a = home.at(run.passed, pace)
         run.arm.go(q, v, a)
         felt = float(np.linalg.norm(run.arm.wrench[:3]))
-        if run.tick(Stage.RETREAT) is not None or felt > run.config.compliance.way_force:
+        if run.tick(Stage.RETREAT) is not None or felt > PATH_FORCE:
             run.arm.stop()
             return False
         run.passed += pace

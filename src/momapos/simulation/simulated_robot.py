@@ -13,7 +13,7 @@ from momapos.core.geometry import invert, pose_planar
 from momapos.model.robots import Pivot, Robot
 from momapos.model.urdf import Joint, Mimic, joint_motion
 
-from .config import ExecutionConfig
+from .config import ARMATURE, BANDWIDTH, BASE_BANDWIDTH, BASE_FRICTION, ExecutionConfig
 from .dynamics import Dynamics, Inertia
 from .geoms import Kind, add_shape, dress, place_body
 from .simulated_hand import Finger, SimulatedHand
@@ -70,7 +70,7 @@ def add_robot(
         bodies[link] = body
         if joint is not None and joint.name in free:
             limit = dynamics.efforts.get(joint.name) if joint.name in robot.moved_joints else None
-            _add_joint(body, joint, limit, config)
+            _add_joint(body, joint, limit)
         if link in turning:
             _add_pivot(body, turning[link])
         kind = Kind.BASE
@@ -95,11 +95,11 @@ def _joint_to(robot: Robot, link: str) -> Joint | None:
     return next((j for j in robot.model.urdf.joints if j.child == link), None)
 
 
-def _add_joint(body: Any, joint: Joint, effort: float | None, config: ExecutionConfig) -> None:
+def _add_joint(body: Any, joint: Joint, effort: float | None) -> None:
     slides = joint.kind == "prismatic"
     kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
     added = body.add_joint(name=joint.name, type=kind, axis=joint.axis, actgravcomp=1)
-    added.armature = config.control.armature * (10.0 if slides else 1.0)
+    added.armature = ARMATURE * (10.0 if slides else 1.0)
     if np.isfinite(joint.lower) and np.isfinite(joint.upper):
         added.limited, added.range = 1, [joint.lower, joint.upper]
     if effort is not None:
@@ -212,7 +212,7 @@ def tune(
     Returns:
         The joints that are balanced so.
     """
-    control, levers = config.control, {finger.joint: finger.lever for finger in fingers}
+    levers = {finger.joint: finger.lever for finger in fingers}
     names = (*BASE_JOINTS, *robot.moved_joints, *levers)
     dofs = [int(model.joint(name).dofadr[0]) for name in names]
     arm_q = [int(model.joint(name).qposadr[0]) for name in robot.moved_joints]
@@ -226,12 +226,12 @@ def tune(
         weight = np.maximum(weight, np.abs(data.qfrc_gravcomp))
     for name, mass in zip(names, inertia.tolist(), strict=True):
         motor, base = model.actuator(name).id, name in BASE_JOINTS
-        w = control.base_bandwidth if base else control.bandwidth
+        w = BASE_BANDWIDTH if base else BANDWIDTH
         lever = levers.get(name)
         stiffness = mass * w**2 if lever is None else config.gripper.stiffness * lever**2
         set_gains(model, motor, stiffness=stiffness, damping=2 * float(np.sqrt(mass * stiffness)))
         if base:
-            limit = control.base_friction * 9.81 * float(inertia[0])
+            limit = BASE_FRICTION * 9.81 * float(inertia[0])
             if name == BASE_JOINTS[2]:
                 limit *= float(np.linalg.norm(robot.footprint, axis=1).mean())
             model.actuator_forcelimited[motor] = 1

@@ -15,7 +15,7 @@ from momapos.model.records import Hold, Motion, Task
 from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import Geometry, Hull, Joint, opening_of
 
-from .config import ExecutionConfig, FurnitureConfig
+from .config import WELD_TIME, ExecutionConfig, FurnitureConfig
 from .dynamics import hull_volume, volume
 from .geoms import Kind, add_hull, add_shape, dress, place_body
 
@@ -222,7 +222,7 @@ def add_part(
             added.frictionloss = resistance.friction
             added.damping = [resistance.damping, 0, 0]
         else:
-            _couple(spec, joint, config)
+            _couple(spec, joint)
         shapes.add(spec, body, carrier, [link for link, on in groups.items() if on == carrier])
 
 
@@ -310,7 +310,7 @@ def _add_joint(body: Any, joint: Joint, value: float, deviation: Deviation | Non
     return added
 
 
-def _couple(spec: Any, joint: Joint, config: ExecutionConfig) -> None:
+def _couple(spec: Any, joint: Joint) -> None:
     """Make a mimic joint of the part follow its leader."""
     assert joint.mimic is not None
     coupling = spec.add_equality(
@@ -320,7 +320,7 @@ def _couple(spec: Any, joint: Joint, config: ExecutionConfig) -> None:
     coupling.name1, coupling.name2 = f"{PART}/{joint.name}", PART
     # Relative to the reference values, which satisfy the relation with its offset.
     coupling.data = [0.0, joint.mimic.ratio, *np.zeros(len(coupling.data) - 2)]
-    coupling.solref = [config.gripper.time_constant, 1.0]
+    coupling.solref = [WELD_TIME, 1.0]
 
 
 def _is_handle(link: str, shape: Geometry) -> bool:

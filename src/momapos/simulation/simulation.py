@@ -16,7 +16,7 @@ from momapos.model.records import Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
 
-from .config import ExecutionConfig
+from .config import PAD_TIME, WELD_TIME, ExecutionConfig
 from .dynamics import Dynamics
 from .geoms import HAND, ROBOT, Kind, matrix_quat
 from .simulated_hand import Finger, SimulatedHand
@@ -181,7 +181,7 @@ def build_simulation(
     add_room(spec, scene, task, deviation)
     add_part(spec, scene, task, resistance, deviation, config, reached, held)
     add_robot(spec, robot, base_pose, hand, dynamics, config)
-    _add_weld(spec, robot, config)
+    _add_weld(spec, robot)
     fingers = hand.fingers if config.hold == "contact" else ()
     item = scene.object(task.object)
     value = None if task.joint is None else item.values()[task.joint]
@@ -199,7 +199,7 @@ def build_simulation(
         for one, other in apart:
             spec.add_exclude(bodyname1=one, bodyname2=other)
         model = spec.compile()
-        model.geom_solref[kinds_of(model) == Kind.PAD] = (config.gripper.pad_time, 1.0)
+        model.geom_solref[kinds_of(model) == Kind.PAD] = (PAD_TIME, 1.0)
     except ValueError as error:
         raise InputError(
             f"the physics engine rejects the model of {robot.name} in {scene.name}: {error}"
@@ -238,12 +238,12 @@ def _spec(config: ExecutionConfig) -> Any:
     return spec
 
 
-def _add_weld(spec: Any, robot: Robot, config: ExecutionConfig) -> None:
+def _add_weld(spec: Any, robot: Robot) -> None:
     weld = spec.add_equality(
         name=WELD, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, active=False
     )
     weld.name1, weld.name2 = body_of(robot.tool_link), PART
-    weld.solref = [config.gripper.time_constant, 1.0]
+    weld.solref = [WELD_TIME, 1.0]
 
 
 def _values(model: Any, values: dict[str, float | None]) -> Any:

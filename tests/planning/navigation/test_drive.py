@@ -15,7 +15,13 @@ from tests.shapes import unchecked
 from momapos.core.errors import SceneError
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.planning.navigation.driving import DriveConfig, DriveEnding, DriveRecord, drive
+from momapos.planning.navigation.driving import (
+    TURN_TOLERANCE,
+    DriveConfig,
+    DriveEnding,
+    DriveRecord,
+    drive,
+)
 from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.planning.navigation.global_path import plan_path
 from momapos.planning.navigation.localization import NoiseConfig
@@ -39,7 +45,7 @@ def test_a_base_arrives_within_the_tolerance_and_keeps_its_limits(robot: Robot) 
     record = go(nav_map, config=config)
     assert record.arrived, record.reason
     assert np.hypot(*(record.pose - record.goal)[:2]) <= config.tolerance
-    assert abs(wrap_angle(record.pose[2] - record.goal[2])) <= config.turn_tolerance
+    assert abs(wrap_angle(record.pose[2] - record.goal[2])) <= TURN_TOLERANCE
     assert record.clearance > 0
     v, dt = record.velocities, np.diff(record.times)
     change = np.diff(v, axis=0) / dt[:, None]

@@ -35,6 +35,8 @@ box on a table for a cell phone."""
 
 Votes = dict[str, dict[str, float]]
 """Weights in [0, 1] of one object, by label and image name; one per image."""
+MIN_PIXELS = 20.0
+"""Minimum size of an object in an image [px]."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,6 @@ class VoteConfig:
     """Depth agrees with a point within this plus 2 % of its distance [m]."""
     shown: float = 0.2
     """Minimum share of an object's points that an image shows [-]."""
-    least_pixels: float = 20.0
-    """Minimum size of an object in an image [px]."""
     inside: float = 0.5
     """Minimum share of an object's visible points in a detection [-]."""
     overlap: float = 0.25
@@ -130,7 +130,7 @@ def _count(
     np.minimum.at(low, owner, at)
     np.maximum.at(high, owner, at)
     shown = (number >= 8) & (number >= config.shown * samples.count)
-    shown &= (high - low).max(axis=1) >= config.least_pixels
+    shown &= (high - low).max(axis=1) >= MIN_PIXELS
     seen += shown
     if not found or not shown.any():
         return

@@ -31,30 +31,30 @@ MIN_SPACING = 0.005
 """Of added points [m]."""
 MIN_STRAIGHT = 0.5
 """Share of the floor's edge that must be on one line [-]."""
+HANGING_HEIGHT = 1.0
+"""Fronts whose lower edge is higher hang, and the wall is visible below them [m]."""
+MIN_PLANE_AREA = 0.04
+"""Minimum area of a hole on its plane [m2]."""
+MIN_RING = 20
+"""Minimum number of tiles of a hole, and of tiles with depth around it [-]."""
+MAX_PLANE_DISTANCE = 0.03
+"""Points this close to a plane lie in it [m]."""
+PLINTH_HEIGHT = 0.15
+"""Maximum distance of a front from the line below it where the floor ends [m]."""
+TOE_SPACE = (0.15, 0.3)
+"""Below a front, at most the second share [-] lies farther behind it than the first [m]:
+standing furniture hides what is behind it, legs do not."""
 
 
 @dataclass(frozen=True)
 class CompletionConfig:
     """Which holes are surfaces."""
 
-    least_area: float = 0.04
-    """Minimum area of a hole on its plane [m2]."""
-    least_ring: int = 20
-    """Minimum number of tiles of a hole, and of tiles with depth around it [-]."""
-    on_plane: float = 0.03
-    """Points this close to a plane lie in it [m]."""
     support: float = 0.02
     """Minimum share of a hole's surroundings in its plane [-]."""
     side: tuple[float, float] = (0.5, 0.12)
     """Minimum share of a hole's surroundings on one side that lie in its plane. Two sides must have
     the first, or one side the second if the hole ends at the floor [-]."""
-    plinth: float = 0.15
-    """Maximum distance of a front from the line below it where the floor ends [m]."""
-    toe: tuple[float, float] = (0.15, 0.3)
-    """Below a front, at most the second share [-] lies farther behind it than the first [m]:
-    standing furniture hides what is behind it, legs do not."""
-    hanging: float = 1.0
-    """Fronts whose lower edge is higher hang, and the wall is visible below them [m]."""
     before: tuple[float, float] = (0.08, 0.15)
     """At most the second share [-] of the surroundings lies farther in front of the plane than the
     first [m]."""
@@ -119,8 +119,8 @@ def complete(
     seen = [(i, frame) for i, frame in enumerate(frames) if frame.depth is not None]
     patches = [patch for i, frame in seen for patch in holes(frame, i, config)]
     parts, seen_through = [cloud], SeenThrough(frames, config.through)
-    patches = [patch for patch in patches if not _in_wall(patch, walls, config)]
-    for group in _coplanar(patches, config.on_plane):
+    patches = [patch for patch in patches if not _in_wall(patch, walls)]
+    for group in _coplanar(patches, MAX_PLANE_DISTANCE):
         points, colors = _confirmed(group, max(voxel, MIN_SPACING), config.images)
         free = (points[:, 2] < 0.0) | seen_through(points)
         normal = np.zeros(3)
@@ -155,11 +155,11 @@ def holes(frame: Frame, index: int, config: CompletionConfig) -> Iterator[HolePa
     for number, box in enumerate(find_objects(regions), start=1):
         rows, columns = (slice(max(s.start - RING, 0), s.stop + RING) for s in box)
         inside = regions[rows, columns] == number
-        if inside.sum() < config.least_ring:
+        if inside.sum() < MIN_RING:
             continue
         around = binary_dilation(inside, iterations=RING) & ~inside
         around &= depth[rows, columns] > 0.0
-        if around.sum() < config.least_ring:
+        if around.sum() < MIN_RING:
             continue
         ray = rays[rows, columns][inside]
         ring = Ring(*(values[rows, columns][around] for values in (rays, points, normals)))
@@ -220,10 +220,10 @@ def _plane(
         along = ring.points[square, axis]
         if np.abs(hole[:, axis]).min() < config.grazing * np.linalg.norm(hole, axis=1).max():
             continue
-        contact = _contact(eye, ring.points, axis, config.on_plane)
-        offsets = np.unique(np.round(along / config.on_plane)) * config.on_plane
+        contact = _contact(eye, ring.points, axis, MAX_PLANE_DISTANCE)
+        offsets = np.unique(np.round(along / MAX_PLANE_DISTANCE)) * MAX_PLANE_DISTANCE
         for offset in offsets:
-            middle = float(np.median(along[np.abs(along - offset) < config.on_plane]))
+            middle = float(np.median(along[np.abs(along - offset) < MAX_PLANE_DISTANCE]))
             support = _support(eye, ring, hole, axis, middle, contact, config)
             if support > best:
                 best, found = support, (axis, middle)
@@ -270,25 +270,25 @@ def _support(
     if not (depth.min() > 0.0 and depth.max() < config.farthest):  # NaN too
         return 0.0
     points = eye + hole * depth[:, None]
-    if points[:, 2].min() < -2 * config.on_plane:  # it would extend below the floor
+    if points[:, 2].min() < -2 * MAX_PLANE_DISTANCE:  # it would extend below the floor
         return 0.0
     across = [1 - axis, 2]
     low, high = np.percentile(points[:, across], [5.0, 95.0], axis=0)
-    if np.prod(high - low) < config.least_area:
+    if np.prod(high - low) < MIN_PLANE_AREA:
         return 0.0
     ahead = np.sign(eye[axis] - offset) * (ring.points[:, axis] - offset)
-    near = (np.abs(ahead) < config.on_plane) & (np.abs(ring.normals[:, axis]) > MIN_COSINE)
+    near = (np.abs(ahead) < MAX_PLANE_DISTANCE) & (np.abs(ring.normals[:, axis]) > MIN_COSINE)
     with np.errstate(divide="ignore", invalid="ignore"):  # rays parallel to the plane
         at = (eye + ring.rays * ((offset - eye[axis]) / ring.rays[:, axis])[:, None])[:, across]
     sides = [at[:, 1] < low[1], at[:, 1] > high[1], at[:, 0] < low[0], at[:, 0] > high[0]]
-    below, floor = sides[0], ring.points[:, 2] < 2 * config.on_plane
+    below, floor = sides[0], ring.points[:, 2] < 2 * MAX_PLANE_DISTANCE
     away, most = config.before
-    behind, most_behind = config.toe
+    behind, most_behind = TOE_SPACE
     if (
         not sides[1].any()  # it extends beyond the image
         or ((ahead > away) & ~floor).mean() > most
         or (
-            low[1] < config.hanging
+            low[1] < HANGING_HEIGHT
             and below.any()
             and (ahead[below] < -behind).mean() > most_behind
         )
@@ -296,16 +296,14 @@ def _support(
         return 0.0
     shares = np.array([near[side].mean() if side.any() else 0.0 for side in sides])
     two, one = config.side
-    stands = -config.on_plane < np.sign(eye[axis] - offset) * (offset - contact) < config.plinth
+    stands = -MAX_PLANE_DISTANCE < np.sign(eye[axis] - offset) * (offset - contact) < PLINTH_HEIGHT
     speaks = (shares >= two).sum() >= 2 or (stands and (shares >= one).any())
     return float(near.mean()) if speaks else 0.0
 
 
-def _in_wall(
-    patch: HolePatch, walls: Sequence[tuple[int, float]], config: CompletionConfig
-) -> bool:
+def _in_wall(patch: HolePatch, walls: Sequence[tuple[int, float]]) -> bool:
     return any(
-        axis == patch.axis and abs(offset - patch.offset) < 2 * config.on_plane
+        axis == patch.axis and abs(offset - patch.offset) < 2 * MAX_PLANE_DISTANCE
         for axis, offset in walls
     )
 

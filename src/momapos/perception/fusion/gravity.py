@@ -31,6 +31,11 @@ MAX_FRAMES = 100
 """Number of images that are used; more do not help [-]."""
 SEARCHED = ((4.0, 0.25), (0.25, 0.05))
 """Yaw angles that are tried, coarse and fine: range around the best one, and step [deg]."""
+MIN_FLOOR_SHARE = 0.06
+"""The floor is the lowest plane with this share of the upward points [-]."""
+MIN_STEADINESS = 0.5
+"""Smaller rotations are ignored [deg]: the source of the scan is more accurate than planes in a
+noisy cloud."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +47,10 @@ class GravityConfig:
     at a kitchen, so their up leans forward."""
     spread: float = 6.0
     """Normals within this angle belong to a direction [deg]."""
-    floor_share: float = 0.06
-    """The floor is the lowest plane with this share of the upward points [-]."""
     layer: float = 0.03
     """Half the thickness of a horizontal plane [m]."""
     plane: float = 0.01
     """Points of one upright plane share a coordinate within this [m]."""
-    steady: float = 0.5
-    """Smaller rotations are ignored [deg]: the source of the scan is more accurate than planes in a
-    noisy cloud."""
     most_points: int = 40_000
     """Number of points by which directions are counted; more do not help [-]."""
 
@@ -85,7 +85,7 @@ def align_to_gravity(
     R_up_cloud = _least_turn(up)
     offset = _yaw_offset(points @ R_up_cloud.T, normals @ R_up_cloud.T, config)
     R_up_cloud = Rotation.from_euler("z", -offset).as_matrix() @ R_up_cloud
-    if np.degrees(Rotation.from_matrix(R_up_cloud).magnitude()) < config.steady:
+    if np.degrees(Rotation.from_matrix(R_up_cloud).magnitude()) < MIN_STEADINESS:
         R_up_cloud = np.eye(3)
     along = _along(normals, R_up_cloud[2], config)
     z_floor = _floor_height(points[along] @ R_up_cloud[2], config)
@@ -212,7 +212,7 @@ def _histogram(z: Float[np.ndarray, " n"], width: float) -> tuple[float, Int[np.
 def _floor_height(z: Float[np.ndarray, " n"], config: GravityConfig) -> float:
     low, histogram = _histogram(z, config.layer)
     window = np.convolve(histogram, np.ones(2, int), "same")
-    large = window >= config.floor_share * len(z)
+    large = window >= MIN_FLOOR_SHARE * len(z)
     first = int(np.argmax(large)) if large.any() else int(np.argmax(window))
     stop = min(first + 3, len(histogram))
     peak = first + int(np.argmax(histogram[first:stop]))

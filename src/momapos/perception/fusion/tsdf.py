@@ -61,12 +61,19 @@ class FusionImage(NamedTuple):
     T_camera_world: Float[np.ndarray, "4 4"]
 
 
+MIN_SEEN_SHARE = 0.1
+"""Minimum share of a voxel's weight from images with a surface in it: the boundary of unseen
+space behind objects is not a surface [-]."""
+MIN_WEIGHT = 0.08
+"""Minimum weight of a voxel on a surface; one image at z meters weighs about 1/z^2 [-]."""
+TRUNCATION = 4.0
+"""Truncation distance [voxels]; it must cover the sensor's noise."""
+
+
 @dataclass(frozen=True)
 class FusionConfig:
     """How images are fused."""
 
-    truncation: float = 4.0
-    """Truncation distance [voxels]; it must cover the sensor's noise."""
     nearest: float = 0.15
     """Smaller depth is ignored [m]."""
     farthest: float = 5.0
@@ -75,11 +82,6 @@ class FusionConfig:
     """Minimum cosine between a ray and the surface's normal, about 80 degrees [-]."""
     edge: float = 0.04
     """Pixels next to a larger depth step are ignored; relative to the depth [-]."""
-    least_weight: float = 0.08
-    """Minimum weight of a voxel on a surface; one image at z meters weighs about 1/z^2 [-]."""
-    least_seen: float = 0.1
-    """Minimum share of a voxel's weight from images with a surface in it: the boundary of unseen
-    space behind objects is not a surface [-]."""
     most_bytes: int = 2_000_000_000
     """Maximum memory."""
 
@@ -116,13 +118,13 @@ def fuse(
                 f"frame {frame.name}: depth is {size} and color "
                 f"{frame.color.shape[:2]} pixels; depth must be registered to color"
             )
-    margin = config.truncation * voxel
+    margin = TRUNCATION * voxel
     origin, index, count = _allocate(frames, voxel, margin, config)
     field = _empty(index, count, origin, voxel)
     for frame in frames:
         _integrate(field, margin, _look(frame, config))
-    field.weight[field.seen < config.least_seen * field.weight] = 0.0
-    points, normals, colors = _extract(field, np.float32(config.least_weight))
+    field.weight[field.seen < MIN_SEEN_SHARE * field.weight] = 0.0
+    points, normals, colors = _extract(field, np.float32(MIN_WEIGHT))
     if not len(points):
         raise InputError("the frames agree on no surface; check the poses and the unit of depth")
     return Cloud(points, normals, colors)

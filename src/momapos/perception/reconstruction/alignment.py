@@ -21,6 +21,22 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
+BAR_LENGTH = 0.1
+"""Minimum length of such a bar [m]."""
+BAR_PROTRUSION = 0.03
+"""If a detected handle is flat, a bar with this protrusion replaces it [m]."""
+BAR_THICKNESS = 0.12
+"""Maximum thickness of such a bar [m]."""
+HANDLE_PROTRUSION = 0.04
+"""Protrusion of a handle without measurement [m]."""
+MIN_DRAWER_SIDE = 0.05
+"""Minimum height of a drawer [m]."""
+MIN_SIDE = 0.08
+"""Minimum width and height of a door, and width of a drawer [m]."""
+MAX_HEIGHT_MAP = 0.12
+"""Maximum distance of a part's front from the face [m]."""
+
+
 @dataclass(frozen=True)
 class AlignmentConfig:
     """How parts are fitted onto a face."""
@@ -31,24 +47,10 @@ class AlignmentConfig:
     """Edges closer to each other, or to the rim of the face, are merged [m]."""
     same: float = 0.5
     """Of two parts that share this much of the smaller one, the less certain is dropped [-]."""
-    least_side: float = 0.08
-    """Minimum width and height of a door, and width of a drawer [m]."""
-    least_drawer: float = 0.05
-    """Minimum height of a drawer [m]."""
-    most_height_map: float = 0.12
-    """Maximum distance of a part's front from the face [m]."""
     thickness: tuple[float, float] = (0.008, 0.035)
     """Minimum and maximum thickness of a handle, so that a gripper can hold it [m]."""
-    handle_out: float = 0.04
-    """Protrusion of a handle without measurement [m]."""
     handle_height_map: tuple[float, float] = (0.015, 0.12)
     """Measured protrusions below the first are ignored, above the second clipped [m]."""
-    bar_out: float = 0.03
-    """If a detected handle is flat, a bar with this protrusion replaces it [m]."""
-    bar_length: float = 0.1
-    """Minimum length of such a bar [m]."""
-    bar_thickness: float = 0.12
-    """Maximum thickness of such a bar [m]."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def align(
     aligned = [
         _aligned(face, part, area, config)
         for part, area in zip(seen, areas, strict=True)
-        if area is not None and not _too_small(part.kind, area, config)
+        if area is not None and not _too_small(part.kind, area)
     ]
     return tuple(sorted(aligned, key=lambda part: (-part.area.top, part.area.left)))
 
@@ -210,9 +212,9 @@ def _seams(edges: Float[np.ndarray, " n"], size: float, near: float) -> Float[np
     return out
 
 
-def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
-    least = config.least_drawer if kind == "drawer" else config.least_side
-    return area.width < config.least_side or area.height < least
+def _too_small(kind: PartKind, area: Area) -> bool:
+    least = MIN_DRAWER_SIDE if kind == "drawer" else MIN_SIDE
+    return area.width < MIN_SIDE or area.height < least
 
 
 # ----------------------------------------------------------------------------------- part by part
@@ -221,9 +223,9 @@ def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
 def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
     seen = None if part.handle is None else area_of(part.handle, face)
     if seen is not None and is_flat(face, area, seen, config.handle_height_map[0]):
-        found = bars(face, area, config.bar_out, config.bar_length, config.bar_thickness)
+        found = bars(face, area, BAR_PROTRUSION, BAR_LENGTH, BAR_THICKNESS)
         seen = found[0] if found else seen
-    out = front_of(face, area, config.most_height_map, without=seen)
+    out = front_of(face, area, MAX_HEIGHT_MAP, without=seen)
     handle = None if seen is None else _handle(face, area, seen, out, config)
     return AlignedPart(part.kind, area, out, handle, part.odds, part.score)
 
@@ -279,5 +281,5 @@ def _standing_out(
     least, most = config.handle_height_map
     out = stands_out(face, part, handle)
     if out is None or out < least:
-        return config.handle_out, False
+        return HANDLE_PROTRUSION, False
     return min(out, most), True

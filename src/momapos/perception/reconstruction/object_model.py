@@ -27,7 +27,7 @@ from momapos.model.scene.library import (
     vec,
 )
 
-from .alignment import AlignedHandle, AlignedPart, align, front_of
+from .alignment import MAX_HEIGHT_MAP, AlignedHandle, AlignedPart, align, front_of
 from .height_maps import Area
 from .model_config import ModelConfig
 from .part_motions import Motions, Neighbors
@@ -103,7 +103,7 @@ def furniture_model(
     if not aligned:
         return solid(detection.name, detection.label, vec(size), center, yaw)
     layers = _layers(size, aligned, config)
-    body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
+    body = FurniturePart("body", tuple(_body(face, aligned, layers)))
     moving = [
         _moving(name, part, [p.area for p in aligned], face, layers, config, neighbors)
         for name, part in zip(_names(aligned), aligned, strict=True)
@@ -161,9 +161,7 @@ def _slab(part: AlignedPart, layers: _Layers, config: ModelConfig) -> tuple[floa
 # ------------------------------------------------------------------------------------- fixed parts
 
 
-def _body(
-    face: FaceImage, parts: Sequence[AlignedPart], layers: _Layers, config: ModelConfig
-) -> list[Box]:
+def _body(face: FaceImage, parts: Sequence[AlignedPart], layers: _Layers) -> list[Box]:
     """Return the outer walls, a board at each seam, and panels where nothing opens."""
     w, h, wall = face.width, face.height, layers.wall
     whole, inside = Area(0.0, 0.0, w, h), _inside(face, layers)
@@ -180,7 +178,7 @@ def _body(
     for index, board in enumerate(_boards(areas, inside, wall), start=1):
         boxes.append(_box(f"divider_{index}", board, layers.opening, rear, face))
     for index, area in enumerate(_rest(areas, whole), start=1):
-        out = front_of(face, area, config.alignment.most_height_map) * layers.shallow
+        out = front_of(face, area, MAX_HEIGHT_MAP) * layers.shallow
         front = layers.face - out
         boxes.append(_box(f"panel_{index}", area, front, max(layers.opening, front + wall), face))
     return boxes

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from momapos.model.records import FaceImage, Hypothesis, PartKind
 from momapos.model.scene.library import JointMotion, Vec, vec
 
-from .alignment import front_of
+from .alignment import MAX_HEIGHT_MAP, front_of
 from .height_maps import Area
 from .model_config import ModelConfig
 
@@ -142,7 +142,7 @@ class Motions:
         }[kind].within(Area(0.0, 0.0, face.width, face.height))
         if strip is None:
             return 0.0
-        out = front_of(face, strip, config.alignment.most_height_map)
+        out = front_of(face, strip, MAX_HEIGHT_MAP)
         return max(0.0, out - self.out) + (config.gap if out > self.out else 0.0)
 
     def hypotheses(self, odds: Sequence[tuple[PartKind, float]]) -> tuple[Hypothesis, ...]:

@@ -30,6 +30,8 @@ AXES: dict[PartKind, Vec] = {
 """Axis of a kind of part, about or along which it opens with a positive value."""
 FREE = {"door_left": 1.0, "door_right": -1.0, "door_down": 1.0, "door_up": -1.0}
 """Side of the edge opposite to the hinge: +1 right or up, -1 left or down."""
+EDGE_ERROR = 0.008
+"""Standard error of an observed edge [m]."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,6 @@ class SeenMotionConfig:
     """Points this far beyond the expected edges of the front may belong to it [m]."""
     layer: float = 0.04
     """Points this far in front of or behind it may belong to it [m]."""
-    edge_error: float = 0.008
-    """Standard error of an observed edge [m]."""
     axis_error: float = 0.015
     """Standard error of an assumed axis [m]."""
     rounds: int = 6
@@ -187,7 +187,7 @@ def _trust(kind: PartKind, value: float, config: SeenMotionConfig) -> float:
     """Return the weight of the observed against the assumed axis: small angles are imprecise."""
     if kind == "drawer":
         return 1.0
-    seen = config.edge_error / (2.0 * np.sin(value / 2.0))
+    seen = EDGE_ERROR / (2.0 * np.sin(value / 2.0))
     return float(config.axis_error**2 / (config.axis_error**2 + seen**2))
 
 

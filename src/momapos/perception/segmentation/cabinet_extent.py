@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 MIN_Z, MIN_DROP = 0.12, 0.1
 """Sides are measured this far above the floor, and this far below the top [m]."""
+EAVES = (0.05, 0.4)
+"""Smaller overhangs are flush, larger ones are not overhangs [m]."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +25,6 @@ class CabinetExtentConfig:
 
     near: float = 0.11
     """Surfaces this close to an edge of the top may be the side below it [m]."""
-    eaves: tuple[float, float] = (0.05, 0.4)
-    """Smaller overhangs are flush, larger ones are not overhangs [m]."""
     broad: float = 0.25
     """Minimum share of a side that a surface covers [-]."""
     sharp: float = 0.015
@@ -73,7 +73,7 @@ def cabinet_extent(
         beside = [s for s in (sides[1 - axis], sides[3 - axis]) if s is not None]
         reached = [sign * ((s.low if side < 2 else s.high) - rectangle[side]) for s in beside]
         depth = min([found.depth, *reached])
-        if config.eaves[0] < depth < config.eaves[1]:
+        if EAVES[0] < depth < EAVES[1]:
             body[side] += sign * depth
     return (body[0], body[1], body[2], body[3])
 
@@ -91,7 +91,7 @@ def _side(
     inward, along = sign * (rectangle[side] - points[:, axis]), points[:, 1 - axis]
     on = (sign * normals[:, axis] > 0.8) & (along > start) & (along < stop)
     on &= (points[:, 2] > MIN_Z) & (points[:, 2] < height - MIN_DROP)
-    on &= (inward > -config.near) & (inward < config.eaves[1])
+    on &= (inward > -config.near) & (inward < EAVES[1])
     for depth in sorted(peaks(inward[on], config.sharp, 10, 2 * config.sharp)):
         flat = on & (np.abs(inward - depth) < config.sharp)
         covered = area(along[flat], points[flat, 2])

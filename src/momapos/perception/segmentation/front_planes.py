@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 MIN_CLEAR_STEP = 4.0
 """A step in the edge of standing furniture counts if it is this many times the roughness of the
 edge [-]. Upper edges of hanging furniture are above the cameras and randomly cut off."""
+PROFILE_STEP = 0.03
+"""Steps in the upper or lower edge of a front larger than this divide it [m]."""
+MAX_RAGGEDNESS = 0.2
+"""The same for the upper edge of tall standing furniture, which is often cut off because it is
+above the camera [m]. Doors divide such a row later."""
+MIN_PROTRUSION = 0.15
+"""Maximum protrusion of handles [m]."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +51,10 @@ class FrontPlaneConfig:
     doors the floor is seen a little [-]."""
     foot: float = 0.25
     """Fronts whose lower edge is below this stand on the floor, on feet or a plinth [m]."""
-    stands_out: float = 0.15
-    """Maximum protrusion of handles [m]."""
     shallow: float = 0.05
     """Minimum depth of furniture [m]."""
     stack: float = 0.15
     """Maximum gap between stacked fronts of one width that belong together [m]."""
-    profile: float = 0.03
-    """Steps in the upper or lower edge of a front larger than this divide it [m]."""
-    ragged: float = 0.2
-    """The same for the upper edge of tall standing furniture, which is often cut off because it is
-    above the camera [m]. Doors divide such a row later."""
     hung: float = 1.0
     """Fronts whose lower edge is above this hang on the wall [m]."""
     tall: float = 1.2
@@ -117,8 +117,8 @@ def _one_above_other(a: FrontPlane, b: FrontPlane, config: FrontPlaneConfig) -> 
     across = 1 - a.axis
     return bool(
         abs(faces[0] - faces[1]) < config.step
-        and abs(a.box.center[across] - b.box.center[across]) < config.profile
-        and abs(a.box.size[across] - b.box.size[across]) < 2 * config.profile
+        and abs(a.box.center[across] - b.box.center[across]) < PROFILE_STEP
+        and abs(a.box.size[across] - b.box.size[across]) < 2 * PROFILE_STEP
         and apart[2] < config.stack
     )
 
@@ -164,11 +164,11 @@ def _divided(
     hangs = float(np.median(bottom)) > config.hung
     tall = not hangs and float(np.median(top)) > config.tall
     cuts = _steps(
-        top, config.ragged if tall else config.profile, np.inf if hangs else MIN_CLEAR_STEP
+        top, MAX_RAGGEDNESS if tall else PROFILE_STEP, np.inf if hangs else MIN_CLEAR_STEP
     )
     # Lower edges near the floor are hidden by objects in front of them.
     if hangs:
-        cuts |= _steps(bottom, config.profile, np.inf)
+        cuts |= _steps(bottom, PROFILE_STEP, np.inf)
     edges = [low]
     high = float(along.max())
     for cut in low + strip * seen[sorted(cuts)]:
@@ -215,7 +215,7 @@ def _front(
         return None
     low, high = points.min(axis=0), points.max(axis=0)
     for k in (other, 2):
-        low[k], high[k] = ends(points[:, k], config.profile / 2)
+        low[k], high[k] = ends(points[:, k], PROFILE_STEP / 2)
     if high[other] - low[other] < config.side or high[2] - low[2] < config.side:
         return None
     size = area(points[:, other], points[:, 2])
@@ -254,7 +254,7 @@ def _next_front(
         places: Their position across it [m].
         config: Constants.
     """
-    behind = away[away > config.stands_out]
+    behind = away[away > MIN_PROTRUSION]
     for at in sorted(peaks(behind, config.step, 10, 2 * config.step)):
         flat = np.abs(away - at) < config.step
         if area(*places[flat].T) > config.area:
@@ -328,11 +328,7 @@ def attach_handles(
         points = cloud.points[item.members]
         low, high = points.min(axis=0), points.max(axis=0)
         for k, body in enumerate(out):
-            if (
-                body.box is not None
-                and low[2] > config.foot
-                and _before(body.box, low, high, config)
-            ):
+            if body.box is not None and low[2] > config.foot and _before(body.box, low, high):
                 out[k] = replace(body, members=np.concatenate([body.members, item.members]))
                 break
         else:
@@ -344,14 +340,13 @@ def _before(
     box: UprightBox,
     low: Float[np.ndarray, "3"],
     high: Float[np.ndarray, "3"],
-    config: FrontPlaneConfig,
 ) -> bool:
     """Check whether an object lies close in front of an upright face of a box."""
     start, stop = corners(box)
     out = np.maximum(start - low, high - stop)[:2]  # protrusion along x and y
     beside = (high < start) | (low > stop)
     return any(
-        0 < out[axis] < config.stands_out
+        0 < out[axis] < MIN_PROTRUSION
         and beside[axis]
         and (np.delete(out, axis) <= 0).all()
         and low[2] > start[2]

@@ -30,6 +30,12 @@ if TYPE_CHECKING:
 
 MIN_INSIDE = 0.9
 """A fragment has more than this share of its points inside a larger box [-]."""
+GIVEN_SEARCH = 0.035
+"""The same for boxes from a segmenter, which knows better how far a top overhangs [m]."""
+MIN_EDGE = 0.01
+"""Minimum edge length [m]."""
+WALL_THICKNESS = 0.1
+"""Thickness of the boxes of walls [m]."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +48,6 @@ class BoxConfig:
     """Share of points that may lie outside on each side [%]."""
     search: float = 0.08
     """A face is searched this far from the outermost points [m]; handles protrude by 3 to 6 cm."""
-    search_given: float = 0.035
-    """The same for boxes from a segmenter, which knows better how far a top overhangs [m]."""
     face: float = 0.2
     """Minimum share of a face that a surface covers [-]."""
     sharp: float = 0.008
@@ -64,10 +68,6 @@ class BoxConfig:
     """Larger ones are extended if what was seen of them is thinner than this [m]."""
     least_points: int = 10
     """Instances without a box and with fewer points are dropped [-]."""
-    smallest: float = 0.01
-    """Minimum edge length [m]."""
-    wall_thickness: float = 0.1
-    """Thickness of the boxes of walls [m]."""
 
 
 def boxes(
@@ -158,9 +158,9 @@ def wall_detections(room: RoomShell, config: BoxConfig | None = None) -> list[De
     out = []
     for wall in room.walls:
         center, size = np.empty(3), np.empty(3)
-        center[wall.axis] = wall.offset - wall.sign * config.wall_thickness / 2
+        center[wall.axis] = wall.offset - wall.sign * WALL_THICKNESS / 2
         center[1 - wall.axis], center[2] = (wall.low + wall.high) / 2, wall.top / 2
-        size[wall.axis], size[1 - wall.axis] = config.wall_thickness, wall.high - wall.low
+        size[wall.axis], size[1 - wall.axis] = WALL_THICKNESS, wall.high - wall.low
         size[2] = wall.top
         out.append(Detection("", "wall", 0.8, UprightBox(center, size), np.zeros(0, int)))
     return named(out)
@@ -206,16 +206,16 @@ def _draw(
         for side, sign in ((0, -1.0), (1, 1.0)):
             on = sign * facing[:, axis] > 0.8
             start = (low, high)[side][axis]
-            reach = config.search if given is None else config.search_given
+            reach = config.search if given is None else GIVEN_SEARCH
             reach = min(reach, 0.4 * (high - low)[axis])
             near = on & (np.abs(turned[:, axis] - start) < reach)
             found = _surface(turned[near], axis, low, high, config)
             if found is not None:
                 faces[side][axis] = found
-    thin = faces[1] - faces[0] < config.smallest
+    thin = faces[1] - faces[0] < MIN_EDGE
     middle = (faces[0] + faces[1]) / 2
-    faces[0][thin] = middle[thin] - config.smallest / 2
-    faces[1][thin] = middle[thin] + config.smallest / 2
+    faces[0][thin] = middle[thin] - MIN_EDGE / 2
+    faces[1][thin] = middle[thin] + MIN_EDGE / 2
     return from_corners(faces[0], faces[1], yaw)
 
 
@@ -283,7 +283,7 @@ def _snapped(box: UprightBox, room: RoomShell, config: BoxConfig) -> UprightBox:
                 face = low if wall.sign > 0 else high
                 if abs(face[wall.axis] - wall.offset) < config.wall:
                     face[wall.axis] = wall.offset
-    if (high - low < config.smallest).any():
+    if (high - low < MIN_EDGE).any():
         return box
     return from_corners(low, high, box.yaw)
 
@@ -299,7 +299,7 @@ def _on_support(
         top(other)
         for other in tops
         if (np.abs(to_local(box.center[None], other)[0, :2]) < other.size[:2] / 2).all()
-        and top(other) < top(box) - config.smallest
+        and top(other) < top(box) - MIN_EDGE
         and -config.support < at - top(other) < config.support
     ]
     if not below:

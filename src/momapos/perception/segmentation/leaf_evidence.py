@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 Free: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Tells which places were seen to be empty [m]."""
+MAX_JAMB = 0.5
+"""Minimum share of the hinge and of the opposite edge that closes against something [-]."""
+OTHER_SIDE = 0.3
+"""Share of a leaf's back that must be seen to measure its thickness [-]."""
 
 
 @dataclass(frozen=True)
@@ -77,10 +81,6 @@ class OpenLeafConfig:
     """Minimum number of points of a front [-]."""
     same: float = 0.3
     """Of two leaves that overlap by this share of the smaller one, the better one remains [-]."""
-    other_side: float = 0.3
-    """Share of a leaf's back that must be seen to measure its thickness [-]."""
-    jamb: float = 0.5
-    """Minimum share of the hinge and of the opposite edge that closes against something [-]."""
     beside: float = 0.08
     """Maximum distance of that from the edge ... [m]"""
     behind: float = 0.08
@@ -104,7 +104,7 @@ def evidence(leaf: OpenLeaf, cloud: Cloud, free: Free, config: OpenLeafConfig) -
     if _free_ends(leaf, free, config) < config.ends or _hidden(leaf, cloud, config):
         return 0.0
     shares, flush = _jambs(leaf, cloud, config)
-    if min(shares[:2]) < config.jamb or max(shares[2:]) < config.jamb:
+    if min(shares[:2]) < MAX_JAMB or max(shares[2:]) < MAX_JAMB:
         return 0.0
     return hollow + sum(shares) + sum(flush)
 

@@ -15,7 +15,7 @@ import numpy as np
 from momapos.core.geometry import between
 from momapos.model.records import Cloud, OpenLeaf
 
-from .leaf_evidence import Free, OpenLeafConfig, evidence, is_same
+from .leaf_evidence import OTHER_SIDE, Free, OpenLeafConfig, evidence, is_same
 from .room_shell import area, cell_numbers, peaks
 from .supports import components
 
@@ -293,7 +293,7 @@ def _other_side(slab: _Slab, cloud: Cloud, config: OpenLeafConfig) -> float | No
     on &= (place[:, 1] < 0.0) & (place[:, 1] > -config.thickness[1])
     on &= cloud.normals @ slab.facing < -config.straight
     seen = area(place[on, 0], place[on, 2], config.cell)
-    if seen < config.other_side * slab.size[0] * slab.size[1]:
+    if seen < OTHER_SIDE * slab.size[0] * slab.size[1]:
         return None
     return max(-float(np.median(place[on, 1])), config.thickness[0] / 2)
 

@@ -51,16 +51,18 @@ class RoomShell:
     """Height of the ceiling [m]."""
 
 
+MIN_WALL_AREA = 0.4
+"""Minimum seen area of a wall [m2]."""
+MIN_WALL_LENGTH = 1.0
+"""Minimum length of a wall [m]."""
+MIN_WALL_TOP = 1.35
+"""Minimum seen height of a wall, unless nothing in the scan is this high [m]."""
+
+
 @dataclass(frozen=True)
 class RoomConfig:
     """When a surface belongs to the shell of a room."""
 
-    wall_length: float = 1.0
-    """Minimum length of a wall [m]."""
-    wall_area: float = 0.4
-    """Minimum seen area of a wall [m2]."""
-    wall_top: float = 1.35
-    """Minimum seen height of a wall, unless nothing in the scan is this high [m]."""
     behind: float = 0.3
     """Maximum share of a wall's length with something behind it: furniture fronts have walls
     behind them, walls have nothing [-]."""
@@ -204,7 +206,7 @@ def peaks(values: Float[np.ndarray, " n"], width: float, least: int, apart: floa
 def _walls(cloud: Cloud, axis: int, sign: float, config: RoomConfig) -> list[Wall]:
     facing = np.flatnonzero(sign * cloud.normals[:, axis] > 0.9)
     points = cloud.points[facing]
-    tall = min(config.wall_top, 0.75 * float(np.percentile(cloud.points[:, 2], 99)))
+    tall = min(MIN_WALL_TOP, 0.75 * float(np.percentile(cloud.points[:, 2], 99)))
     walls = []
     for offset in peaks(points[:, axis], 2 * config.thickness, 100, 4 * config.thickness):
         on = points[np.abs(points[:, axis] - offset) < config.thickness]
@@ -212,11 +214,7 @@ def _walls(cloud: Cloud, axis: int, sign: float, config: RoomConfig) -> list[Wal
         low, high = np.percentile(along, [0.2, 99.8])
         middle = np.percentile(along, 95) - np.percentile(along, 5)
         top = float(np.percentile(height, 99))
-        if (
-            middle >= 0.9 * config.wall_length
-            and top >= tall
-            and area(along, height) >= config.wall_area
-        ):
+        if middle >= 0.9 * MIN_WALL_LENGTH and top >= tall and area(along, height) >= MIN_WALL_AREA:
             wall = Wall(axis, sign, offset, float(low), float(high), top)
             if _share_hiding(wall, along, cloud, config) <= config.behind:
                 walls.append(wall)

@@ -19,7 +19,16 @@ from momapos.core.geometry import UprightBox, corners, from_corners
 from momapos.model.records import Cloud, Instance
 
 from .cabinet_extent import cabinet_extent, closed_share
-from .config import SegmentConfig
+from .config import (
+    BACK_THICKNESS,
+    MAX_OVERHANG,
+    MIN_SLAB_LENGTH,
+    MIN_SMALL_POINTS,
+    SEAT,
+    TOUCHING,
+    TOUCHING_SMALL,
+    SegmentConfig,
+)
 from .front_planes import FrontPlane, attach_handles, attach_hoods, find_front_planes
 from .room_shell import find_room, flat_on_wall, floor_seen, in_room
 from .supports import Rectangle, Support, components, find_supports, floor_raster, rectangles
@@ -81,7 +90,7 @@ class _Segmentation:
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
         furniture, rest = attach_handles(furniture, rest, self.cloud, self.config.front)
-        return attach_hoods(furniture, rest, self.cloud, self.config.touching) + small
+        return attach_hoods(furniture, rest, self.cloud, TOUCHING) + small
 
     def _fronts(self) -> list[FrontPlane]:
         among = np.flatnonzero(self.free)
@@ -102,20 +111,20 @@ class _Segmentation:
         # Sides of taller furniture start at the edge of the surface.
         inner = ndimage.binary_erosion(support.outline)
         inside = np.flatnonzero(possible & self.raster.within(inner, points))
-        label = components(points[inside], config.touching_small)
+        label = components(points[inside], TOUCHING_SMALL)
         found = []
         for k in range(label.max(initial=-1) + 1):
             members = inside[label == k]
-            if len(members) < config.least_small:
+            if len(members) < MIN_SMALL_POINTS:
                 break
-            if above[members].min() < 2 * config.touching_small:
+            if above[members].min() < 2 * TOUCHING_SMALL:
                 members = self._with_edges(members, possible)
                 self.free[members] = False
                 found.append(Instance("", 0.5, members))
         return found
 
     def _is_seat(self, support: Support) -> bool:
-        height, size = self.config.seat
+        height, size = SEAT
         covers = support.outline.sum() * self.config.support.cell**2
         return bool(support.height < height and covers < size)
 
@@ -127,7 +136,7 @@ class _Segmentation:
         low, high = points[members].min(axis=0) - margin, points[members].max(axis=0) + margin
         low[2], high[2] = low[2] + margin, high[2]
         near = np.flatnonzero(possible & ((points > low) & (points < high)).all(axis=1))
-        label = components(points[near], self.config.touching_small)
+        label = components(points[near], TOUCHING_SMALL)
         own = np.isin(near, members)
         return near[np.isin(label, np.unique(label[own]))]
 
@@ -186,7 +195,7 @@ class _Segmentation:
         start, stop = points[rising].min(axis=0), points[rising].max(axis=0)
         thin, wide = np.sort((stop - start)[:2])
         if (
-            thin > config.back_thick
+            thin > BACK_THICKNESS
             or wide < float(max((high - low)[:2])) / 2
             or start[2] - high[2] > 0.1
         ):
@@ -212,7 +221,7 @@ class _Segmentation:
         best = (0.0, low, high)
         for side, sign in ((across, -1.0), (across + 2, 1.0)):
             on = below & (sign * normals[:, across] > 0.8)
-            on &= np.abs(points[:, across] - rectangle[side]) < config.overhang
+            on &= np.abs(points[:, across] - rectangle[side]) < MAX_OVERHANG
             at = points[on, along]
             at = at[(at > low) & (at < high)]
             if len(at) > 4 * config.least_points:
@@ -244,7 +253,7 @@ class _Segmentation:
         self.free[members] = False
         normals = self.cloud.normals
         body = cabinet_extent(points[members], normals[members], rectangle, height, config.extent)
-        if max(high - low) < config.slab_length and body == rectangle:
+        if max(high - low) < MIN_SLAB_LENGTH and body == rectangle:
             return [Instance(label, 0.7, members, _box(rectangle, 0.0, height))]
         split = height - config.slab
         is_slab = points[members, 2] > split
@@ -255,7 +264,7 @@ class _Segmentation:
 
     def _column(self, rectangle: Rectangle, height: float) -> Int[np.ndarray, " k"]:
         """Return the free points below a top, and a little in front of it."""
-        points, margin = self.cloud.points, self.config.overhang
+        points, margin = self.cloud.points, MAX_OVERHANG
         low, high = np.array(rectangle[:2]) - margin, np.array(rectangle[2:]) + margin
         near = self.free & (points[:, 2] < height + self.config.lift)
         near &= ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
@@ -273,7 +282,7 @@ class _Segmentation:
         config, points = self.config, self.cloud.points
         upper = points[members, 2] > height - 0.12
         below = members[~upper]
-        label = components(points[below], config.touching)
+        label = components(points[below], TOUCHING)
         low, high = np.array(rectangle[:2]) - 0.05, np.array(rectangle[2:]) + 0.05
         inside = np.all((points[below, :2] > low) & (points[below, :2] < high), axis=1)
         legs = []
@@ -298,7 +307,7 @@ class _Segmentation:
     def _goes_on(self, group: Int[np.ndarray, " k"], column: Int[np.ndarray, " m"]) -> bool:
         """Check whether a group of points continues outside of a column."""
         points = self.cloud.points
-        margin = self.config.touching
+        margin = TOUCHING
         low, high = points[group].min(axis=0) - margin, points[group].max(axis=0) + margin
         near = self.free & ((points > low) & (points < high)).all(axis=1)
         near[column] = False
@@ -312,7 +321,7 @@ class _Segmentation:
             if self.free[front.members].mean() < 0.6:
                 continue
             box = front.box
-            members = self._inside(box, self.config.overhang)
+            members = self._inside(box, MAX_OVERHANG)
             self.free[members] = False
             out.append(Instance("", 0.6, members, box))
         return out
@@ -327,9 +336,9 @@ class _Segmentation:
         """Return groups of touching points that are not just edges of other objects."""
         points, config = self.cloud.points, self.config
         for box in boxes:
-            self.free[self._inside(box, config.overhang)] = False
+            self.free[self._inside(box, MAX_OVERHANG)] = False
         among = np.flatnonzero(self.free)
-        label = components(points[among], config.touching)
+        label = components(points[among], TOUCHING)
         out = []
         for k in range(label.max(initial=-1) + 1):
             members = among[label == k]

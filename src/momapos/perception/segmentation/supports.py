@@ -27,6 +27,8 @@ Rectangle = tuple[float, float, float, float]
 """Low x, low y, high x, high y [m]."""
 _Cells = tuple[int, int, int, int]
 """Low x, low y, high x, high y (exclusive), in cells of a raster."""
+MAX_HOLE = 0.6
+"""Holes up to this area are filled: sinks, and objects on the surface [m2]."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,6 @@ class SupportConfig:
     """Gaps in an outline up to twice this are closed: objects hide the surface [m]."""
     basin: float = 0.35
     """A surface in the hole of another one is its basin if at most this much lower [m]."""
-    hole: float = 0.6
-    """Holes up to this area are filled: sinks, and objects on the surface [m2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ def _hidden_too(
     closed &= ndimage.binary_dilation(seen, _square(2 * config.closing, config.cell))
     holes, count = ndimage.label(~(closed | outside))
     sizes = np.bincount(holes.ravel(), minlength=count + 1) * config.cell**2
-    small = sizes < config.hole
+    small = sizes < MAX_HOLE
     small[0] = False
     filled = (closed | small[holes]) & ~outside
     labels, _ = ndimage.label(filled, np.ones((3, 3)))

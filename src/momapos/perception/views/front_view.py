@@ -53,6 +53,12 @@ class KnownFront:
     """In fractions of that face; handles are at their true place."""
 
 
+MIN_AGREEING = 4
+"""Number of images whose parts are merged on the front [-]."""
+MAX_OBLIQUENESS = 45.0
+"""Used instead of `frontal` if no image lies within it [deg]."""
+
+
 @dataclass(frozen=True)
 class ViewConfig:
     """How the front of an object is chosen."""
@@ -61,8 +67,6 @@ class ViewConfig:
     """Vote of all images for each face, or the first image that passes, as in the paper."""
     frontal: float = 30.0
     """Images farther than this from a face's normal are ignored [deg]."""
-    oblique: float = 45.0
-    """Used instead of `frontal` if no image lies within it [deg]."""
     least: float = 0.5
     """A face is a front from this probability on [-]."""
     flat: float = 0.3
@@ -71,8 +75,6 @@ class ViewConfig:
     """Share of a face that an image must show [-]."""
     votes: int = 2
     """Number of images that vote for a face [-]."""
-    agreeing: int = 4
-    """Number of images whose parts are merged on the front [-]."""
     partly: float = 0.15
     """Images that show less of a face are not merged into its height map [-]."""
     merged: int = 12
@@ -205,7 +207,7 @@ def _voting(
         return None
     _, views, order, image, own = best
     face, chosen = views.face, order[0]
-    front = _merged_front(views, order[: config.agreeing], look, config.least, own)
+    front = _merged_front(views, order[:MIN_AGREEING], look, config.least, own)
     front = _with_known(front, face, frames[chosen], known)
     front = replace(front, parts=equalize_doors(image, front.parts))
     angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
@@ -344,7 +346,7 @@ def choose_frames(
     """
     lines, cosines = _lines_to(face, [frames[i] for i in indices])
     clear = np.maximum(cosines, 0.0) ** FRONTAL_POWER / np.maximum(lines, MIN_DISTANCE) ** 2
-    for most in (config.frontal, config.oblique):
+    for most in (config.frontal, MAX_OBLIQUENESS):
         good = np.flatnonzero(cosines >= np.cos(np.radians(most)))
         good = good[np.argsort(-clear[good], kind="stable")][: config.looked_at]
         parts = np.array([visible_share(face, frames[indices[i]]) for i in good])

@@ -35,22 +35,22 @@ if TYPE_CHECKING:
 
 COARSE_PIXELS = 96
 """Resolution at which a window is checked for flatness: a table is open [px]."""
+MIN_PIECE = 0.2
+"""A narrower stretch without parts belongs to its neighbor [m]."""
+MIN_WIDTH = 0.95
+"""Narrower boxes are not split [m]."""
+MIN_WINDOW = 1.3
+"""Minimum window width, since drawers of low rows are as wide as those of high ones [m]."""
 
 
 @dataclass(frozen=True)
 class RowConfig:
     """How a row is split."""
 
-    least_width: float = 0.95
-    """Narrower boxes are not split [m]."""
     window: float = 1.5
     """Width of the windows in which a face is examined, in heights of the row [-]."""
-    least_window: float = 1.3
-    """Minimum window width, since drawers of low rows are as wide as those of high ones [m]."""
     margin: float = 0.03
     """Parts that end this close to a window's end may continue beyond it [m]."""
-    least_piece: float = 0.2
-    """A narrower stretch without parts belongs to its neighbor [m]."""
 
 
 def split_row(
@@ -76,7 +76,7 @@ def split_row(
         and the front with its parts, None if there is none or if an image of the whole box shows it
         as well.
     """
-    wide = [face for face in box_faces(box) if face.width >= config.least_width]
+    wide = [face for face in box_faces(box) if face.width >= MIN_WIDTH]
     fronts = [_front_of(face, frames, look, config, view, known) for face in wide]
     best = max(fronts, key=lambda front: sum(part.score for part in front.parts), default=None)
     if best is None or not best.parts:
@@ -89,7 +89,7 @@ def split_row(
 
 def _window_width(face: Face, config: RowConfig) -> float:
     """Return the width of the windows in which a face is examined [m]."""
-    return min(face.width, max(config.window * face.height, config.least_window))
+    return min(face.width, max(config.window * face.height, MIN_WINDOW))
 
 
 def _front_of(
@@ -173,11 +173,11 @@ def _cuts(parts: Sequence[Part], width: float, config: RowConfig) -> list[float]
     ends = [0.0, *(v for column in columns for v in column), width]
     for right, left in zip(ends[0::2], ends[1::2], strict=True):
         gap = left - right
-        if gap >= config.least_piece:
+        if gap >= MIN_PIECE:
             edges += [right, left]
         else:
             edges.append((left + right) / 2 if right > 0.0 and left < width else 0.0)
-    least = config.least_piece / 2
+    least = MIN_PIECE / 2
     return [e for e in sorted(set(edges)) if least < e < width - least]
 
 

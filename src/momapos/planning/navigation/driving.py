@@ -51,18 +51,20 @@ class _End:
         return f"{self.ending.value} {self.detail}".strip()
 
 
+SIMULATION_STEP = 0.02
+"""Time step of the simulated base [s]."""
+TURN_TOLERANCE = float(np.radians(2.0))
+"""Largest difference between the true heading and the goal's on arrival [rad]."""
+
+
 @dataclass(frozen=True)
 class DriveConfig:
     """How a base is driven, and when it has arrived."""
 
     tolerance: float = 0.03
     """Largest distance between the true pose and the goal on arrival [m]."""
-    turn_tolerance: float = float(np.radians(2.0))
-    """Largest difference between the true heading and the goal's on arrival [rad]."""
     control: float = 0.06
     """Time between control steps [s]."""
-    simulation: float = 0.02
-    """Time step of the simulated base [s]."""
     settle: float = 1.0
     """Time that the base stands at first, to localize itself [s]."""
     patience: float = 4.0
@@ -211,7 +213,7 @@ class _DriveRun:
         """Check whether a pose is within a share of the tolerance."""
         c, error = self.config, self.goal - pose
         near = float(np.hypot(error[0], error[1])) <= share * c.tolerance
-        return near and abs(float(wrap_angle(error[2]))) <= share * c.turn_tolerance
+        return near and abs(float(wrap_angle(error[2]))) <= share * TURN_TOLERANCE
 
     def _missed(self) -> _End:
         error = self.goal - self.pose
@@ -311,7 +313,7 @@ class _DriveRun:
     def _step(self, wish: Float[np.ndarray, "3"]) -> _End | None:
         """Simulate one control step; return why the drive ends, None if it continues."""
         config, robot = self.config, self.nav_map.robot
-        count = max(1, round(config.control / config.simulation))
+        count = max(1, round(config.control / SIMULATION_STEP))
         dt = config.control / count
         passed = []
         for _ in range(count):
