@@ -158,7 +158,14 @@ TAPS = {
 }
 
 
-@pytest.mark.parametrize("robot_name", ["fetch", "segway_ur5e", "ranger_rm63"])
+@pytest.mark.parametrize(
+    "robot_name",
+    [
+        "fetch",
+        pytest.param("segway_ur5e", marks=pytest.mark.slow),
+        pytest.param("ranger_rm63", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("kind", TAPS)
 def test_a_lever_is_its_own_handle(
     robots: Callable[[str], Robot], tmp_path: Path, kind: str, robot_name: str
@@ -270,7 +277,15 @@ SOLVED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SOLVED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        if name in ("telescope2.json", "bail.json")
+        else pytest.param(name, marks=pytest.mark.slow)
+        for name in SOLVED
+    ],
+)
 def test_a_public_case_is_solved(robots: Callable[[str], Robot], tmp_path: Path, name: str) -> None:
     scene = load_scene(optional.there(CASES / "furniture" / name))
     plan(scene, robots("fetch"), "open", SOLVED[name], folder=tmp_path)

@@ -30,7 +30,7 @@ from momapos.perception.segmentation.pointing import PointAt
 from momapos.perception.segmentation.segmenter import ClassicalSegmenter
 from momapos.planning.grasps.task_requests import hand_path, openable
 from momapos.planning.importance.config import ImportanceConfig
-from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.scan import rank_survey, scan_to_scene
 from momapos.workflows.solve import ScanTask, solve_scan
 
 
@@ -145,10 +145,11 @@ def test_an_appliance_front_without_depth_is_completed_and_reported(
 
 
 def test_only_objects_that_matter_for_the_target_are_modeled(
-    made: Modeled, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
+    made: Modeled, seen: Survey, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
 ) -> None:
     target = nearest(made, true_fridge(folder))
-    result = scan_to_scene(scan, tmp_path / "scene.json", tools, target=target)
+    scores = rank_survey(seen, target, ImportanceConfig()).by_name
+    result = model_room(seen, tmp_path / "scene.json", tools, scores=scores, alpha=0.45)
     assert result.decisions[[d.detection.name for d in result.decisions].index(target)].model
     for decision in result.decisions:
         assert decision.model is None or (decision.importance or 0.0) >= 0.45
@@ -293,11 +294,11 @@ def test_the_command_prints_one_json_object(
         "--json",
         "--no-pictures",
         "--max-frames",
-        "20",
+        "12",
     ]
     assert main(words) == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["frames"] == 20
+    assert data["frames"] == 12
     assert len(load_scene(str(out)).objects) == len(data["objects"])
 
 

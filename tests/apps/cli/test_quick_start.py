@@ -83,9 +83,9 @@ def test_a_mistyped_name_is_reported_before_anything_heavy_is_imported(
 @pytest.mark.parametrize(
     "words",
     [
-        ["robot", "show", "segway_ur5e"],
         ["scene", "show", "kitchen_small"],
-        ["rank", "kitchen_small", "fridge"],
+        pytest.param(["robot", "show", "segway_ur5e"], marks=pytest.mark.slow),
+        pytest.param(["rank", "kitchen_small", "fridge"], marks=pytest.mark.slow),
     ],
 )
 def test_a_second_start_uses_the_cached_models(

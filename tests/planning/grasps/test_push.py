@@ -27,7 +27,14 @@ def inside(hand: Hand) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("name", ["fetch", "husky_ur5e", "ranger_rm63"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "fetch",
+        pytest.param("husky_ur5e", marks=pytest.mark.slow),
+        pytest.param("ranger_rm63", marks=pytest.mark.slow),
+    ],
+)
 def test_fingers_touch_the_back_of_a_door(
     name: str, robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
