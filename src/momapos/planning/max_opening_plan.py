@@ -13,7 +13,7 @@ from momapos.planning.grasps import slides
 from momapos.planning.placement import Method
 
 from .config import PipelineConfig
-from .max_opening import farthest_answer, values_before, values_per_waypoint
+from .max_opening import beyond, farthest_answer, values_before, values_per_waypoint
 from .query import PlacementQuery
 from .result import PlacementResult
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
+MAX_TIME_BEYOND = 2.0
+"""Time for all tries together, as a share of the time until bisection ends [-]."""
 MIN_TIMEOUT = 0.001
 """Searches start only with more time left than this [s]."""
 
@@ -40,6 +42,8 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
     else:
         values = np.append(values_short_of(query), task.to)
         found, sure = find_max_opening(query, answer, values, within=1, timeout=config.timeout)
+        if found is not None and found.plan.task.to == task.to:
+            sure = True
         left = max(config.timeout - watch.total, MIN_TIMEOUT)
         best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
     known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
@@ -57,6 +61,9 @@ def find_max_opening(
 ) -> tuple[PlacementResult | None, bool]:
     """Find the largest value for which there is a plan.
 
+    The search of base poses is not complete, and may find a value and miss a smaller one. So values
+    beyond the largest one that bisection finds are tried as if the user had requested them.
+
     Args:
         query: The question; the value of its task does not count.
         answer: Answers it for the value that a task names.
@@ -65,23 +72,37 @@ def find_max_opening(
         timeout: Time limit, counted by the query's stopwatch from its start [s].
 
     Returns:
-        The answer for that value, if any has one, and whether the time was sufficient.
+        The answer for that value, if any has one, and whether it is proved that there is no
+        larger one: the part itself is blocked at the next value.
     """
-    config, in_time = query.config, True
+    config, stopped, limit = query.config, np.inf, timeout
 
     def evaluate(value: float, thorough: bool) -> PlacementResult | None:
-        nonlocal in_time
-        left = timeout - query.watch.total
+        nonlocal stopped
+        left = limit - query.watch.total
         if left < MIN_TIMEOUT:
-            in_time = False
             return None
         how = replace(config if thorough else _by_samples(config), timeout=left)
         result = _answer_to(query, answer, value, how)
-        in_time &= result.plan.status != "timeout"
+        if result.prepared.blocked:
+            stopped = min(stopped, abs(value - values[0]))
         return result if result.plan.status == "solved" else None
 
     waypoint = values_per_waypoint(config.motion, slides=slides(query.scene, query.task))
-    return farthest_answer(evaluate, values, waypoint=waypoint, within=within), in_time
+    best = farthest_answer(evaluate, values, waypoint=waypoint, within=within)
+    if best is None:
+        return None, False
+    limit = min(timeout, MAX_TIME_BEYOND * query.watch.total)
+    open_to = int(np.searchsorted(np.abs(values - values[0]), stopped))
+    known = _index_of(best, values)
+    best = beyond(lambda i: evaluate(values[i], True), known, open_to) or best
+    return best, _index_of(best, values) + 1 == open_to < len(values)
+
+
+def _index_of(answer: PlacementResult, values: Float[np.ndarray, " k"]) -> int:
+    """Return which of the values an answer reaches."""
+    assert answer.plan.task.to is not None
+    return int(np.abs(values - answer.plan.task.to).argmin())
 
 
 def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:

@@ -35,8 +35,8 @@ def add_max_opening(
 ) -> PlacementPlan:
     """Add to an infeasible plan how far the part can be moved, and from which base pose.
 
-    The value is in whole degrees or centimeters, and a plan to it exists. If the time is
-    sufficient, the grid has excluded values a waypoint or more beyond it.
+    The value is in whole degrees or centimeters, and a plan to it exists. It is sure where the part
+    itself is blocked at the next value.
 
     Args:
         plan: The plan; returned unchanged unless it is infeasible and its task moves a joint.

@@ -206,13 +206,11 @@ def _why_not(answer: PlacementResult) -> str:
                 "the reasons are below"
             )
         return "no feasible base pose; the reasons are below"
-    found = (
-        f"not to {_value(answer, task.to)}, but to {_value(answer, smaller)} "
+    most = "to" if plan.feasible_sure else "at least to"
+    return (
+        f"not to {_value(answer, task.to)}, but {most} {_value(answer, smaller)} "
         f"from {_pose(plan.feasible_from)}"
     )
-    if plan.feasible_sure:
-        return found
-    return f"{found}; more may be possible, the time limit was reached"
 
 
 def _only_kept_out(rejections: Mapping[str, int]) -> bool:
@@ -241,7 +239,7 @@ def task_text(answer: PlacementResult) -> str:
 def _question(answer: PlacementResult, most: bool) -> str:
     plan, task, to = answer.plan, answer.plan.task, ""
     if most and plan.status == "solved":
-        to = " (maximum)" if task.farthest else " (largest found within the time limit)"
+        to = " (maximum)" if task.farthest else " (largest found)"
     return f"{plan.robot_name}: {task_text(answer)}{to}: {plan.status}"
 
 

@@ -176,7 +176,7 @@ class PlacementPlan:
     feasible_from: tuple[float, float, float] | None = None
     """A base pose from which `feasible_to` is reached: x [m], y [m], yaw [rad]."""
     feasible_sure: bool = False
-    """Whether the exhaustive grid has ruled out the next waypoint; otherwise time ran out."""
+    """Whether it is proved that the part opens no farther: something blocks it right there."""
     tolerance: Tolerance | None = None
     """Base-pose robustness; None if not measured."""
     region: BaseRegion = ANYWHERE
