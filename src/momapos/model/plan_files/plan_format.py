@@ -23,7 +23,6 @@ from momapos.core import (
 )
 from momapos.model.records import (
     BaseRegion,
-    Candidates,
     CostTerm,
     KeyObjects,
     Motion,
@@ -37,6 +36,7 @@ from momapos.model.robots import MAX_SRDF_BYTES, portable
 from . import plan_members as members
 from .holds import holds_to_dict, read_holds
 from .named_files import portable_name, sha256, sha256_of, write_text
+from .plan_candidates import candidates_to_dict, read_candidates
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -90,11 +90,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "home": None if motion is None or motion.home is None else motion.home.tolist(),
         "navigation_cost": plan.navigation_cost,
         "cost": {name: asdict(term) for name, term in plan.cost.items()},
-        "candidates": {
-            "sampled": plan.candidates.sampled,
-            "checked": plan.candidates.checked,
-            "rejections": dict(plan.candidates.rejections),
-        },
+        "candidates": candidates_to_dict(plan.candidates),
         "importance": None
         if plan.key_objects is None
         else {**asdict(plan.key_objects), "names": list(plan.key_objects.names)},
@@ -296,7 +292,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         motion=_motion(data, path),
         navigation_cost=data.navigation_cost,
         cost={name: CostTerm(**msgspec.structs.asdict(term)) for name, term in data.cost.items()},
-        candidates=Candidates(**msgspec.structs.asdict(data.candidates)),
+        candidates=read_candidates(data.candidates),
         key_objects=_key_objects(data.importance),
         timing=data.timing,
         method=data.method,

@@ -54,12 +54,20 @@ class Manipulation(msgspec.Struct):
     hold_words: list[str] = []
 
 
+class PlanNearestMiss(msgspec.Struct):
+    """The rejected base pose that came nearest, and what stopped it."""
+
+    base_pose: PlanPose
+    reason: str
+
+
 class PlanCandidates(msgspec.Struct):
     """Statistics of the candidate base poses."""
 
     sampled: int = 0
     checked: int = 0
     rejections: dict[str, int] = {}
+    nearest: PlanNearestMiss | None = None
 
 
 class PlanImportance(msgspec.Struct):

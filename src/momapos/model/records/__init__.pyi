@@ -4,6 +4,7 @@ from .outcomes import NO_PATH as NO_PATH
 from .outcomes import NO_STAND as NO_STAND
 from .outcomes import RULED_OUT as RULED_OUT
 from .outcomes import CostTerm as CostTerm
+from .outcomes import NearestMiss as NearestMiss
 from .outcomes import PoseOutcome as PoseOutcome
 from .outcomes import PoseStatus as PoseStatus
 from .outcomes import Tolerance as Tolerance

@@ -52,6 +52,10 @@ NO_PATH = (
     PoseStatus.WAYPOINT_OUT_OF_REACH, PoseStatus.ARM_COLLISION, PoseStatus.NO_CONTINUOUS_PATH,
 )  # fmt: skip
 """The arm cannot follow the motion, according to its inverse kinematics."""
+MAX_WAYPOINTS = 10_000
+"""More than the number of waypoints of any motion [-]."""
+_STAGES = tuple(PoseStatus)
+"""The statuses in the order of the checks."""
 _SUMMARY = {
     PoseStatus.WAYPOINT_OUT_OF_REACH: "out of reach at a waypoint",
     PoseStatus.ARM_COLLISION: "arm hits {detail}",
@@ -73,10 +77,27 @@ class PoseOutcome:
         return self.status.value.format(detail=self.detail, where=self.where)
 
     @property
+    def progress(self) -> tuple[int, int]:
+        """Return how far the checks came: the stage, then the waypoint; larger is nearer."""
+        number = "".join(filter(str.isdigit, self.where))
+        stage = PoseStatus.NO_CONTINUOUS_PATH if self.status in NO_PATH else self.status
+        whole = self.status is PoseStatus.NO_CONTINUOUS_PATH
+        return _STAGES.index(stage), MAX_WAYPOINTS if whole else int(number or 0)
+
+    @property
     def summary(self) -> str:
         """Return the text without the waypoint, to count similar outcomes together."""
         words = _SUMMARY.get(self.status, self.status.value)
         return words.format(detail=self.detail)
+
+
+@dataclass(frozen=True)
+class NearestMiss:
+    """The rejected base pose that came nearest to a solution, and what stopped it."""
+
+    base_pose: tuple[float, float, float]
+    """x [m], y [m], yaw [rad]."""
+    reason: str
 
 
 @dataclass(frozen=True)

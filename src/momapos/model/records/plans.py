@@ -13,7 +13,7 @@ import numpy as np
 
 from momapos.core import compare_by_content
 
-from .outcomes import CostTerm, PoseOutcome, Tolerance
+from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
 from .tasks import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
@@ -103,6 +103,8 @@ class Candidates:
     checked: int = 0
     rejections: Mapping[str, int] = field(default_factory=dict)
     """Number of rejected candidates by reason."""
+    nearest: NearestMiss | None = None
+    """The rejected candidate that came nearest; None if one works or none was checked."""
 
 
 @compare_by_content

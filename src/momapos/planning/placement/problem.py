@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
@@ -17,6 +17,7 @@ from momapos.model.records import (
     BaseRegion,
     Candidates,
     Motion,
+    NearestMiss,
     PoseOutcome,
     PoseStatus,
     ReachScorer,
@@ -123,7 +124,18 @@ class Search:
             if shared[key].status not in _UNCOUNTED:
                 counts[shared[key]] += count
         words = {str(outcome): count for outcome, count in counts.most_common()}
-        return Candidates(len(every), self.checked, words)
+        nearest = None if self.motion is not None else self._nearest(every, list(counts))
+        return Candidates(len(every), self.checked, words, nearest)
+
+    def _nearest(
+        self, every: Sequence[PoseOutcome], rejected: Sequence[PoseOutcome]
+    ) -> NearestMiss | None:
+        """Return the first of the base poses whose checks came farthest, up to the arm at least."""
+        best = max(rejected, key=lambda one: one.progress, default=None)
+        if best is None or best.progress < PoseOutcome(PoseStatus.NO_GRASP_IN_REACH).progress:
+            return None
+        x, y, yaw = np.concatenate(self.poses)[every.index(best)].tolist()
+        return NearestMiss((x, y, yaw), str(best))
 
 
 @dataclass(frozen=True, eq=False)
