@@ -1,3 +1,4 @@
+from .advice import with_advice as with_advice
 from .base_pose_check import BasePoseChecks as BasePoseChecks
 from .base_pose_check import check_pose as check_pose
 from .base_pose_check import plan_at_pose as plan_at_pose

@@ -36,7 +36,7 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
     """
     task, config, watch = query.task, query.config, query.watch
     assert task.to is not None
-    at_once = _answer_to(query, answer, task.to, _by_samples(config))
+    at_once = _answer_to(query, answer, task.to, by_samples(config))
     if at_once.plan.status == "solved":
         best, sure = at_once, True
     else:
@@ -82,7 +82,7 @@ def find_max_opening(
         left = limit - query.watch.total
         if left < MIN_TIMEOUT:
             return None
-        how = replace(config if thorough else _by_samples(config), timeout=left)
+        how = replace(config if thorough else by_samples(config), timeout=left)
         result = _answer_to(query, answer, value, how)
         if result.prepared.blocked:
             stopped = min(stopped, abs(value - values[0]))
@@ -126,7 +126,7 @@ def _answer_to(
     return result
 
 
-def _by_samples(config: PipelineConfig) -> PipelineConfig:
+def by_samples(config: PipelineConfig) -> PipelineConfig:
     """Return the configuration of a quick search: one round of samples and no grid."""
     place = config.place
     method: Method = "ours" if place.method == "exhaustive" else place.method

@@ -112,6 +112,8 @@ def summary(
         miss = plan.candidates.nearest
         if miss is not None and plan.base_pose is None:
             lines.append(f"  nearest     {_pose(miss.base_pose)}: {miss.reason}")
+        if plan.advice:
+            lines.append(f"  advice      {plan.advice}")
     if plan.method not in OURS:
         gave_up = "; it gave up, which proves nothing" if plan.motion is None else ""
         lines.append(f"  method      {plan.method}{gave_up}")

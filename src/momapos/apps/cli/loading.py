@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -61,3 +62,19 @@ def load_arms_with_maps(
         with progress(f"reachability map of {one.title}") as report:
             maps.append(load_reach(one, cache.folder, report))
     return arms, maps
+
+
+def other_robots(
+    robot: str, cache: Cache
+) -> Iterator[tuple[str, Callable[[], tuple[Robot, ReachMap | ArmLength]]]]:
+    """Yield the other robots of the library, with functions that load each and its map."""
+    from momapos.model.robots import library_names, load_arms
+    from momapos.planning.reachability import load_reach
+
+    def load(name: str) -> tuple[Robot, ReachMap | ArmLength]:
+        one = load_arms(name, cache=cache)[0]
+        return one, load_reach(one, cache.folder)
+
+    for name in library_names():
+        if name != robot:
+            yield name, partial(load, name)

@@ -23,7 +23,7 @@ from .configuration import (
     TimeoutOption,
     load_config,
 )
-from .loading import load_arms_with_maps, load_scene_with_joints
+from .loading import load_arms_with_maps, load_scene_with_joints, other_robots
 from .options import (
     EXIT_STATUS,
     AreasArg,
@@ -79,6 +79,8 @@ class Options:
     """Require that replanning succeeds from all base poses this near, such as 0.05m,3deg."""
     tolerance: Flag = True
     """Don't measure the tolerance of the base pose."""
+    advice: Flag = True
+    """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = 100
     """Base poses sampled to measure it."""
     method: MethodOption = None
@@ -306,7 +308,7 @@ def _answer(
     import json
 
     from momapos.core import TaskDoneError, user_cache
-    from momapos.planning import add_max_opening, cheapest, with_tolerance
+    from momapos.planning import add_max_opening, cheapest, with_advice, with_tolerance
     from momapos.planning.grasps import make_task
     from momapos.workflows import plan_by_hypothesis
 
@@ -336,6 +338,9 @@ def _answer(
             ]
         answer = cheapest(answers, farthest=task.farthest)
     chosen = next(arm for arm, one in zip(arms, answers, strict=True) if one is answer)
+    if options.advice and query.at is None and config.place.method in OURS:
+        with busy(f"{chosen[0].name}: advice"):
+            answer = with_advice(answer, other_robots(options.robot, cache))
     if options.tolerance:
         with busy(f"{chosen[0].name}: tolerance"):
             answer = with_tolerance(answer, samples=options.tolerance_samples)

@@ -45,8 +45,6 @@ FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
 MAX_BYTES = 20_000_000
 """Largest plan file; 20,000 states, the limit of the exact check, take about 10 MB [bytes]."""
 
-# ------------------------------------------------------------------------------------------ writing
-
 
 def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
     """Convert a plan to the dictionary of its file; paths stay as they are."""
@@ -72,6 +70,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
         "feasible_sure": plan.feasible_sure,
+        **({"advice": plan.advice} if plan.advice else {}),
         "start": _pose_to_dict(plan.start),
         "base_pose": _pose_to_dict(plan.base_pose),
         "base_path": None if plan.base_path is None else plan.base_path.tolist(),
@@ -165,9 +164,6 @@ def write_plan(plan: PlacementPlan, path: str | Path) -> None:
             srdf = read_text_bounded(Path(plan.robot_srdf), MAX_SRDF_BYTES, error=InputError)
             write_text(amended.with_suffix(".srdf"), srdf)
     write_text(path, f"{text}\n")
-
-
-# ------------------------------------------------------------------------------------------ reading
 
 
 def format_of(path: Path) -> Any:
@@ -311,6 +307,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
         feasible_sure=data.feasible_sure,
+        advice=data.advice,
         tolerance=None
         if data.tolerance is None
         else Tolerance(**msgspec.structs.asdict(data.tolerance)),

@@ -117,6 +117,7 @@ class Plan(msgspec.Struct):
     feasible_to: float | None = None
     feasible_from: PlanPose | None = None
     feasible_sure: bool = False
+    advice: str = ""
     start: PlanPose | None = None
     base_pose: PlanPose | None = None
     base_path: list[list[float]] | None = None

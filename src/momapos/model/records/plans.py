@@ -179,6 +179,8 @@ class PlacementPlan:
     """A base pose from which `feasible_to` is reached: x [m], y [m], yaw [rad]."""
     feasible_sure: bool = False
     """Whether it is proved that the part opens no farther: something blocks it right there."""
+    advice: str = ""
+    """A change with which an infeasible task has a plan; "" if none was found."""
     tolerance: Tolerance | None = None
     """Base-pose robustness; None if not measured."""
     region: BaseRegion = ANYWHERE
