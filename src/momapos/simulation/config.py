@@ -101,8 +101,6 @@ BASE_FRICTION = 0.6
 """Friction between wheels and floor; a larger force makes the base slide [-]."""
 STOP_FORCE = 20.0
 """Extra resistance of the part near the end of its path that stops the arm [N]."""
-
-
 PAD_TIME = 0.005
 """Time constant of the contact between a pad and a grasped object [s]. The engine softens
 contacts with light bodies: with its default, pads sink 6 mm into an apple or the bar of a light

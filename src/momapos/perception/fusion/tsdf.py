@@ -68,6 +68,10 @@ MIN_WEIGHT = 0.08
 """Minimum weight of a voxel on a surface; one image at z meters weighs about 1/z^2 [-]."""
 TRUNCATION = 4.0
 """Truncation distance [voxels]; it must cover the sensor's noise."""
+MIN_INCIDENCE = 0.17
+"""Minimum cosine between a ray and the surface's normal, about 80 degrees [-]."""
+MAX_DEPTH_STEP = 0.04
+"""Pixels next to a larger depth step are ignored; relative to the depth [-]."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +82,6 @@ class FusionConfig:
     """Smaller depth is ignored [m]."""
     farthest: float = 5.0
     """Larger depth is ignored: the noise of stereo grows with its square [m]."""
-    grazing: float = 0.17
-    """Minimum cosine between a ray and the surface's normal, about 80 degrees [-]."""
-    edge: float = 0.04
-    """Pixels next to a larger depth step are ignored; relative to the depth [-]."""
     most_bytes: int = 2_000_000_000
     """Maximum memory."""
 
@@ -143,7 +143,7 @@ def _empty(
 def _look(frame: Frame, config: FusionConfig) -> FusionImage:
     depth = _usable(frame, config)
     K = np.asarray(frame.intrinsics, float)
-    facing = facing_of(depth, K, config.edge, config.grazing)
+    facing = facing_of(depth, K, MAX_DEPTH_STEP, MIN_INCIDENCE)
     T_camera_world = invert(np.asarray(frame.T_world_camera, float))
     return FusionImage(depth, facing, deepest_of(depth), frame.color, K, T_camera_world)
 
