@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.core import refuse_below
 from momapos.model.records import (
     ArticulationPredictor,
     Cloud,
@@ -58,6 +59,9 @@ class ScanConfig:
     """How the front of an object is chosen: by a vote of all images, or by the first image that
     passes, as in the paper."""
     model: ModelConfig = field(default_factory=ModelConfig)
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0.001, "voxel")
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,9 @@ class ScanOptions:
     """What finds doors and drawers: our network, a template for each label, or URDFormer."""
     checkpoint: OptionalFile = None
     """URDFormer's part.pth."""
-    models: Annotated[tuple[str, ...], arg(metavar="[NAME=FILE.urdf ...]")] = ()
+    models: Annotated[
+        tuple[str, ...], arg(metavar="[NAME=FILE.urdf ...]", help_behavior_hint="")
+    ] = ()
     """Known models of objects, by name or label; they need no prediction."""
     max_frames: int = 150
     """Maximum number of images, evenly spaced."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
-from momapos.core import InputError
+from momapos.core import InputError, finite_number, refuse_below
 from momapos.core.geometry import invert
 from momapos.model.records import Cloud, Frame
 
@@ -85,6 +85,11 @@ class FusionConfig:
     most_bytes: int = 2_000_000_000
     """Maximum memory."""
 
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "nearest")
+        refuse_below(self, self.nearest, "farthest")
+        refuse_below(self, 1, "most_bytes")
+
 
 def fuse(
     frames: Sequence[Frame], voxel: float = 0.015, config: FusionConfig | None = None
@@ -104,9 +109,7 @@ def fuse(
         InputError: No frame has usable depth, a pose is not finite, `voxel` is out of
             `VOXEL_RANGE`, or the room needs too much memory.
     """
-    low, high = VOXEL_RANGE
-    if not low <= voxel <= high:  # NaN too
-        raise InputError(f"voxel must be between {low} and {high} m, not {voxel}")
+    finite_number("voxel", voxel, *VOXEL_RANGE)
     config = config or FusionConfig()
     frames = [frame for frame in frames if frame.depth is not None]
     for frame in frames:

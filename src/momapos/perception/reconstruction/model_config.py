@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from momapos.core import refuse_below
+
 DOOR_THICKNESS = (0.02, 0.06)
 """Thickness of a door in the face's plane, and maximum thickness of a protruding one [m]."""
 PART_GAP = 0.002
@@ -34,3 +36,8 @@ class ModelConfig:
     """Opening angle of doors [rad]."""
     travel: float = 0.4
     """Maximum travel of drawers [m]."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "panel", "hinge_depth", "tight_hinge_depth", "turn", "travel")
+        if self.grid is not None:
+            refuse_below(self, 1, "grid")
