@@ -160,18 +160,18 @@ def detect(
     marks["read"] = time.perf_counter()
     cloud = fuse(scan.frames, config.voxel, config.fusion)
     marks["fuse"] = time.perf_counter()
-    T = align_to_gravity(cloud, scan.frames, config.gravity)
+    T = align_to_gravity(cloud, scan.frames)
     cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
     frames = [replace(f, T_world_camera=T @ f.T_world_camera) for f in scan.frames]
     marks["upright"] = time.perf_counter()
     instances = ClassicalSegmenter()(cloud)
     marks["segment"] = time.perf_counter()
-    room = find_room(cloud, config.room)
-    found = boxes(cloud, instances, room, config.boxes)
+    room = find_room(cloud)
+    found = boxes(cloud, instances, room)
     marks["boxes"] = time.perf_counter()
-    pieces, _ = split_rows(found, cloud, frames, look, config)
+    pieces, _ = split_rows(found, cloud, frames, look)
     if len(pieces) > len(found):
-        found = boxes(cloud, pieces, room, config.boxes)
+        found = boxes(cloud, pieces, room)
     marks["rows"] = time.perf_counter()
     return found, dict(zip(list(marks)[1:], np.diff(list(marks.values())).tolist(), strict=True))
 

@@ -16,7 +16,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.perception.open_doors import open_leaves
 from momapos.perception.pipeline import default_tools
 from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.records import Modeled, ScanConfig
+from momapos.perception.records import Modeled
 from momapos.perception.segmentation.open_leaves import find_open_leaves
 from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.workflows.scan import scan_to_scene
@@ -101,6 +101,6 @@ def test_the_flap_can_be_closed_and_opened_wider_and_other_parts_are_found(
 
 def test_a_cloud_without_images_has_no_open_leaves() -> None:
     room = cupboard(leaf_of("door_left", np.radians(80.0)))
-    assert open_leaves(room.cloud(), (), (), ScanConfig()) == ()
+    assert open_leaves(room.cloud(), (), ()) == ()
     nothing = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     assert find_open_leaves(nothing, room.free) == []

@@ -20,7 +20,16 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.approach import pace_trajectory
 from momapos.simulation.arm_control import CompliantArm, Reference
 from momapos.simulation.avoidance import Bounds, CollisionAvoidance
-from momapos.simulation.config import ComplianceConfig, Ending, ExecutionConfig
+from momapos.simulation.config import (
+    AVOID_RATE,
+    NEAR_GRASP,
+    NEAR_SPEED,
+    PACE_RATE,
+    SUBSTEPS,
+    ComplianceConfig,
+    Ending,
+    ExecutionConfig,
+)
 from momapos.simulation.dynamics import read_dynamics
 from momapos.simulation.simulated_hand import find_hand
 from momapos.simulation.simulated_room import PartResistance
@@ -29,7 +38,7 @@ from momapos.simulation.true_worlds import TrueWorld
 from momapos.simulation.worlds import WorldSetup
 
 CONFIG = ExecutionConfig()
-STEP = CONFIG.timestep * CONFIG.substeps
+STEP = CONFIG.timestep * SUBSTEPS
 POST_CLEARANCE = 0.012
 """Distance from the forearm at the grasp to a post next to it [m]."""
 
@@ -97,7 +106,7 @@ def test_the_arm_leaves_an_assumed_overlap_slowly(beside: tuple[Toy, Simulation]
     assert len(bounds.rows) == 1
     step = 1e-4
     away = (gap(world, q + step * bounds.rows[0]) - gap(world, q)) / step
-    assert config.avoid_rate * (config.apart - gap(world, q)) > 1.5 * config.speed
+    assert AVOID_RATE * (config.apart - gap(world, q)) > 1.5 * config.speed
     assert bounds.least[0] * away == pytest.approx(config.speed, rel=0.05)
 
 
@@ -176,10 +185,10 @@ def test_a_paced_approach_is_slow_near_obstacles_and_never_faster_than_planned(
         np.arange(len(plan)), plan.state_times / STEP, tool[:, i]) for i in range(3)], 1),
         axis=0), axis=1) / STEP  # fmt: skip
     assert way.pace.max() <= 1.0
-    coming = way.left < CONFIG.compliance.near / 2
-    assert (way.pace * speed)[coming].max() < 1.2 * CONFIG.compliance.near_speed
+    coming = way.left < NEAR_GRASP / 2
+    assert (way.pace * speed)[coming].max() < 1.2 * NEAR_SPEED
     change = np.abs(np.diff(way.pace**2)) / 2
-    assert change.max() < 1.01 * CONFIG.compliance.pace_rate * STEP
+    assert change.max() < 1.01 * PACE_RATE * STEP
 
 
 def test_a_link_in_contact_stops_the_arm_before_it_presses_hard(tmp_path: Path) -> None:

@@ -21,7 +21,14 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.approach import PacedTrajectory
-from momapos.simulation.config import Ending, ExecutionConfig, HoldMethod, Stage
+from momapos.simulation.config import (
+    BESIDE_SPEED,
+    OBSERVED_DISTANCE,
+    Ending,
+    ExecutionConfig,
+    HoldMethod,
+    Stage,
+)
 from momapos.simulation.dynamics import read_dynamics
 from momapos.simulation.execution_run import ExecutionRun, Stretch
 from momapos.simulation.geoms import HAND, Kind
@@ -123,7 +130,7 @@ def test_between_two_grasps_the_hand_is_slow_near_obstacles(
 
     def watch(world: Simulation, time: float, stage: Stage) -> None:
         contact = world.data.contact
-        kinds = world.kinds[contact.geom[contact.dist < config.near]]
+        kinds = world.kinds[contact.geom[contact.dist < OBSERVED_DISTANCE]]
         beside = np.isin(kinds, HAND).any(1) & np.isin(kinds, (Kind.PART, Kind.ROOM)).any(1)
         near = bool(beside.any()) and stage is Stage.MANIPULATE
         ways.append((time, world.T_world_tool[:3, 3], near))
@@ -143,5 +150,5 @@ def test_between_two_grasps_the_hand_is_slow_near_obstacles(
     # obstacles are not checked.
     came = np.maximum.accumulate(np.where(beside, -np.inf, times[1:]))
     braked = beside & (times[1:] - came > 0.05)
-    assert speed[braked].max() < 1.5 * config.compliance.beside_speed
-    assert speed.max() > 3.0 * config.compliance.beside_speed
+    assert speed[braked].max() < 1.5 * BESIDE_SPEED
+    assert speed.max() > 3.0 * BESIDE_SPEED

@@ -147,6 +147,8 @@ def check_fields(config: Any) -> None:
     hints = _hints(kind)  # type: ignore[arg-type]
     for item in fields(config):
         value = getattr(config, item.name)
+        if isinstance(value, float):
+            value = float(value)  # numpy's floats are floats
         try:
             msgspec.convert(value, hints[item.name], strict=True, from_attributes=False)
         except msgspec.ValidationError:

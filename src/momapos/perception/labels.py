@@ -16,7 +16,7 @@ from momapos.perception.detection import (
 )
 from momapos.perception.segmentation import named
 
-from .records import Found, ScanConfig
+from .records import Found
 
 
 def with_labels(
@@ -26,7 +26,6 @@ def with_labels(
     detector: Detector | None,
     found: Found | None,
     given: Mapping[str, str] | None,
-    config: ScanConfig,
     opens: Callable[[Detection], bool],
 ) -> list[Detection]:
     """Label the objects of a scan, the most reliable source first.
@@ -38,7 +37,6 @@ def with_labels(
         detector: Runs on every image if `found` is None.
         found: 2-D detections by frame name.
         given: Labels from the user, by the objects' default names.
-        config: Constants.
         opens: Checks whether an object shows doors or drawers with handles. A detector's label
             without doors, such as a bed, is ignored for such an object.
 
@@ -50,13 +48,13 @@ def with_labels(
         found, labels = detect(frames, detector), detector.labels
     if found is not None:
         looked_at = [frame for frame in frames if frame.name in found]
-        verdicts = vote(objects, cloud, looked_at, found, config.votes)
+        verdicts = vote(objects, cloud, looked_at, found)
         verdicts = [
             replace(verdict, label="", confidence=0.0, hits=0)
             if verdict.label in WITHOUT_DOORS and opens(item)
             else verdict
             for verdict, item in zip(verdicts, objects, strict=True)
         ]
-        objects = relabeled(objects, verdicts, labels, config.votes)
+        objects = relabeled(objects, verdicts, labels)
     objects = named(objects)
     return named(with_given_labels(objects, given)) if given else list(objects)

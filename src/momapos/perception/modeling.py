@@ -30,7 +30,7 @@ from momapos.perception.views import (
     observations,
 )
 
-from .records import Decision, PartSource, ScanConfig, Survey, Tools
+from .records import MIN_SIDES, Decision, PartSource, ScanConfig, Survey, Tools
 
 MIN_REPORTED_COMPLETION = 0.1
 """Completion is reported from this share of an object's points on [-]."""
@@ -58,7 +58,7 @@ def decide(
             "which is interpolated"
         )
         box = replace(box, warnings=(text,))
-    if _small(item, config):
+    if _small(item):
         return replace(box, reason="too small for doors or drawers")
     if item.label in WITHOUT_DOORS and item.label_from in ("detector", "given"):
         return replace(box, reason=f"a {item.label} has no doors or drawers")
@@ -95,22 +95,20 @@ def front_of(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) 
     faces = box_faces(item.box)
     sides = [at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in faces]
     backed = [sides[face.opposite] for face in faces]
-    return choose_view(item.box, survey.frames, seen, look, config.view, survey.rows, backed)
+    return choose_view(item.box, survey.frames, seen, look, config.views, survey.rows, backed)
 
 
 def shows_handles(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) -> bool:
     """Check whether an object clearly shows doors or drawers with handles."""
-    view = None if _small(item, config) else front_of(item, survey, tools, config)
+    view = None if _small(item) else front_of(item, survey, tools, config)
     return view is not None and handle_evidence(view.front, view.image) >= MIN_HANDLE_EVIDENCE
 
 
-def with_observed_motion(
-    decision: Decision, before: Cloud, later: Cloud, config: ScanConfig
-) -> Decision:
+def with_observed_motion(decision: Decision, before: Cloud, later: Cloud) -> Decision:
     """Replace the joints of parts that moved between two scans by the observed motion."""
     if not isinstance(decision.model, Piece):
         return decision
-    piece, moved = moved_piece(decision.model, before, later, config.seen_motion)
+    piece, moved = moved_piece(decision.model, before, later)
     return replace(decision, model=piece, moved={**decision.moved, **moved})
 
 
@@ -123,8 +121,8 @@ def _parts(view: FrontView, item: Detection, tools: Tools) -> tuple[tuple[Part, 
     return tools.guess(view.image, item.label).parts, PartSource.GUESSED
 
 
-def _small(item: Detection, config: ScanConfig) -> bool:
-    return bool((np.sort(item.box.size)[:2] < config.least_sides).any())
+def _small(item: Detection) -> bool:
+    return bool((np.sort(item.box.size)[:2] < MIN_SIDES).any())
 
 
 def _label_confidence(item: Detection) -> float:

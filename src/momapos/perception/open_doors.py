@@ -26,7 +26,6 @@ def open_leaves(
     cloud: Cloud,
     frames: Sequence[Frame],
     walls: Sequence[tuple[int, float]],
-    config: ScanConfig,
 ) -> tuple[OpenLeaf, ...]:
     """Find the open doors and flaps of a room; none without depth images.
 
@@ -34,12 +33,11 @@ def open_leaves(
         cloud: Upright, fronts along x and y.
         frames: In the same world.
         walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall.
-        config: What counts as an open leaf.
     """
     if all(frame.depth is None for frame in frames):
         return ()
-    free = SeenThrough(frames, config.completion.through)
-    return tuple(find_open_leaves(cloud, free, walls, config.open_leaves))
+    free = SeenThrough(frames)
+    return tuple(find_open_leaves(cloud, free, walls))
 
 
 def close_leaves(

@@ -71,10 +71,10 @@ def cloud_after(after: Scan, seen: Survey, config: ScanConfig) -> Cloud:
         InputError: The scan shows another room, or is empty.
     """
     cloud = after.cloud or fuse(after.frames, config.voxel, config.fusion)
-    T = align_to_gravity(cloud, after.frames, config.gravity)
+    T = align_to_gravity(cloud, after.frames)
     upright, _ = _transformed(cloud, (), T)
     try:
-        T = register(seen.cloud, upright, config.registration)
+        T = register(seen.cloud, upright)
     except InputError as error:
         raise InputError(f"{after.name}: {error}") from error
     return _transformed(upright, (), T)[0]
@@ -101,25 +101,25 @@ def survey(
         cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
     with watch.stage("boxes"):
         progress("finding objects", 0.2)
-        T = align_to_gravity(cloud, scan.frames, config.gravity)
+        T = align_to_gravity(cloud, scan.frames)
         cloud, frames = _transformed(cloud, scan.frames, T)
         measured = len(cloud.points)
-        room = find_room(cloud, config.room)
+        room = find_room(cloud)
         walls = [(wall.axis, wall.offset) for wall in room.walls]
-        cloud = complete(cloud, frames, walls, config.voxel, config.completion)
-        leaves = open_leaves(cloud, frames, walls, config)
+        cloud = complete(cloud, frames, walls, config.voxel)
+        leaves = open_leaves(cloud, frames, walls)
         cloud, frames, known = close_leaves(leaves, cloud, frames, tools, config)
         instances = [item for item in tools.segment(cloud) if item.label not in BUILDING]
-        detections = boxes(cloud, instances, room, config.boxes)
+        detections = boxes(cloud, instances, room)
     with watch.stage("rows"):
         progress("splitting rows of cabinets", 0.3)
-        instances, rows = split_rows(detections, cloud, frames, tools.look, config, known)
+        instances, rows = split_rows(detections, cloud, frames, tools.look, known)
         if len(instances) > len(detections):
-            detections = boxes(cloud, instances, room, config.boxes)
+            detections = boxes(cloud, instances, room)
         detections = drop_fragments(detections, cloud)
     if not detections:
         raise InputError(f"{scan.name}: the scan shows only floor and walls; no object was found")
-    boards = wall_detections(room, config.boxes)
+    boards = wall_detections(room)
     seen = Survey(
         cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves, found,
         watch.seconds,
@@ -127,7 +127,7 @@ def survey(
     with watch.stage("labels"):
         progress("labeling objects", 0.35)
         detections = with_labels(
-            detections, cloud, frames, tools.detect, found, labels, config,
+            detections, cloud, frames, tools.detect, found, labels,
             lambda item: shows_handles(item, seen, tools, config),
         )  # fmt: skip
         detections = with_coverage(detections, cloud, boards, measured)
@@ -175,7 +175,7 @@ def model_room(
                 decision = decide(item, score, seen, tools, given or {}, config)
                 decisions.append(replace(decision, seconds=clock() - at))
         if later is not None:
-            decisions = [with_observed_motion(d, seen.cloud, later, config) for d in decisions]
+            decisions = [with_observed_motion(d, seen.cloud, later) for d in decisions]
         decisions += [Decision(wall, None, None, (), None, "wall") for wall in seen.walls]
     with watch.stage("write"):
         models = {d.detection.name: d.model for d in decisions if d.model is not None}
@@ -200,7 +200,6 @@ def split_rows(
     cloud: Cloud,
     frames: Sequence[Frame],
     look: ArticulationPredictor,
-    config: ScanConfig,
     known: Sequence[KnownFront] = (),
 ) -> tuple[list[Instance], list[KnownFront]]:
     """Split rows of furniture between their fronts.
@@ -210,7 +209,6 @@ def split_rows(
         cloud: In the upright world.
         frames: In the upright world.
         look: Finds the parts on a face.
-        config: How to split.
         known: Parts that are already known.
 
     Returns:
@@ -223,7 +221,7 @@ def split_rows(
         def seen(face: FaceImage, label: str = item.label) -> Front:
             return look(face, label)
 
-        pieces, front = split_row(item.box, frames, seen, config.rows, config.view, known)
+        pieces, front = split_row(item.box, frames, seen, known)
         before += [front] if front is not None else []
         if len(pieces) == 1:
             instances.append(Instance(item.label, item.score, item.members, item.box, item.guesses))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.core import refuse_below
 from momapos.model.records import (
     ArticulationPredictor,
     Cloud,
@@ -23,23 +24,16 @@ from momapos.model.records import (
 )
 from momapos.model.scene import SceneObject
 from momapos.model.scene.library import Piece
-from momapos.perception.detection import VoteConfig
 from momapos.perception.fusion import (
-    CompletionConfig,
     FusionConfig,
-    GravityConfig,
-    RegistrationConfig,
 )
-from momapos.perception.reconstruction import ModelConfig, SeenMotion, SeenMotionConfig
+from momapos.perception.reconstruction import ModelConfig, SeenMotion
 from momapos.perception.segmentation import (
-    BoxConfig,
-    OpenLeafConfig,
     PixelOf,
     PointAt,
-    RoomConfig,
     RoomShell,
 )
-from momapos.perception.views import FrontView, KnownFront, RowConfig, ViewConfig
+from momapos.perception.views import FrontView, KnownFront, ViewMethod
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -50,6 +44,8 @@ Found = Mapping[str, Sequence[ImageDetection]]
 """2-D detections by frame name."""
 Target: TypeAlias = str | PointAt | PixelOf
 """The object of a task: its name, or a point or pixel on it."""
+MIN_SIDES = (0.1, 0.2)
+"""Objects with a shorter shortest or middle edge have no doors or drawers [m]."""
 
 
 @dataclass(frozen=True)
@@ -58,25 +54,14 @@ class ScanConfig:
 
     voxel: float = 0.015
     """Edge length of the fusion voxels [m]."""
-    least_sides: tuple[float, float] = (0.1, 0.2)
-    """Objects with a shorter shortest or middle edge have no doors or drawers [m]."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
-    completion: CompletionConfig = field(default_factory=CompletionConfig)
-    """Which depth holes are treated as black, mirrored or glass fronts."""
-    gravity: GravityConfig = field(default_factory=GravityConfig)
-    open_leaves: OpenLeafConfig = field(default_factory=OpenLeafConfig)
-    """What counts as an open door or flap."""
-    room: RoomConfig = field(default_factory=RoomConfig)
-    boxes: BoxConfig = field(default_factory=BoxConfig)
-    rows: RowConfig = field(default_factory=RowConfig)
-    votes: VoteConfig = field(default_factory=VoteConfig)
-    """When 2-D detections override other labels."""
-    view: ViewConfig = field(default_factory=ViewConfig)
+    views: ViewMethod = "voting"
+    """How the front of an object is chosen: by a vote of all images, or by the first image that
+    passes, as in the paper."""
     model: ModelConfig = field(default_factory=ModelConfig)
-    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
-    """How a second scan is registered to the first."""
-    seen_motion: SeenMotionConfig = field(default_factory=SeenMotionConfig)
-    """How parts that moved between two scans are found."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0.001, "voxel")
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from momapos.core import (
     InputError,
     UnknownNameError,
     read_text_bounded,
+    shown,
     type_words,
 )
 
@@ -147,7 +148,7 @@ def _from_table(
         elif isinstance(value, dict):
             yield from _from_table(value, getattr(part, name), f"{path}.", config, file)
         else:
-            raise InputError(f"{where} must be a table of fields, not {_shown(value)}")
+            raise InputError(f"{where} must be a table of fields, not {shown(value)}")
 
 
 def _build(config: C, prefix: str, settings: Mapping[str, Setting]) -> C:
@@ -216,23 +217,14 @@ def _convert(value: Any, kind: Any, where: str, written: Any) -> Any:
     try:
         converted = msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        raise InputError(f"{where} must be {type_words(kind)}, not {_shown(written)}") from error
+        raise InputError(f"{where} must be {type_words(kind)}, not {shown(written)}") from error
     if isinstance(converted, tuple):
         finite = all(math.isfinite(one) for one in converted if isinstance(one, float))
     else:  # some weights may be inf
         finite = not (isinstance(converted, float) and math.isnan(converted))
     if not finite:
-        raise InputError(f"{where} must be {type_words(kind)}, not {_shown(written)}")
+        raise InputError(f"{where} must be {type_words(kind)}, not {shown(written)}")
     return converted
-
-
-def _shown(value: Any) -> str:
-    """Return a value as a message shows it."""
-    if isinstance(value, dict):
-        return "a table"
-    if isinstance(value, list):
-        return "a list"
-    return f"{value!r:.60}" if isinstance(value, str) else f"{value!s:.60}"
 
 
 def _written(value: Any) -> str:

@@ -10,7 +10,15 @@ import numpy as np
 
 from momapos.model import Trajectory
 
-from .config import ComplianceConfig, ExecutionConfig
+from .config import (
+    BESIDE_SPEED,
+    NEAR_GRASP,
+    NEAR_SPEED,
+    OBSERVED_DISTANCE,
+    PACE_RATE,
+    SUBSTEPS,
+    ExecutionConfig,
+)
 from .geoms import HAND, Kind
 from .simulation import Simulation
 
@@ -78,33 +86,29 @@ def pace_trajectory(
         value: Value of the part's joint meanwhile [rad] or [m]; by default as in the room.
         careful: Limit the speed everywhere, because the known room may be wrong.
     """
-    step, compliance = config.timestep * config.substeps, config.compliance
+    step = config.timestep * SUBSTEPS
     times = np.arange(len(plan)) * step
-    gap = np.interp(times, plan.state_times, clearances(room, path, config.near, value))
+    gap = np.interp(times, plan.state_times, clearances(room, path, OBSERVED_DISTANCE, value))
     points = np.column_stack([np.interp(times, plan.state_times, tool[:, i]) for i in range(3)])
     speed = np.zeros(len(plan))
     if len(plan) > 1:
         speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) / step
     left = np.linalg.norm(points - points[-1], axis=1)
-    share = np.clip(gap / config.near, 0.0, 1.0)
-    most = compliance.near_speed + share * (compliance.beside_speed - compliance.near_speed)
-    most = np.where(share < 1.0, most, compliance.beside_speed if careful else np.inf)
+    share = np.clip(gap / OBSERVED_DISTANCE, 0.0, 1.0)
+    most = NEAR_SPEED + share * (BESIDE_SPEED - NEAR_SPEED)
+    most = np.where(share < 1.0, most, BESIDE_SPEED if careful else np.inf)
     # If the tool passes near its end and leaves again, only the last arrival counts.
-    coming = np.maximum.accumulate(left[::-1])[::-1] <= compliance.near
-    most = np.where(coming, np.minimum(most, compliance.near_speed), most)
-    return PacedTrajectory(
-        plan, _smooth(most / np.maximum(speed, 1e-9), compliance, step), left, gap
-    )
+    coming = np.maximum.accumulate(left[::-1])[::-1] <= NEAR_GRASP
+    most = np.where(coming, np.minimum(most, NEAR_SPEED), most)
+    return PacedTrajectory(plan, _smooth(most / np.maximum(speed, 1e-9), step), left, gap)
 
 
-def _smooth(
-    pace: Float[np.ndarray, " t"], config: ComplianceConfig, step: float
-) -> Float[np.ndarray, " t"]:
+def _smooth(pace: Float[np.ndarray, " t"], step: float) -> Float[np.ndarray, " t"]:
     """Return the largest pace below `pace` and 1 whose rate of change is bounded.
 
     At pace p a sample takes step / p, so p^2 changes by at most 2 rate step per sample.
     """
-    rise = 2.0 * config.pace_rate * step * np.arange(len(pace))
+    rise = 2.0 * PACE_RATE * step * np.arange(len(pace))
     squared = np.clip(pace, 1e-3, 1.0) ** 2
     forward = np.minimum.accumulate(squared - rise) + rise
     backward = (np.minimum.accumulate((forward + rise)[::-1]))[::-1] - rise

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .config import ComplianceConfig
+from .config import AVOID_RATE, ComplianceConfig
 from .geoms import HAND, ROBOT, Kind, matrix_quat
 from .simulation import Simulation, set_followers
 
@@ -93,9 +93,7 @@ class CollisionAvoidance:
         changes = np.array([self._change(i) for i in chosen.tolist()]).reshape(-1, model.nv)
         rows = changes[:, known.arm_v]
         # Leave an assumed overlap slowly: the model may be wrong.
-        speed = np.minimum(
-            -config.avoid_rate * (data.contact.dist[chosen] - config.apart), config.speed
-        )
+        speed = np.minimum(-AVOID_RATE * (data.contact.dist[chosen] - config.apart), config.speed)
         if not self._loose:
             speed -= changes[:, known.part_v] * part_speed
         size = np.linalg.norm(rows, axis=1)

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from momapos.core import refuse_below
 from momapos.model import SpeedConfig
 
 HoldMethod = Literal["weld", "contact"]
@@ -56,6 +57,108 @@ class Stage(StrEnum):
     RETREAT = "retreat"
 
 
+SEAL_RANGE = 0.01
+"""Travel of the free edge over which the force of a seal or latch decays [m]."""
+ARMATURE = 0.1
+"""Motor inertia reflected through the gear [kg m^2]; ten times as many kg for slides."""
+BANDWIDTH = 60.0
+"""Natural frequency of the critically damped position loops [rad/s]."""
+BASE_BANDWIDTH = 60.0
+"""Natural frequency of the base on its tires with the brakes on [rad/s]."""
+BASE_FRICTION = 0.6
+"""Friction between wheels and floor; a larger force makes the base slide [-]."""
+PAD_TIME = 0.005
+"""Time constant of the contact between a pad and a grasped object [s]. The engine softens
+contacts with light bodies: with its default, pads sink 6 mm into an apple or the bar of a light
+door, which then creeps out of the hand."""
+MIN_LOADED = 0.4
+"""Share of the grip force that the pads of both sides must bear for a grasp to hold [-]."""
+GRIP_PATIENCE = 0.6
+"""Time to wait for `MIN_LOADED` after the fingers should be closed [s]."""
+LOST_TIME = 0.15
+"""The grasp is lost when neither side bears a load for this long [s]."""
+WELD_REACH = 0.02
+"""Maximum distance from the gripper or the tool's origin at which the weld attaches [m]."""
+WELD_TIME = 0.01
+"""Time constant of the compliant weld; smaller is stiffer [s]."""
+WELD_FORCE = 150.0
+"""Force above which the weld breaks [N]."""
+WELD_TORQUE = 25.0
+"""Torque above which the weld breaks [Nm]."""
+NEAR_GRASP = 0.1
+"""Distance to the grasp within which the hand moves slowly [m]."""
+STRAIGHT_IN = 0.085
+"""Distance to the grasp within which the hand may pass obstacles as closely as planned, because it
+moves straight in around its target [m]."""
+NEAR_SPEED = 0.05
+"""Speed of the hand within `NEAR_GRASP` of the grasp, and where the arm would touch the model
+[m/s]."""
+BESIDE_SPEED = 0.25
+"""Speed of the hand where the arm is `OBSERVED_DISTANCE` from its surroundings [m/s]."""
+PUSH_SPEED = 0.1
+"""Maximum tool speed while pushing; a faster push would throw the part ahead [m/s]."""
+PACE_RATE = 4.0
+"""Maximum change of the speed per second, as a share of the planned speed [1/s]."""
+MIN_PACE = 0.2
+"""Minimum share of the speed that remains under large contact forces [-]."""
+BUMP_FORCE = 25.0
+"""Force against the approach at which the hand backs off and comes in with an offset [N]."""
+MIN_BUMP_PATH = 0.012
+"""It does so only if at least this much of its path is left [m]."""
+RETRY_OFFSETS = (0.012, 0.024, 0.0)
+"""Offsets of successive retries; after the last one the hand pushes on [m]."""
+SEARCH_AHEAD = 0.03
+"""If nothing is between the fingers, the hand searches this much farther ahead [m]."""
+SEARCH_BACK = 0.003
+"""It grasps this much before the contact that the search found [m]."""
+FOLLOW_RATE = 6.0
+"""Rate at which the hand corrects an offset along the path [1/s]."""
+RETURN_RATE = 1.0
+"""Rate at which the hand corrects an offset across the path [1/s]."""
+TURN_RETURN_RATE = 5.0
+"""Rate at which the hand corrects a rotation [1/s]."""
+TURN_DAMPING = 15.0
+"""Torque per angular speed of the hand [Nms/rad]."""
+TURN_SPEED = 0.4
+"""Maximum angular speed of compliance and correction [rad/s]."""
+HOME_TIME = 1.5
+"""Time in which a hand that let go returns to the plan [s]."""
+FILTER_TIME = 0.02
+"""Time constant of the low-pass filter of the force at the hand [s]."""
+WEIGHT_TIME = 0.15
+"""Time constant of the low-pass filter of the carried weight [s]."""
+PATH_FORCE = 60.0
+"""Force at the hand that means an obstacle, before the hand is near its target [N]."""
+ARM_TORQUE = 12.0
+"""Load of a turning joint that the hand does not explain and that means an obstacle [Nm]."""
+ARM_FORCE = 60.0
+"""The same for a sliding joint [N]."""
+NOTICED_FORCE = 1.0
+"""A pushing hand that never felt more than this has met nothing [N]."""
+STOP_FORCE = 20.0
+"""Extra resistance of the part near the end of its path that stops the arm [N]."""
+BASE_CLEARANCE = 0.015
+"""Minimum clearance between the part and the robot's base, unless the plan has less [m]."""
+AVOID_RATE = 20.0
+"""Approach speed per distance left to `ComplianceConfig.apart` [1/s]."""
+AXIS_ERROR = 0.03
+"""Standard deviation of a hinge's position in the joint estimate's prior [m]."""
+TILT_ERROR = float(np.radians(5.0))
+"""Standard deviation of the direction of a hinge axis or slide in that prior [rad]."""
+SUBSTEPS = 2
+"""Physics steps per step of the controller and the observer [-]."""
+SETTLE_TIME = 0.3
+"""Time before the arm moves [s]."""
+GRIP_TIME = 0.3
+"""Time for the hand to open, or for a weld to attach [s]."""
+DWELL_TIME = 0.4
+"""Time to come to rest at the end of the motion, and again until the verdict [s]."""
+TOUCH_DISTANCE = 1e-3
+"""Distance at the start below which furniture parts touch by design [m]."""
+OBSERVED_DISTANCE = 0.03
+"""Maximum observed distance from the robot to its surroundings [m]."""
+
+
 @dataclass(frozen=True)
 class FurnitureConfig:
     """Mass and resistance of doors and drawers.
@@ -83,36 +186,18 @@ class FurnitureConfig:
     """Force at the free edge that opens a door with a seal [N]."""
     latch_force: float = 6.0
     """Force at the free edge that opens any other door or drawer, with a catch or spring [N]."""
-    seal_range: float = 0.01
-    """Travel of the free edge over which that force decays [m]."""
     sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
     """Words in the category or name of objects whose doors have a seal."""
     spread: float = 0.0
     """Relative spread of masses, friction and opening forces around the values above [-]."""
 
-
-ARMATURE = 0.1
-"""Motor inertia reflected through the gear [kg m^2]; ten times as many kg for slides."""
-BANDWIDTH = 60.0
-"""Natural frequency of the critically damped position loops [rad/s]."""
-BASE_BANDWIDTH = 60.0
-"""Natural frequency of the base on its tires with the brakes on [rad/s]."""
-BASE_FRICTION = 0.6
-"""Friction between wheels and floor; a larger force makes the base slide [-]."""
-STOP_FORCE = 20.0
-"""Extra resistance of the part near the end of its path that stops the arm [N]."""
-
-
-PAD_TIME = 0.005
-"""Time constant of the contact between a pad and a grasped object [s]. The engine softens
-contacts with light bodies: with its default, pads sink 6 mm into an apple or the bar of a light
-door, which then creeps out of the hand."""
-WELD_TIME = 0.01
-"""Time constant of the compliant weld; smaller is stiffer [s]."""
-WELD_FORCE = 150.0
-"""Force above which the weld breaks [N]."""
-WELD_TORQUE = 25.0
-"""Torque above which the weld breaks [Nm]."""
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "density", "hinge_friction", "slide_friction")
+        refuse_below(
+            self, 0, "seal_force", "latch_force", "hinge_damping", "slide_damping", "spread"
+        )
+        refuse_below(self, 0.001, "least_mass")
+        refuse_below(self, self.least_mass, "most_mass")
 
 
 @dataclass(frozen=True)
@@ -125,48 +210,11 @@ class GripConfig:
     """Friction between a finger pad and a handle [-]."""
     speed: float = 0.03
     """Speed of each pad while the hand closes [m/s]."""
-    loaded: float = 0.4
-    """Share of the grip force that the pads of both sides must bear for a grasp to hold [-]."""
-    patience: float = 0.6
-    """Time to wait for that load after the fingers should be closed [s]."""
-    lost: float = 0.15
-    """The grasp is lost when neither side bears a load for this long [s]."""
-    reach: float = 0.02
-    """Maximum distance from the gripper or the tool's origin at which the weld attaches [m]."""
 
-
-ARM_FORCE = 60.0
-"""... or, for a sliding joint [N]."""
-ARM_TORQUE = 12.0
-"""Joint load that the hand does not explain and that means an obstacle [Nm] ..."""
-BASE_CLEARANCE = 0.015
-"""Minimum clearance between the part and the robot's base, unless the plan has less [m]."""
-FILTER_TIME = 0.02
-"""Time constant of the low-pass filter of the force at the hand [s]."""
-FOLLOW_RATE = 6.0
-"""Rate at which the hand corrects an offset along the path [1/s]."""
-NOTICED_FORCE = 1.0
-"""A pushing hand that never felt more than this has met nothing [N]."""
-PUSH_SPEED = 0.1
-"""Maximum tool speed while pushing; a faster push would throw the part ahead [m/s]."""
-RETURN_RATE = 1.0
-"""Rate at which the hand corrects an offset across the path [1/s]."""
-SEARCH_BACK = 0.003
-"""... and grasps this much before the contact it found there [m]."""
-MIN_PACE = 0.2
-"""Minimum share of the speed that remains under large contact forces [-]."""
-TILT_ERROR = float(np.radians(5.0))
-"""Standard deviation of the direction of a hinge axis or slide in that prior [rad]."""
-TURN_DAMPING = 15.0
-"""Torque per angular speed of the hand [Nms/rad]."""
-TURN_RETURN_RATE = 5.0
-"""Rate at which the hand corrects a rotation [1/s]."""
-TURN_SPEED = 0.4
-"""Maximum angular speed of compliance and correction [rad/s]."""
-PATH_FORCE = 60.0
-"""Force at the hand that means an obstacle, before the hand is near its target [N]."""
-WEIGHT_TIME = 0.15
-"""Time constant of the low-pass filter of the carried weight [s]."""
+    def __post_init__(self) -> None:
+        refuse_below(self, 1, "stiffness")
+        refuse_below(self, 0, "friction")
+        refuse_below(self, 0.001, "speed")
 
 
 @dataclass(frozen=True)
@@ -176,26 +224,6 @@ class ComplianceConfig:
     It is stiff along the part's path, and compliant across it and in rotation.
     """
 
-    near: float = 0.1
-    """Distance to the grasp within which the hand moves slowly [m]."""
-    straight: float = 0.085
-    """Distance to the grasp within which the hand may pass obstacles as closely as planned, because
-    it moves straight in around its target [m]."""
-    near_speed: float = 0.05
-    """Speed of the hand within `near` of the grasp, and where the arm would touch the model
-    [m/s]."""
-    beside_speed: float = 0.25
-    """Speed of the hand where the arm is `ExecutionConfig.near` from its surroundings [m/s]."""
-    pace_rate: float = 4.0
-    """Maximum change of the speed per second, as a share of the planned speed [1/s]."""
-    bump: float = 25.0
-    """Force against the approach at which the hand backs off and comes in with an offset [N] ..."""
-    early: float = 0.012
-    """... if at least this much of its path is left [m]."""
-    aside: tuple[float, ...] = (0.012, 0.024, 0.0)
-    """Offsets of successive retries; after the last one the hand pushes on [m]."""
-    search: float = 0.03
-    """If nothing is between the fingers, the hand searches this much farther ahead [m] ..."""
     damping: float = 400.0
     """Force per speed of the hand [Ns/m]."""
     speed: float = 0.08
@@ -203,8 +231,6 @@ class ComplianceConfig:
     joint_speed: float = 2.0
     """Maximum joint speed under compliance [rad/s] or [m/s]; near singularities and between
     conflicting bounds the control would ask for more."""
-    home: float = 1.5
-    """Time in which a hand that let go returns to the plan [s]."""
     force: float = 120.0
     """Force at the hand above which the run stops [N]."""
     torque: float = 20.0
@@ -213,12 +239,13 @@ class ComplianceConfig:
     """Distance below which obstacles slow the arm's approach toward them [m]."""
     apart: float = 0.003
     """Minimum distance from the arm to obstacles [m]."""
-    avoid_rate: float = 20.0
-    """Approach speed per distance left to `apart` [1/s]."""
-    axis_error: float = 0.03
-    """Standard deviation of a hinge's position in the joint estimate's prior [m]."""
     hand_error: float = 0.003
     """Standard deviation of the hand's position on the part in the joint estimate [m]."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 1, "damping")
+        refuse_below(self, 0, "speed", "joint_speed", "force", "torque", "avoid", "apart")
+        refuse_below(self, 1e-6, "hand_error")
 
 
 @dataclass(frozen=True)
@@ -238,6 +265,9 @@ class ModelErrorConfig:
     resistance: float = 0.0
     """Relative error of mass, friction, damping and pull, each up or down [-]."""
 
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "handle", "axis", "tilt", "resistance")
+
     @property
     def any(self) -> bool:
         """Whether the configuration has any error."""
@@ -252,26 +282,18 @@ class ExecutionConfig:
     """contact: fingers and friction alone; weld: a compliant, breakable weld at the grasp."""
     timestep: float = 0.002
     """Time step of the physics [s]."""
-    substeps: int = 2
-    """Physics steps per step of the controller and the observer [-]."""
-    settle: float = 0.3
-    """Time before the arm moves [s]."""
-    grip: float = 0.3
-    """Time for the hand to open, or for a weld to attach [s]."""
-    dwell: float = 0.4
-    """Time to come to rest at the end of the motion, and again until the verdict [s]."""
     tolerance: float = 0.05
     """Maximum remaining travel of a joint, as a share of the requested travel [-]."""
     slip: float = 0.03
     """Motion of a lifted object in the hand above which it counts as lost [m]."""
-    touch: float = 1e-3
-    """Distance at the start below which furniture parts touch by design [m]."""
     touch_force: float = 150.0
     """Contact force outside the grasp above which the run fails [N]."""
-    near: float = 0.03
-    """Maximum observed distance from the robot to its surroundings [m]."""
     furniture: FurnitureConfig = field(default_factory=FurnitureConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
     gripper: GripConfig = field(default_factory=GripConfig)
     compliance: ComplianceConfig = field(default_factory=ComplianceConfig)
     errors: ModelErrorConfig = field(default_factory=ModelErrorConfig)
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 1e-5, "timestep")
+        refuse_below(self, 0, "tolerance", "slip", "touch_force")

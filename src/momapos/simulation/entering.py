@@ -9,7 +9,22 @@ import numpy as np
 from .approach import PacedTrajectory
 from .arm_control import EVERYWHERE, Reference
 from .avoidance import PROXIMITY_INTERVAL, Bounds
-from .config import MIN_PACE, PATH_FORCE, SEARCH_BACK, STOP_FORCE, Ending, Stage
+from .config import (
+    BUMP_FORCE,
+    HOME_TIME,
+    MIN_BUMP_PATH,
+    MIN_PACE,
+    NEAR_GRASP,
+    NEAR_SPEED,
+    PATH_FORCE,
+    RETRY_OFFSETS,
+    SEARCH_AHEAD,
+    SEARCH_BACK,
+    STOP_FORCE,
+    STRAIGHT_IN,
+    Ending,
+    Stage,
+)
 from .execution_run import ExecutionRun
 
 if TYPE_CHECKING:
@@ -22,11 +37,11 @@ def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
     run.passed, steps, begin = 0.0, 0, float(run.motion.object_q[0])
     while True:
         left = float(way.left[round(run.passed)])
-        near = left < compliance.near
+        near = left < NEAR_GRASP
         pace = sign * float(way.pace[round(run.passed)]) * _easing(run)
         if steps % PROXIMITY_INTERVAL == 0:
             close = way.gap[round(run.passed)] < compliance.avoid
-            apart, bounds = left >= compliance.straight, None
+            apart, bounds = left >= STRAIGHT_IN, None
             if close:
                 stands = apart and not run.held
                 bounds = run.avoidance.bounds(run.arm.q, begin, hand=apart, stands=stands)
@@ -38,9 +53,9 @@ def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
             return None  # the carried object rests on something
         if not near and np.linalg.norm(run.arm.wrench[:3]) > PATH_FORCE:
             return Ending.BLOCKED
-        if sign < 0 and (left > compliance.near / 2 or run.passed == 0.0):
+        if sign < 0 and (left > NEAR_GRASP / 2 or run.passed == 0.0):
             sign = 1.0
-        elif sign > 0 and near and left > compliance.early and not run.held and _bumped(run, T):
+        elif sign > 0 and near and left > MIN_BUMP_PATH and not run.held and _bumped(run, T):
             sign = -1.0
         elif sign > 0 and run.passed >= way.last:
             return None
@@ -56,11 +71,10 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
         run: The run, with open fingers.
         q: Arm state at the planned grasp [rad] or [m].
     """
-    compliance = run.config.compliance
     T, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
     ahead, still = T[:3, :3] @ run.world.hand.approach, np.zeros(len(q))
     loose, gone, sign = EVERYWHERE - np.outer(ahead, ahead), 0.0, 1.0
-    speed, most = compliance.near_speed / 2, compliance.search
+    speed, most = NEAR_SPEED / 2, SEARCH_AHEAD
     while sign > 0 or gone > most:
         gone += sign * speed * run.step
         there = T.copy()
@@ -70,7 +84,7 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
         ending = run.tick(Stage.GRIP)
         if ending is not None:
             return ending
-        met = float(-run.arm.wrench[:3] @ ahead) > compliance.bump / 2
+        met = float(-run.arm.wrench[:3] @ ahead) > BUMP_FORCE / 2
         if sign > 0 and (met or gone >= most):
             sign, most = -1.0, gone - SEARCH_BACK
     run.forward_offset = gone * ahead
@@ -80,7 +94,7 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
 def go_between(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
     """Move the free hand from one grasp to the next, returning to the plan meanwhile."""
     offset = run.arm.q - way.plan.q[0]
-    fade, steps, at = run.step / run.config.compliance.home, 0, 0.0
+    fade, steps, at = run.step / HOME_TIME, 0, 0.0
     while at < way.last:
         pace = float(way.pace[round(at)])
         at, steps = min(at + pace, float(way.last)), steps + 1
@@ -137,8 +151,7 @@ def _free(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> bool:
 
 def _easing(run: ExecutionRun) -> float:
     """Return the share of the planned speed, lower the more force the arm feels."""
-    compliance = run.config.compliance
-    felt = float(np.linalg.norm(run.arm.wrench[:3])) / compliance.bump
+    felt = float(np.linalg.norm(run.arm.wrench[:3])) / BUMP_FORCE
     return max(MIN_PACE, 1.0 - max(felt, run.arm.load))
 
 
@@ -147,14 +160,14 @@ def _bumped(run: ExecutionRun, T: Float[np.ndarray, "4 4"]) -> bool:
 
     The torque of the contact shows which finger; the hand comes in offset to that side next time.
     """
-    compliance, approach = run.config.compliance, T[:3, :3] @ run.world.hand.approach
+    approach = T[:3, :3] @ run.world.hand.approach
     force, torque = np.split(run.arm.wrench, 2)
     push = float(-force @ approach)
-    if push < compliance.bump or run.tries >= len(compliance.aside):
+    if push < BUMP_FORCE or run.tries >= len(RETRY_OFFSETS):
         return False
     if not run.tries:
         lever = torque @ np.cross(approach, T[:3, :3] @ run.world.hand.axis)
         run.side = float(np.sign(lever))
-    run.lateral_offset = run.side * compliance.aside[run.tries]
+    run.lateral_offset = run.side * RETRY_OFFSETS[run.tries]
     run.tries += 1
     return True

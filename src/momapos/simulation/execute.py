@@ -17,7 +17,7 @@ from momapos.model.urdf import opening_of
 
 from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import ArmKinematics
-from .config import AT_END, GOOD, PUSH_SPEED, RECOVERABLE, Ending, ExecutionConfig
+from .config import AT_END, GOOD, PUSH_SPEED, RECOVERABLE, SUBSTEPS, Ending, ExecutionConfig
 from .dynamics import Dynamics, read_dynamics
 from .execution_run import BelievedJoint, ExecutionRun, Stretch, Watch
 from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
@@ -181,7 +181,7 @@ def _stretches(
     robot: Robot, motion: Motion, task: Task, config: ExecutionConfig, room: Simulation
 ) -> list[Stretch]:
     """Cut the motion where the hand grasps and lets go."""
-    step = config.timestep * config.substeps
+    step = config.timestep * SUBSTEPS
     holds = motion.holds or (Hold(0, len(motion.q) - 1),)
     cuts: list[tuple[int, int, Hold | None]] = []
     for hold in holds:
@@ -224,7 +224,7 @@ def _approach(
     careful: bool,
 ) -> PacedTrajectory:
     """Return the approach, slow where the arm is near the known room."""
-    step = config.timestep * config.substeps
+    step = config.timestep * SUBSTEPS
     plan, _ = time_motion(robot, motion, config.speed, step, verb=task.verb)
     path = motion.approach if len(motion.approach) else motion.q[:1]
     kinematics = ArmKinematics(room)

@@ -18,7 +18,20 @@ from momapos.model.scene import SceneObject
 from .approach import PacedTrajectory
 from .arm_control import EVERYWHERE, CompliantArm, Reference
 from .avoidance import CollisionAvoidance
-from .config import BANDWIDTH, WEIGHT_TIME, WELD_FORCE, WELD_TORQUE, Ending, ExecutionConfig, Stage
+from .config import (
+    BANDWIDTH,
+    GRIP_PATIENCE,
+    GRIP_TIME,
+    LOST_TIME,
+    MIN_LOADED,
+    SUBSTEPS,
+    WEIGHT_TIME,
+    WELD_FORCE,
+    WELD_TORQUE,
+    Ending,
+    ExecutionConfig,
+    Stage,
+)
 from .feel import sense_forces
 from .geoms import ROBOT, matrix_quat
 from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
@@ -94,7 +107,7 @@ class ExecutionRun:
         self.again = touched is not None
         self.world, self.motion, self.task, self.config = world, motion, task, config
         self.seal, self.belief, self.watch = seal, belief, watch
-        self.step = config.timestep * config.substeps
+        self.step = config.timestep * SUBSTEPS
         self.observer = Observer(world, config, dict(touched or {}))
         self.T_part_first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
@@ -161,7 +174,7 @@ class ExecutionRun:
         if self.seal.outward:
             value = float(world.data.qpos[world.part_q])
             world.data.qfrc_applied[world.part_v] = self.seal.force(value)
-        mujoco.mj_step(world.model, world.data, nstep=self.config.substeps)
+        mujoco.mj_step(world.model, world.data, nstep=SUBSTEPS)
         self.spent[stage] += 1
         if self.watch is not None:
             self.watch(world, self.time, stage)
@@ -231,8 +244,8 @@ class ExecutionRun:
         across = np.outer(closing, closing)  # the fingers center the hand along this axis only
         reference = Reference(q, still, T, np.zeros(6), EVERYWHERE, across)
         way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
-        enough, firm = grip.loaded * self.world.hand.force, 0
-        for k in range(round((way / grip.speed + grip.patience) / self.step)):
+        enough, firm = MIN_LOADED * self.world.hand.force, 0
+        for k in range(round((way / grip.speed + GRIP_PATIENCE) / self.step)):
             self.command_fingers(grip.speed * k * self.step)
             if gives:
                 arm.follow(reference)
@@ -242,7 +255,7 @@ class ExecutionRun:
             if ending is not None:
                 return ending
             firm = firm + 1 if min(self.touch.pads) > enough else 0
-            if firm * self.step >= grip.patience / 2:
+            if firm * self.step >= GRIP_PATIENCE / 2:
                 return None
         one = max(self.touch.pads) > enough
         if one and one_sided:
@@ -264,11 +277,11 @@ class ExecutionRun:
         self.observer.let_go()
         self.world.release()
         self.command_fingers(0.0)
-        return self.rest(Stage.GRIP, self.config.grip)
+        return self.rest(Stage.GRIP, GRIP_TIME)
 
     def check_grasp(self) -> Ending | None:
         """Return SLIPPED if the pads have borne no load for too long."""
         if not self.held or self.config.hold != "contact":
             return None
         self.unloaded = self.unloaded + 1 if max(self.touch.pads) < 1.0 else 0
-        return Ending.SLIPPED if self.unloaded * self.step > self.config.gripper.lost else None
+        return Ending.SLIPPED if self.unloaded * self.step > LOST_TIME else None

@@ -13,7 +13,15 @@ from momapos.model import Trajectory
 
 from .arm_control import EVERYWHERE, Reference, twist_between
 from .avoidance import PROXIMITY_INTERVAL, Bounds
-from .config import BASE_CLEARANCE, NOTICED_FORCE, STOP_FORCE, Ending, Stage
+from .config import (
+    BASE_CLEARANCE,
+    DWELL_TIME,
+    NOTICED_FORCE,
+    SETTLE_TIME,
+    STOP_FORCE,
+    Ending,
+    Stage,
+)
 from .execution_run import BelievedJoint, ExecutionRun, Stretch
 from .joint_estimate import JointEstimate, LearnedPart
 
@@ -30,7 +38,7 @@ def follow_part(
 ) -> Ending | None:
     """Move the part about its estimated joint as planned; return an early ending, or None."""
     way = _PartWay(run, plan, stretch, belief)
-    extra = round(run.config.dwell / run.step)  # time for the arm to make up its lag
+    extra = round(DWELL_TIME / run.step)  # time for the arm to make up its lag
     for i in range(len(plan) + extra):
         ending = way.step(i)
         if ending is Ending.OTHERWISE and not stretch.pushes:
@@ -113,7 +121,7 @@ class _PartWay:
             run.learned = self._learned(here[:3, 3])
             if farther and run.doubt is not None and run.doubt(self.estimate.points):
                 run.arm.stop()  # hold the part, which would swing on otherwise
-                settled = run.rest(Stage.MANIPULATE, run.config.settle)
+                settled = run.rest(Stage.MANIPULATE, SETTLE_TIME)
                 ending = ending or settled or Ending.OTHERWISE
         if ending is Ending.SLIPPED and self._near_end(here):
             return Ending.SLIPPED_AT_END

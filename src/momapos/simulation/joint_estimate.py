@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.core.geometry import orthonormal, pose, rotation_about, rotation_of
 
-from .config import TILT_ERROR, ComplianceConfig
+from .config import AXIS_ERROR, TILT_ERROR, ComplianceConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -157,7 +157,7 @@ class JointEstimate:
     def _residuals(self) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r k"]]:
         """Return prior and measurements over their standard deviations, and their Jacobian."""
         sigma = np.full(len(self._x), TILT_ERROR)
-        sigma[2:] = self.config.axis_error
+        sigma[2:] = AXIS_ERROR
         r, step = self._off(self._x), 1e-6
         J = np.stack([(self._off(self._x + d) - r) / step for d in step * np.eye(len(self._x))], 1)
         noise = self.config.hand_error

@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.core.geometry import invert, rotation_angle
 
-from .config import ExecutionConfig
+from .config import SUBSTEPS, ExecutionConfig
 from .feel import SensedForces
 from .geoms import ROBOT, Kind
 from .run_record import Collision, Load, Slip, Tracking
@@ -137,7 +137,7 @@ class Observer:
             seen,
             force=max(seen.force, force),
             depth=max(seen.depth, depth),
-            seconds=seen.seconds + self.config.timestep * self.config.substeps,
+            seconds=seen.seconds + self.config.timestep * SUBSTEPS,
         )
 
     def hardest(self) -> tuple[Collision, ...]:

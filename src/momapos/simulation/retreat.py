@@ -13,7 +13,7 @@ from momapos.model.robots import Robot
 
 from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import EVERYWHERE, Reference
-from .config import PATH_FORCE, Ending, Stage
+from .config import NEAR_GRASP, NEAR_SPEED, PATH_FORCE, SETTLE_TIME, Ending, Stage
 from .entering import go_back
 from .execution_run import ExecutionRun
 
@@ -112,12 +112,11 @@ def _let_go(run: ExecutionRun) -> Ending | None:
 
 def _draw_back(run: ExecutionRun, value: float) -> Ending | None:
     """Draw the hand back against its approach, over the distance of its slow approach."""
-    compliance = run.config.compliance
     T, _ = run.arm.kinematics.at(run.arm.q)
     back = -T[:3, :3] @ run.world.hand.approach
     q, still = run.arm.q.copy(), np.zeros_like(run.arm.q)
-    twist = np.concatenate([compliance.near_speed * back, np.zeros(3)])
-    count = round(compliance.near / compliance.near_speed / run.step)
+    twist = np.concatenate([NEAR_SPEED * back, np.zeros(3)])
+    count = round(NEAR_GRASP / NEAR_SPEED / run.step)
     for _ in range(count):
         T = T.copy()
         T[:3, 3] += run.step * twist[:3]
@@ -126,11 +125,11 @@ def _draw_back(run: ExecutionRun, value: float) -> Ending | None:
         ending = run.tick(Stage.RETREAT)
         if ending is not None:
             return ending
-    return run.rest(Stage.RETREAT, run.config.settle)
+    return run.rest(Stage.RETREAT, SETTLE_TIME)
 
 
 def _at_home(run: ExecutionRun, robot: Robot) -> bool:
-    run.rest(Stage.RETREAT, run.config.settle)
+    run.rest(Stage.RETREAT, SETTLE_TIME)
     home = robot.model.all_values(dict(zip(robot.arm_joints, robot.home.tolist(), strict=True)))
     off = run.world.data.qpos[run.world.arm_q] - [home[name] for name in robot.moved_joints]
     return bool(np.abs(off).max() < _HOME_TOLERANCE)

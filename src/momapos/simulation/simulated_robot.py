@@ -13,7 +13,14 @@ from momapos.core.geometry import invert, pose_planar
 from momapos.model.robots import Pivot, Robot
 from momapos.model.urdf import Joint, Mimic, joint_motion
 
-from .config import ARMATURE, BANDWIDTH, BASE_BANDWIDTH, BASE_FRICTION, ExecutionConfig
+from .config import (
+    ARMATURE,
+    BANDWIDTH,
+    BASE_BANDWIDTH,
+    BASE_FRICTION,
+    OBSERVED_DISTANCE,
+    ExecutionConfig,
+)
 from .dynamics import Dynamics, Inertia
 from .geoms import Kind, add_shape, dress, place_body
 from .simulated_hand import Finger, SimulatedHand
@@ -128,7 +135,7 @@ def _add_link(
     for i, shape in enumerate(robot.model.urdf.links[link].collisions):
         geom = add_shape(spec, body, shape, np.eye(4), f"{body.name}#{i}")
         dress(geom, kind, touched=touched)
-        geom.density, geom.gap = UNKNOWN_DENSITY, config.near
+        geom.density, geom.gap = UNKNOWN_DENSITY, OBSERVED_DISTANCE
         if kind is Kind.PAD:
             geom.friction, geom.condim = [config.gripper.friction, 0.01, 1e-4], 4
             geom.priority = 1  # otherwise the larger friction of the two applies
@@ -207,7 +214,7 @@ def tune(
         robot: The robot in it.
         states: Of the arm; each joint is tuned for the one in which it moves most [rad] or [m].
         fingers: Those that move.
-        config: Names the bandwidths.
+        config: Names the stiffness of the fingers.
 
     Returns:
         The joints that are balanced so.

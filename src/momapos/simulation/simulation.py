@@ -16,7 +16,7 @@ from momapos.model.records import Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
 
-from .config import PAD_TIME, WELD_TIME, ExecutionConfig
+from .config import PAD_TIME, TOUCH_DISTANCE, WELD_TIME, ExecutionConfig
 from .dynamics import Dynamics
 from .geoms import HAND, ROBOT, Kind, matrix_quat
 from .simulated_hand import Finger, SimulatedHand
@@ -187,9 +187,9 @@ def build_simulation(
     value = None if task.joint is None else item.values()[task.joint]
     try:
         model = spec.compile()
-        touching = _touching(model, _values(model, {PART: value}), config)
+        touching = _touching(model, _values(model, {PART: value}))
         if task.joint is not None:
-            touching += _bearings(model, item, task.joint, config)
+            touching += _bearings(model, item, task.joint)
         touching = list(dict.fromkeys(touching))
         apart = touching
         if deviation is not None and task.joint is not None:
@@ -277,7 +277,7 @@ def _part_bodies(model: Any) -> list[str]:
     return [name for name in (model.body(i).name for i in range(model.nbody)) if is_part(name)]
 
 
-def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str, str]]:
+def _touching(model: Any, data: Any) -> list[tuple[str, str]]:
     """Return the pairs of bodies that touch at rest: robot links, or a jointed part and the room.
 
     A movable object rests on something; its contacts remain.
@@ -285,7 +285,7 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
     kinds = kinds_of(model)
     fixed = model.joint(PART).type[0] != mujoco.mjtJoint.mjJNT_FREE
     pairs = []
-    for one, other in _near_pairs(model, data, config.touch if fixed else 0.0):
+    for one, other in _near_pairs(model, data, TOUCH_DISTANCE if fixed else 0.0):
         both = {kinds[one], kinds[other]}
         own = both <= set(ROBOT) and _gap(data, one, other) < 0.0
         furniture = fixed and both in ({Kind.PART, Kind.ROOM}, {Kind.PART, Kind.FLOOR})
@@ -295,9 +295,7 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
     return list(dict.fromkeys(pairs))
 
 
-def _bearings(
-    model: Any, item: SceneObject, joint: str, config: ExecutionConfig
-) -> list[tuple[str, str]]:
+def _bearings(model: Any, item: SceneObject, joint: str) -> list[tuple[str, str]]:
     """Return the part and the elements of its own object that touch it somewhere on its path.
 
     A door moves freely in its frame, but not in the convex hull of a hollow frame. Elements that
@@ -317,7 +315,7 @@ def _bearings(
         for end in (record.lower, record.upper)
     )
     way = [rest[joint], *np.linspace(low, high, _CONTACT_SAMPLES).tolist()]
-    pairs = [p for v in way for p in _touching(model, _values(model, {PART: v}), config)]
+    pairs = [p for v in way for p in _touching(model, _values(model, {PART: v}))]
     return [
         pair
         for pair in pairs

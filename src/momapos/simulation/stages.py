@@ -9,7 +9,7 @@ import numpy as np
 from momapos.core.geometry import rotation_angle
 
 from .approach import PacedTrajectory
-from .config import AT_END, Ending, Stage
+from .config import AT_END, DWELL_TIME, GRIP_TIME, SETTLE_TIME, WELD_REACH, Ending, Stage
 from .entering import come_in, go_between, reach_on
 from .execution_run import ExecutionRun, Stretch
 from .following import follow_part
@@ -23,7 +23,7 @@ def carry_out(run: ExecutionRun, approach: PacedTrajectory, stretches: Sequence[
     place = run.task.verb == "place"
     if place:
         run.observer.hold()
-    ending = run.rest(Stage.SETTLE, run.config.settle)
+    ending = run.rest(Stage.SETTLE, SETTLE_TIME)
     if place and run.config.hold == "contact":
         ending = ending or run.close_fingers(run.arm.q, gives=False)
         run.world.release()
@@ -34,7 +34,7 @@ def carry_out(run: ExecutionRun, approach: PacedTrajectory, stretches: Sequence[
         ending = ending or _move(run, stretch)
     if ending not in (None, *AT_END):
         return ending
-    return run.rest(Stage.DWELL, run.config.dwell) or ending or Ending.DONE
+    return run.rest(Stage.DWELL, DWELL_TIME) or ending or Ending.DONE
 
 
 def _grasp(run: ExecutionRun, stretch: Stretch) -> Ending | None:
@@ -57,16 +57,16 @@ def _grasp(run: ExecutionRun, stretch: Stretch) -> Ending | None:
         ending = run.close_fingers(q, one_sided=one_sided)
         if ending is Ending.NOTHING_HELD and run.belief is not None:
             run.command_fingers(0.0)
-            ending = run.rest(Stage.GRIP, run.config.grip)
+            ending = run.rest(Stage.GRIP, GRIP_TIME)
             ending = ending or reach_on(run, q) or run.close_fingers(q, one_sided=one_sided)
     else:
         gap = run.world.grip_gap(1.0)
-        if gap > run.config.gripper.reach:
+        if gap > WELD_REACH:
             run.detail = f"the gripper is {100 * gap:.1f} cm from it"
             return Ending.OUT_OF_REACH
         turns = stretch.hold is not None and stretch.hold.turn_axis is not None
         run.world.attach(turns=turns)
-        ending = run.rest(Stage.GRIP, run.config.grip)
+        ending = run.rest(Stage.GRIP, GRIP_TIME)
     run.held = True
     run.observer.hold()
     return ending

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from momapos.core import finite_number, refuse_below
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -41,6 +43,14 @@ class Limits:
     """Largest number of states to check [-]."""
     poses: int = 4_000_000
     """Largest number of shape poses to check; they are all in memory at once [-]."""
+
+    def __post_init__(self) -> None:
+        finite_number("Limits.penetration", self.penetration)
+        refuse_below(self, 1e-4, "step")
+        refuse_below(self, 0, "deeper", "fk_position", "fk_rotation", "slip_position")
+        refuse_below(self, 0, "slip_rotation", "reach", "goal", "jump", "join", "joint")
+        refuse_below(self, 0, "floor_edge")
+        refuse_below(self, 1, "states", "poses")
 
 
 DEFAULT = Limits()

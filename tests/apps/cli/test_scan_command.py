@@ -27,9 +27,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("words", "hint"),
     [
         (["--set", "scan.voxel=nan"], "scan.voxel must be a number"),
-        (["--set", "scan.voxel=0"], "scan.voxel must be between 0.001 and 1 m"),
-        (["--set", "scan.voxel=-0.01"], "scan.voxel must be between 0.001 and 1 m"),
-        (["--set", "scan.voxel=inf"], "scan.voxel must be between 0.001 and 1 m"),
+        (["--set", "scan.voxel=0"], "scan.voxel must be a number from 0.001 to 1"),
+        (["--set", "scan.voxel=-0.01"], "scan.voxel must be a number from 0.001 to 1"),
+        (["--set", "scan.voxel=inf"], "scan.voxel must be a number from 0.001 to 1"),
         (["--depth-scale", "nan"], "--depth-scale must be between"),
         (["--depth-scale", "0"], "--depth-scale must be between"),
         (["--max-frames", "0"], "--max-frames must be between"),

@@ -12,7 +12,7 @@ from tests.perception.reconstruction.fronts import any_parts, face_of, fronts, o
 
 from momapos.core.errors import InputError
 from momapos.model.records.scans import Part
-from momapos.perception.reconstruction.alignment import AlignmentConfig, align
+from momapos.perception.reconstruction.alignment import align
 from momapos.perception.reconstruction.height_maps import Area
 
 FACE = (0.6, 1.8)  # [m]
@@ -27,7 +27,7 @@ def inside(area: Area, width: float, height: float) -> bool:
 @given(parts=any_parts(), grid=st.sampled_from([None, 12]))
 @settings(max_examples=150, deadline=None)
 def test_aligned_parts_lie_on_the_face_without_overlap(parts: list[Part], grid: int | None) -> None:
-    aligned = align(face_of(*FACE), parts, AlignmentConfig(grid=grid))
+    aligned = align(face_of(*FACE), parts, grid)
     assert len(aligned) <= len(parts)
     assert all(inside(part.area, *FACE) for part in aligned)
     for part in aligned:
@@ -104,7 +104,7 @@ def test_on_the_grid_edges_are_whole_steps_and_at_most_half_a_step_off(
 ) -> None:
     (width, _, height), parts = front
     for seen in parts:  # alone, for on a coarse grid neighbors can land on each other
-        for part in align(face_of(width, height), [seen], AlignmentConfig(grid=12)):
+        for part in align(face_of(width, height), [seen], 12):
             a = part.area
             got = np.array([a.left / width, 1 - a.top / height, a.right / width])
             steps = got * 12

@@ -23,7 +23,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.joint_opening import opening_of
 from momapos.model.urdf.reader import read_urdf
-from momapos.perception.reconstruction.model_config import ModelConfig
+from momapos.perception.reconstruction.model_config import MAX_PASSED, ModelConfig
 from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.reconstruction.part_motions import Neighbors
 from momapos.perception.reconstruction.scene_builder import build_scene
@@ -280,7 +280,7 @@ def test_the_depth_of_a_hinge_depends_on_its_neighbor(neighbors: Neighbors) -> N
     depths = [motion.pivot[1] + 0.33 for motion in motions if motion]
     deep, tight = config.hinge_depth, config.tight_hinge_depth
     assert deep > tight > 0.0
-    wall = config.passed * 0.4
+    wall = MAX_PASSED * 0.4
     expected = [deep if out is None else tight if out < wall else 0.0 for out in neighbors]
     assert depths == pytest.approx(expected)
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2

@@ -15,7 +15,11 @@ from momapos.core.errors import InputError, MissingExtraError
 from momapos.model.records.scans import FaceImage
 from momapos.perception.reconstruction import decode
 from momapos.perception.reconstruction import front_network as network
-from momapos.perception.reconstruction.front_network import FrontNetwork
+from momapos.perception.reconstruction.front_network import (
+    MAX_OVERLAP,
+    MIN_PART_SCORE,
+    FrontNetwork,
+)
 
 HINGES = {"door_left": "door_right", "door_right": "door_left"}
 
@@ -82,11 +86,11 @@ def test_parts_are_sorted_by_score_within_the_face_and_disjoint() -> None:
     assert boxes.min() >= 0.0
     assert boxes.max() <= 1.0
     common = decode.overlaps(boxes, boxes)[1] - np.eye(len(boxes))
-    assert common.max() < network.FrontNetworkConfig().overlap
+    assert common.max() < MAX_OVERLAP
     scores = [part.score for part in front.parts]
     assert scores == sorted(scores, reverse=True)
     for part in front.parts:
-        assert network.FrontNetworkConfig().part <= part.score <= 1.0
+        assert MIN_PART_SCORE <= part.score <= 1.0
         if part.handle is not None:
             left, top, right, bottom = part.handle
             assert part.box[0] <= left < right <= part.box[2]

@@ -12,7 +12,11 @@ from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, Detection, FaceImage, Part, PartKind
 from momapos.model.scene.library.box_furniture import JointMotion, Piece, part_poses
 from momapos.perception.reconstruction.object_model import furniture_model
-from momapos.perception.reconstruction.seen_motion import AXES, SeenMotionConfig, moved_piece
+from momapos.perception.reconstruction.seen_motion import (
+    AXES,
+    SAME_SURFACE,
+    moved_piece,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 EDGES = {
@@ -119,6 +123,6 @@ def test_a_front_that_the_second_scan_does_not_show_stays_unchanged() -> None:
     piece = cupboard("door_left")
     before, after = clouds(piece, "door_left", 1.0, inside=False)
     local = apply(invert(pose(piece.xyz, rotation_about(UP, np.array(piece.yaw)))), after.points)
-    shown = local[:, 1] > SeenMotionConfig.near - 0.1
+    shown = local[:, 1] > SAME_SURFACE - 0.1
     gone = Cloud(after.points[shown], after.normals[shown], after.colors[shown])
     assert moved_piece(piece, before, gone)[1] == {}

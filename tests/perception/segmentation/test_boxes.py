@@ -10,7 +10,12 @@ from tests.furnished import Corners, cloud_of
 from momapos.core.errors import InputError
 from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Instance
-from momapos.perception.segmentation.instance_boxes import BoxConfig, boxes, named, wall_detections
+from momapos.perception.segmentation.instance_boxes import (
+    MIN_YAW,
+    boxes,
+    named,
+    wall_detections,
+)
 from momapos.perception.segmentation.room_shell import RoomShell, Wall
 
 BACK_WALL = RoomShell((Wall(1, -1.0, 1.0, -3.0, 3.0, 2.4),))
@@ -23,9 +28,9 @@ def whole(cloud: Cloud, label: str = "crate") -> Instance:
     return Instance(label, 0.9, np.arange(len(cloud.points)))
 
 
-def draw(cloud: Cloud, room: RoomShell = NO_WALLS, config: BoxConfig | None = None) -> UprightBox:
+def draw(cloud: Cloud, room: RoomShell = NO_WALLS) -> UprightBox:
     """Return the box around all points."""
-    (detection,) = boxes(cloud, [whole(cloud)], room, config)
+    (detection,) = boxes(cloud, [whole(cloud)], room)
     return detection.box
 
 
@@ -104,17 +109,11 @@ def test_turned_objects_get_turned_boxes(degrees: float, rng: np.random.Generato
     angle = np.radians(degrees)
     cloud = cloud_of([((-0.5, -0.3, 0.0), (0.5, 0.3, 0.9))], rng)
     box = draw(_turned(cloud, angle))
-    straight = abs(degrees) < BoxConfig().turned
+    straight = abs(degrees) < MIN_YAW
     assert box.yaw == pytest.approx(0.0 if straight else angle, abs=0.02)
     if not straight:
         np.testing.assert_allclose(box.size, [1.0, 0.6, 0.9], atol=0.02)
         np.testing.assert_allclose(box.center, [0.0, 0.0, 0.45], atol=0.01)
-
-
-def test_oriented_boxes_follow_a_small_rotation(rng: np.random.Generator) -> None:
-    cloud = _turned(cloud_of([((-0.5, -0.3, 0.0), (0.5, 0.3, 0.9))], rng), np.radians(4.0))
-    box = draw(cloud, config=BoxConfig(oriented=True))
-    assert np.degrees(box.yaw) == pytest.approx(4.0, abs=1.0)
 
 
 def _turned(cloud: Cloud, angle: float) -> Cloud:

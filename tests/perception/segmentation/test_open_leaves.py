@@ -8,7 +8,7 @@ from tests.perception.segmentation.cupboards import Room, cupboard, leaf_of
 
 from momapos.model.records.scans import Cloud
 from momapos.perception.segmentation.closed_leaves import close_in_cloud
-from momapos.perception.segmentation.leaf_evidence import OpenLeafConfig
+from momapos.perception.segmentation.leaf_evidence import TURN_RANGE
 from momapos.perception.segmentation.open_leaves import find_open_leaves
 
 
@@ -76,7 +76,7 @@ def test_no_leaf_is_found_without_known_free_space() -> None:
 
 
 def test_a_barely_open_leaf_is_not_found() -> None:
-    slightly = OpenLeafConfig().turns[0] - np.radians(8.0)
+    slightly = TURN_RANGE[0] - np.radians(8.0)
     room = cupboard(leaf_of("door_left", slightly))
     assert find_open_leaves(room.cloud(), room.free) == []
 

@@ -10,7 +10,7 @@ from tests.furnished import BACK, KITCHEN, LEFT, ROOM, TABLE, Corners, cloud_of,
 
 from momapos.core.errors import InputError
 from momapos.model.records.scans import Cloud, Detection, Instance
-from momapos.perception.segmentation.front_planes import FrontPlaneConfig, find_front_planes
+from momapos.perception.segmentation.front_planes import find_front_planes
 from momapos.perception.segmentation.instance_boxes import boxes
 from momapos.perception.segmentation.room_shell import RoomShell, Wall, at_wall, find_room, in_room
 from momapos.perception.segmentation.segmenter import ClassicalSegmenter
@@ -192,7 +192,7 @@ def test_a_front_of_few_points_is_not_divided() -> None:
     points = np.column_stack([x, np.zeros(len(x)), z])
     normals = np.tile([0.0, -1.0, 0.0], (len(x), 1))
     cloud = Cloud(points, normals, np.full((len(x), 3), 128, np.uint8))
-    assert find_front_planes(cloud, find_room(cloud), np.arange(len(x)), FrontPlaneConfig()) == []
+    assert find_front_planes(cloud, find_room(cloud), np.arange(len(x))) == []
 
 
 def test_an_empty_room_has_no_instances() -> None:

@@ -12,14 +12,14 @@ from momapos.model.records.scans import FaceImage, Frame, Front, Part
 from momapos.perception.views.faces import box_faces
 from momapos.perception.views.front_view import (
     KnownFront,
-    ViewConfig,
+    ViewMethod,
     choose_view,
     door_evidence,
     front_evidence,
 )
 from momapos.perception.views.placed_parts import most_confident, transferred
 from momapos.perception.views.projection import observations
-from momapos.perception.views.rows import RowConfig, split_row
+from momapos.perception.views.rows import split_row
 
 FRONT = 2
 
@@ -46,7 +46,7 @@ def red_is_front(face: FaceImage) -> Front:
 
 def test_the_front_is_the_face_for_which_the_images_vote() -> None:
     frames = around([0.0, 0.3, 0.9], 3) + around([-0.9, 0.2, 0.6], FRONT)
-    view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), red_is_front, ViewConfig())
+    view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), red_is_front)
     assert view is not None
     assert view.face.index == FRONT
     assert view.frame == 4  # the one nearest to the normal
@@ -62,11 +62,11 @@ def test_the_front_of_two_similar_faces_is_the_one_away_from_the_wall() -> None:
 
     frames = around([0.0, 0.2], 3) + around([0.0, 0.2], FRONT)
     seen = observations(FRIDGE, frames)
-    anywhere = choose_view(FRIDGE, frames, seen, all_fronts, ViewConfig())
+    anywhere = choose_view(FRIDGE, frames, seen, all_fronts)
     assert anywhere is not None
     assert anywhere.face.index == 3
     backed = [index == FRONT for index in range(4)]
-    at_wall = choose_view(FRIDGE, frames, seen, all_fronts, ViewConfig(), (), backed)
+    at_wall = choose_view(FRIDGE, frames, seen, all_fronts, "voting", (), backed)
     assert at_wall is not None
     assert at_wall.face.index == FRONT
 
@@ -76,9 +76,8 @@ def test_voting_corrects_a_wrong_image_and_first_does_not() -> None:
     lies = replace(frames[0], color=np.full_like(frames[0].color, 0) + np.uint8([200, 0, 0]))
     frames[0] = lies
     seen = observations(FRIDGE, frames)
-    config = ViewConfig(votes=3)
-    voted = choose_view(FRIDGE, frames, seen, red_is_front, config)
-    first = choose_view(FRIDGE, frames, seen[:1], red_is_front, replace(config, method="first"))
+    voted = choose_view(FRIDGE, frames, seen, red_is_front)
+    first = choose_view(FRIDGE, frames, seen[:1], red_is_front, "first")
     assert seen[0].frame == 0
     assert voted is not None
     assert first is not None
@@ -89,7 +88,7 @@ def test_voting_corrects_a_wrong_image_and_first_does_not() -> None:
 def test_first_takes_the_most_central_frontal_image() -> None:
     frames = around([1.5, 0.2, 0.0], FRONT)
     seen = observations(FRIDGE, frames)
-    view = choose_view(FRIDGE, frames, seen, red_is_front, ViewConfig(method="first"))
+    view = choose_view(FRIDGE, frames, seen, red_is_front, "first")
     assert view is not None
     angles = {0: 34, 1: 5, 2: 0}
     passing = [s.frame for s in seen if angles[s.frame] < 30]
@@ -99,10 +98,10 @@ def test_first_takes_the_most_central_frontal_image() -> None:
 def test_no_front_is_found_if_no_image_shows_one() -> None:
     frames = around([0.0], 3)
     seen = observations(FRIDGE, frames)
-    for method in ("voting", "first"):
-        config = ViewConfig(method=method)  # type: ignore[arg-type]
-        assert choose_view(FRIDGE, frames, seen, red_is_front, config) is None
-    assert choose_view(FRIDGE, [], [], red_is_front, ViewConfig()) is None
+    methods: tuple[ViewMethod, ...] = ("voting", "first")
+    for method in methods:
+        assert choose_view(FRIDGE, frames, seen, red_is_front, method) is None
+    assert choose_view(FRIDGE, [], [], red_is_front) is None
 
 
 def test_handles_are_evidence_for_a_front_that_looks_like_a_panel() -> None:
@@ -161,7 +160,7 @@ def test_a_row_is_cut_where_no_door_crosses_and_double_doors_stay_together() -> 
     frames = [
         image(camera((-0.3, y, 0.9), (2.0, y, 0.45)), ROW, row_paint) for y in np.linspace(-1, 1, 7)
     ]
-    pieces, front = split_row(ROW, frames, doors_in, RowConfig(), ViewConfig())
+    pieces, front = split_row(ROW, frames, doors_in)
     assert front is not None
     assert sorted(part.kind for part in front.parts) == sorted(kind for _, _, kind in DOORS)
     widths = [piece.size[1] for piece in pieces]
@@ -173,7 +172,7 @@ def test_a_row_is_cut_where_no_door_crosses_and_double_doors_stay_together() -> 
 
 def test_a_row_without_fronts_is_not_split() -> None:
     frames = [image(camera((-0.3, 0, 0.9), (2.0, 0, 0.45)), ROW, row_paint)]
-    pieces, front = split_row(ROW, frames, lambda _: Front(0.1, ()), RowConfig(), ViewConfig())
+    pieces, front = split_row(ROW, frames, lambda _: Front(0.1, ()))
     assert pieces == [ROW]
     assert front is None
 
@@ -181,10 +180,10 @@ def test_a_row_without_fronts_is_not_split() -> None:
 def test_a_row_that_fits_one_window_returns_no_front() -> None:
     frames = [image(camera((-0.3, 0, 0.9), (2.0, 0, 0.45)), ROW, row_paint)]
     door = Front(0.9, (Part("door_down", (0.02, 0.1, 0.98, 0.9), 0.9),))
-    pieces, front = split_row(ROW, frames, lambda _: door, RowConfig(window=3.0), ViewConfig())
+    pieces, front = split_row(ROW, frames, lambda _: door)
     assert pieces == [ROW]
     assert front is None
-    pieces, front = split_row(ROW, frames, doors_in, RowConfig(window=3.0), ViewConfig())
+    pieces, front = split_row(ROW, frames, doors_in)
     assert len(pieces) == 4
     assert front is not None
 
@@ -246,11 +245,11 @@ def test_a_door_known_from_the_row_makes_its_piece_a_front() -> None:
     def blind(_: FaceImage) -> Front:
         return Front(0.2, ())
 
-    assert choose_view(FRIDGE, frames, seen, blind, ViewConfig()) is None
+    assert choose_view(FRIDGE, frames, seen, blind) is None
     before = [KnownFront(face, 0.8, (door,))]
-    for method in ("voting", "first"):
-        config = ViewConfig(method=method)  # type: ignore[arg-type]
-        view = choose_view(FRIDGE, frames, seen, blind, config, before)
+    methods: tuple[ViewMethod, ...] = ("voting", "first")
+    for method in methods:
+        view = choose_view(FRIDGE, frames, seen, blind, method, before)
         assert view is not None
         assert view.face.index == FRONT
         assert view.front.parts == (door,)

@@ -11,12 +11,21 @@ from typing import Annotated, Any, Literal, Optional
 
 from tyro.conf import arg
 
-from momapos.core import InputError
+from momapos.core import InputError, finite_number
 from momapos.planning import PipelineConfig
 from momapos.planning.importance import ScorerName
 from momapos.planning.placement import Method
 
-from .options import Flag, Number, OptionalFile, SettingsArg, optional
+from .options import (
+    ArmOption,
+    Flag,
+    Number,
+    OptionalFile,
+    RobotOption,
+    SettingsArg,
+    check_seed,
+    optional,
+)
 
 
 @dataclass(frozen=True)
@@ -57,8 +66,7 @@ class ScanSettings:
     """Fixed frame of a recording; none: the root of tf."""
 
     def __post_init__(self) -> None:
-        if not 1e-3 <= self.voxel <= 1.0:
-            raise InputError(f"voxel must be between 0.001 and 1 m, not {self.voxel:g}")
+        finite_number("voxel", self.voxel, 1e-3, 1.0)
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,35 @@ OWN = {
 """Fields that have an option of their own, by the option's name."""
 PIPELINE = tuple(item.name for item in fields(PipelineConfig))
 """Names of the pipeline's fields and tables."""
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Options of the commands that search for a base pose."""
+
+    robot: RobotOption = "fetch"
+    """A library robot or a robot file."""
+    arm: ArmOption = "any"
+    """The arm of a robot with several, such as left; any: the arm of the cheapest plan."""
+    tolerance: Flag = True
+    """Don't measure the tolerance of the base pose."""
+    method: MethodOption = None
+    """ours, exhaustive (a grid), or a baseline such as paper or habitat (docs/baselines.md)."""
+    timeout: TimeoutOption = None
+    """Time limit of the search."""
+    alpha: AlphaOption = None
+    """Objects of lower importance stay boxes, in [0, 1]."""
+    seed: int = 0
+    """The same seed gives the same plan."""
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+
+    def load_config(self, options: ConfigOptions, used: Sequence[str]) -> Configuration:
+        """Read the configuration; see the function `load_config`."""
+        return load_config(
+            options, used, method=self.method, timeout=self.timeout, alpha=self.alpha
+        )
 
 
 def load_config(options: ConfigOptions, used: Sequence[str], **own: Any) -> Configuration:

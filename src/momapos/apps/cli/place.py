@@ -17,29 +17,23 @@ from momapos.planning.placement import OURS
 from .configuration import (
     NO_SETTINGS,
     PIPELINE,
-    AlphaOption,
     ConfigArgs,
-    MethodOption,
-    TimeoutOption,
-    load_config,
+    SearchOptions,
 )
 from .loading import load_arms_with_maps, load_scene_with_joints, other_robots
 from .options import (
     EXIT_STATUS,
     AreasArg,
-    ArmOption,
     Flag,
     JointsArg,
     ObjectArg,
     OptionalFile,
     PoseArg,
-    RobotOption,
     RobustArg,
     SceneArg,
     Target,
     ValueArg,
     check_samples,
-    check_seed,
 )
 
 if TYPE_CHECKING:
@@ -54,13 +48,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(SearchOptions):
     """Options of all tasks."""
 
-    robot: RobotOption = "fetch"
-    """A library robot or a robot file."""
-    arm: ArmOption = "any"
-    """The arm of a robot with several, such as left; any: the arm of the cheapest plan."""
     joint: JointsArg = ()
     """Set a joint of the scene, such as fridge/door_hinge=60deg."""
     start: PoseArg = None
@@ -77,20 +67,10 @@ class Options:
     """Longest drive, such as 3m."""
     robust: RobustArg = None
     """Require that replanning succeeds from all base poses this near, such as 0.05m,3deg."""
-    tolerance: Flag = True
-    """Don't measure the tolerance of the base pose."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = 100
     """Base poses sampled to measure it."""
-    method: MethodOption = None
-    """ours, exhaustive (a grid), or a baseline such as paper or habitat (docs/baselines.md)."""
-    timeout: TimeoutOption = None
-    """Time limit of the search."""
-    alpha: AlphaOption = None
-    """Objects of lower importance stay boxes, in [0, 1]."""
-    seed: int = 0
-    """The same seed gives the same plan."""
     out: OptionalFile = None
     """Write the plan to this JSON file."""
     plot: OptionalFile = None
@@ -100,7 +80,7 @@ class Options:
     settings: ConfigArgs = NO_SETTINGS
 
     def __post_init__(self) -> None:
-        check_seed(self.seed)
+        super().__post_init__()
         check_samples(self.tolerance_samples)
 
     def read_config(self) -> PipelineConfig:
@@ -110,9 +90,7 @@ class Options:
             InputError: A setting is unknown, or out of range.
             TaskError: --robust is not a length and an angle.
         """
-        config = load_config(
-            self.settings, SETTINGS, method=self.method, timeout=self.timeout, alpha=self.alpha
-        ).pipeline
+        config = self.load_config(self.settings, SETTINGS).pipeline
         if self.robust is None:
             return config
         radius, turn = _parse_robust(self.robust)
@@ -225,6 +203,32 @@ def read_region(options: Options, scene: Scene) -> BaseRegion:
     )
 
 
+def read_scene(
+    name: str, objects: Sequence[str], options: Options, outputs: Sequence[Path | None]
+) -> Scene:
+    """Load a scene with its joints set.
+
+    Mistyped names and unusable outputs are reported before anything heavy is imported.
+
+    Args:
+        name: A scene file or a built-in kitchen.
+        objects: Names of the objects of the tasks.
+        options: Options of the command.
+        outputs: Files that the command writes.
+
+    Raises:
+        MomaposError: A name is unknown, a file cannot be written or the scene is invalid.
+    """
+    check_outputs(outputs)
+    find_named_robot(options.robot)
+    path = find_scene(name)
+    for one in objects:
+        refuse_unknown_object(path, one)
+    from momapos.core import user_cache
+
+    return load_scene_with_joints(name, options.joint, user_cache())
+
+
 def _parse_robust(text: str) -> tuple[float, float]:
     """The radius [m] and the turn [rad] of --robust."""
     parts = text.split(",")
@@ -297,13 +301,10 @@ def _answer(
     if to is not None and to != MAX:
         parse_quantity(to)
     config = options.read_config()
-    check_outputs([options.out, options.plot, map_file])
     for figure in (options.plot, map_file):
         check_figure_path(figure)
     name, _, joint = target.partition("/")
-    # Mistyped names are reported before anything heavy is imported.
-    find_named_robot(options.robot)
-    refuse_unknown_object(find_scene(scene_name), name)
+    scene = read_scene(scene_name, [name], options, [options.out, options.plot, map_file])
 
     import json
 
@@ -315,8 +316,6 @@ def _answer(
     from .compile import ANSWER, RANK, WALKS, compile_once
     from .console import busy
 
-    cache = user_cache()
-    scene = load_scene_with_joints(scene_name, options.joint, cache)
     try:
         task = make_task(scene, verb, name, joint or None, to)
     except TaskDoneError as done:
@@ -325,7 +324,7 @@ def _answer(
     query = _read_query(options, scene, config)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
-    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True))
+    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm, user_cache()), strict=True))
 
     with busy(f"{arms[0][0].name}: planning", len(arms) * config.timeout):
         scene, task, answers = plan_by_hypothesis(

@@ -51,7 +51,9 @@ class ScanOptions:
     """What finds doors and drawers: our network, a template for each label, or URDFormer."""
     checkpoint: OptionalFile = None
     """URDFormer's part.pth."""
-    models: Annotated[tuple[str, ...], arg(metavar="[NAME=FILE.urdf ...]")] = ()
+    models: Annotated[
+        tuple[str, ...], arg(metavar="[NAME=FILE.urdf ...]", help_behavior_hint="")
+    ] = ()
     """Known models of objects, by name or label; they need no prediction."""
     max_frames: int = 150
     """Maximum number of images, evenly spaced."""
@@ -212,16 +214,14 @@ def scan_config(options: ScanOptions, settings: ScanSettings) -> ScanConfig:
         InputError: URDFormer is chosen without its weights.
     """
     from momapos.perception import ScanConfig
-    from momapos.perception.reconstruction import AlignmentConfig, ModelConfig
-    from momapos.perception.views import ViewConfig
+    from momapos.perception.reconstruction import ModelConfig
 
     if options.predictor == "urdformer" and options.checkpoint is None:
         raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
-    alignment = AlignmentConfig(grid=12 if settings.grid else None)
     return ScanConfig(
         voxel=settings.voxel,
-        view=ViewConfig(method=settings.views),
-        model=ModelConfig(alignment=alignment),
+        views=settings.views,
+        model=ModelConfig(grid=12 if settings.grid else None),
     )
 
 

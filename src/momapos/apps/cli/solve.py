@@ -14,22 +14,16 @@ from momapos.model.robots import find_named_robot
 from .configuration import (
     NO_SETTINGS,
     PIPELINE,
-    AlphaOption,
     ConfigArgs,
     Configuration,
-    MethodOption,
-    TimeoutOption,
-    load_config,
+    SearchOptions,
 )
 from .loading import load_arms_with_maps
 from .options import (
     EXIT_STATUS,
-    ArmOption,
     Flag,
-    RobotOption,
     Target,
     ValueArg,
-    check_seed,
 )
 from .scan import DEFAULT as SCAN_DEFAULT
 from .scan import ScanArgs
@@ -49,38 +43,21 @@ SETTINGS = (*PIPELINE, "scan")
 
 
 @dataclass(frozen=True)
-class SolveOptions:
+class SolveOptions(SearchOptions):
     """Options besides those of the scan."""
 
     to: ValueArg = None
     """How far: 90deg, 1.2rad, 0.3m, 30cm or max (default: 90 deg, or fully)."""
-    robot: RobotOption = "fetch"
-    """A library robot or a robot file."""
-    arm: ArmOption = "any"
-    """The arm of a robot with several; any: the arm of the cheapest plan."""
     run: Flag = True
     """Don't execute the plan in simulation."""
     hold: Literal["contact", "weld"] = "contact"
     """How the hand holds in simulation, see `momapos run`."""
-    tolerance: Flag = True
-    """Don't measure the tolerance of the base pose."""
     pictures: Flag = True
     """Don't draw an image for each object that explains its model."""
-    method: MethodOption = None
-    """ours, exhaustive (a grid), or a baseline such as paper or habitat (docs/baselines.md)."""
-    timeout: TimeoutOption = None
-    """Time limit of the search."""
-    alpha: AlphaOption = None
-    """Objects of lower importance stay boxes, in [0, 1]."""
-    seed: int = 0
-    """The same seed gives the same plan."""
     json: Flag = False
     """Print the record as one JSON object, and nothing else."""
     scan: ScanArgs = SCAN_DEFAULT
     settings: ConfigArgs = NO_SETTINGS
-
-    def __post_init__(self) -> None:
-        check_seed(self.seed)
 
     def read_config(self) -> Configuration:
         """Read the configuration.
@@ -88,9 +65,7 @@ class SolveOptions:
         Raises:
             InputError: A setting is unknown, or out of range.
         """
-        return load_config(
-            self.settings, SETTINGS, method=self.method, timeout=self.timeout, alpha=self.alpha
-        )
+        return self.load_config(self.settings, SETTINGS)
 
 
 DEFAULT = SolveOptions()

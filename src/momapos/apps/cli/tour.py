@@ -6,16 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
-from momapos.core import TaskError, check_outputs, unknown_name
+from momapos.core import TaskError, unknown_name
 from momapos.model.records import Verb
-from momapos.model.robots import find_named_robot
-from momapos.model.scene import find_scene, refuse_unknown_object
 from momapos.planning.placement import OURS
 
-from .loading import load_arms_with_maps, load_scene_with_joints
+from .loading import load_arms_with_maps
 from .options import EXIT_STATUS, SceneArg, Target, ValueArg
 from .parse import parse
-from .place import DEFAULT, Options, Shared, parse_pose, read_region
+from .place import DEFAULT, Options, Shared, parse_pose, read_region, read_scene
 
 if TYPE_CHECKING:
     from momapos.model.records import PlacementPlan
@@ -143,10 +141,7 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
             options.out,
             *(options.out.with_name(f"{options.out.stem}_{k}.json") for k in plans),
         ]
-    check_outputs(outs)
-    find_named_robot(options.robot)
-    for request in requests:
-        refuse_unknown_object(find_scene(scene_name), request.object)
+    scene = read_scene(scene_name, [request.object for request in requests], options, outs)
 
     import numpy as np
 
@@ -156,12 +151,11 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
     from .compile import ANSWER, compile_once
     from .console import busy
 
-    cache = user_cache()
-    scene = load_scene_with_joints(scene_name, options.joint, cache)
     region = read_region(options, scene)
     compile_once(ANSWER)
     tours = []
-    for robot, reach in zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True):
+    arms = load_arms_with_maps(options.robot, options.arm, user_cache())
+    for robot, reach in zip(*arms, strict=True):
         with busy(f"{robot.name}: planning", config.timeout):
             tours.append(plan_tour(
                 scene, robot, requests, reach, start=None if start is None else np.array(start),

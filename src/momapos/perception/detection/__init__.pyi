@@ -11,7 +11,6 @@ from .frames import detect as detect
 from .relabel import parse_labels as parse_labels
 from .relabel import relabeled as relabeled
 from .relabel import with_given_labels as with_given_labels
-from .votes import VoteConfig as VoteConfig
 from .votes import visible_points as visible_points
 from .votes import vote as vote
 from .yolox import YoloxDetector as YoloxDetector

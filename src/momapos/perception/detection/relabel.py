@@ -10,7 +10,7 @@ from itertools import pairwise
 from momapos.core import InputError, unknown_name
 from momapos.model.records import UNKNOWN, Detection
 
-from .votes import Verdict, VoteConfig
+from .votes import MAX_MISSES, Verdict
 
 _LABEL = re.compile(r"[a-z][a-z ]{0,39}")
 
@@ -19,7 +19,6 @@ def relabeled(
     objects: Sequence[Detection],
     verdicts: Sequence[Verdict],
     known: frozenset[str],
-    config: VoteConfig | None = None,
 ) -> list[Detection]:
     """Relabel objects by the votes of the images.
 
@@ -31,25 +30,20 @@ def relabeled(
         objects: Objects with labels by segmenter and size.
         verdicts: Result of the votes for each.
         known: All labels that the detector knows.
-        config: Constants.
     """
-    config = config or VoteConfig()
     return [
-        _relabeled(item, verdict, known, config)
-        for item, verdict in zip(objects, verdicts, strict=True)
+        _relabeled(item, verdict, known) for item, verdict in zip(objects, verdicts, strict=True)
     ]
 
 
-def _relabeled(
-    item: Detection, verdict: Verdict, known: frozenset[str], config: VoteConfig
-) -> Detection:
+def _relabeled(item: Detection, verdict: Verdict, known: frozenset[str]) -> Detection:
     if verdict.label:
         return replace(
             item, label=verdict.label, score=verdict.confidence, label_from="detector", guesses=()
         )
     if item.label_from != "size":
         return item
-    doubt = max(0.0, 1.0 - verdict.seen / config.misses)
+    doubt = max(0.0, 1.0 - verdict.seen / MAX_MISSES)
     label, least = UNKNOWN
     left = [(name, score * (doubt if name in known else 1.0)) for name, score in item.guesses]
     left = [(name, score) for name, score in left if score >= least]

@@ -37,31 +37,25 @@ Votes = dict[str, dict[str, float]]
 """Weights in [0, 1] of one object, by label and image name; one per image."""
 MIN_PIXELS = 20.0
 """Minimum size of an object in an image [px]."""
-
-
-@dataclass(frozen=True)
-class VoteConfig:
-    """How votes are counted."""
-
-    points: int = 400
-    """Number of points of an object that are projected into every image [-]."""
-    near: float = 0.03
-    """Depth agrees with a point within this plus 2 % of its distance [m]."""
-    shown: float = 0.2
-    """Minimum share of an object's points that an image shows [-]."""
-    inside: float = 0.5
-    """Minimum share of an object's visible points in a detection [-]."""
-    overlap: float = 0.25
-    """Minimum IoU of a detection and the object's rectangle [-]."""
-    blur: float = 0.01
-    """Rectangles are widened by this share of the image's width: color and depth of many sensors
-    are a few pixels off [-]."""
-    hits: int = 2
-    """Minimum number of images that give the label [-]."""
-    sure: float = 0.35
-    """Minimum confidence of a label [-]."""
-    misses: int = 5
-    """After this many images without a detection, an object is none that the detector knows [-]."""
+SAMPLED_POINTS = 400
+"""Number of points of an object that are projected into every image [-]."""
+DEPTH_TOLERANCE = 0.03
+"""Depth agrees with a point within this plus 2 % of its distance [m]."""
+MIN_SHOWN = 0.2
+"""Minimum share of an object's points that an image shows [-]."""
+MIN_INSIDE = 0.5
+"""Minimum share of an object's visible points in a detection [-]."""
+MIN_OVERLAP = 0.25
+"""Minimum IoU of a detection and the object's rectangle [-]."""
+BLUR = 0.01
+"""Rectangles are widened by this share of the image's width: color and depth of many sensors are a
+few pixels off [-]."""
+MIN_HITS = 2
+"""Minimum number of images that give the label [-]."""
+MIN_CONFIDENCE = 0.35
+"""Minimum confidence of a label [-]."""
+MAX_MISSES = 5
+"""After this many images without a detection, an object is none that the detector knows [-]."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +86,6 @@ def vote(
     cloud: Cloud,
     frames: Sequence[Frame],
     found: Mapping[str, Sequence[ImageDetection]],
-    config: VoteConfig | None = None,
 ) -> list[Verdict]:
     """Count the votes of all images for each object.
 
@@ -101,17 +94,15 @@ def vote(
         cloud: In the world of the frames.
         frames: The examined images.
         found: 2-D detections by frame name.
-        config: Constants.
     """
-    config = config or VoteConfig()
-    samples = _sampled(objects, cloud, config.points)
+    samples = _sampled(objects, cloud, SAMPLED_POINTS)
     votes: list[Votes] = [{} for _ in objects]
     seen = np.zeros(len(objects), int)
     if len(samples.points):
         longest = np.array([item.box.size.max() for item in objects])
         for frame in frames:
-            _count(frame, found.get(frame.name, ()), samples, longest, votes, seen, config)
-    return [_verdict(weights, int(n), config) for weights, n in zip(votes, seen, strict=True)]
+            _count(frame, found.get(frame.name, ()), samples, longest, votes, seen)
+    return [_verdict(weights, int(n)) for weights, n in zip(votes, seen, strict=True)]
 
 
 def _count(
@@ -121,20 +112,19 @@ def _count(
     longest: Float[np.ndarray, " objects"],
     votes: list[Votes],
     seen: Int[np.ndarray, " objects"],
-    config: VoteConfig,
 ) -> None:
-    pixels, visible = visible_points(frame, samples.points, config.near)
+    pixels, visible = visible_points(frame, samples.points, DEPTH_TOLERANCE)
     owner, at = samples.owner[visible], pixels[visible]
     number = np.bincount(owner, minlength=len(samples.count))
     low, high = np.full((len(number), 2), np.inf), np.full((len(number), 2), -np.inf)
     np.minimum.at(low, owner, at)
     np.maximum.at(high, owner, at)
-    shown = (number >= 8) & (number >= config.shown * samples.count)
+    shown = (number >= 8) & (number >= MIN_SHOWN * samples.count)
     shown &= (high - low).max(axis=1) >= MIN_PIXELS
     seen += shown
     if not found or not shown.any():
         return
-    margin = config.blur * frame.color.shape[1]
+    margin = BLUR * frame.color.shape[1]
     low, high = low - margin, high + margin
     for item in found:
         first, last = np.array(item.box[:2]) - margin, np.array(item.box[2:]) + margin
@@ -143,7 +133,7 @@ def _count(
         both = np.prod(np.maximum(np.minimum(high, last) - np.maximum(low, first), 0), axis=1)
         alike = both / (np.prod(high - low, axis=1) + np.prod(last - first) - both)
         least, most = LONGEST_EDGE.get(item.label, (0.0, np.inf))
-        fits = shown & (inside >= config.inside) & (alike >= config.overlap)
+        fits = shown & (inside >= MIN_INSIDE) & (alike >= MIN_OVERLAP)
         fits &= (longest >= least) & (longest <= most)
         for k in np.flatnonzero(fits).tolist() if item.label else ():
             weight = float(item.score * inside[k] * alike[k])
@@ -151,7 +141,7 @@ def _count(
             of_label[frame.name] = max(weight, of_label.get(frame.name, 0.0))
 
 
-def _verdict(votes: Votes, seen: int, config: VoteConfig) -> Verdict:
+def _verdict(votes: Votes, seen: int) -> Verdict:
     """Return the label with most votes, if enough images agree on it.
 
     Each vote is the probability that it is right, and votes for other labels are doubt.
@@ -162,7 +152,7 @@ def _verdict(votes: Votes, seen: int, config: VoteConfig) -> Verdict:
     best = max(sorted(total), key=lambda label: total[label])
     wrong = float(np.prod([1.0 - weight for weight in votes[best].values()]))
     confidence = (1.0 - wrong) * total[best] / sum(total.values())
-    if len(votes[best]) < config.hits or confidence < config.sure:
+    if len(votes[best]) < MIN_HITS or confidence < MIN_CONFIDENCE:
         return Verdict("", 0.0, 0, seen)
     return Verdict(best, confidence, len(votes[best]), seen)
 

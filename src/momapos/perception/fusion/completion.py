@@ -44,28 +44,20 @@ PLINTH_HEIGHT = 0.15
 TOE_SPACE = (0.15, 0.3)
 """Below a front, at most the second share [-] lies farther behind it than the first [m]:
 standing furniture hides what is behind it, legs do not."""
-
-
-@dataclass(frozen=True)
-class CompletionConfig:
-    """Which holes are surfaces."""
-
-    support: float = 0.02
-    """Minimum share of a hole's surroundings in its plane [-]."""
-    side: tuple[float, float] = (0.5, 0.12)
-    """Minimum share of a hole's surroundings on one side that lie in its plane. Two sides must have
-    the first, or one side the second if the hole ends at the floor [-]."""
-    before: tuple[float, float] = (0.08, 0.15)
-    """At most the second share [-] of the surroundings lies farther in front of the plane than the
-    first [m]."""
-    farthest: float = 4.0
-    """Holes farther away stay open: they are beyond the sensor's range [m]."""
-    grazing: float = 0.25
-    """Minimum cosine between ray and normal [-]."""
-    images: int = 2
-    """Minimum number of images that show the hole [-]."""
-    through: float = 0.1
-    """An image sees through a place if it measures something this far behind it [m]."""
+MIN_SUPPORT = 0.02
+"""Minimum share of a hole's surroundings in its plane [-]."""
+SIDE_SUPPORT = (0.5, 0.12)
+"""Minimum share of a hole's surroundings on one side that lie in its plane. Two sides must have the
+first, or one side the second if the hole ends at the floor [-]."""
+MAX_IN_FRONT = (0.08, 0.15)
+"""At most the second share [-] of the surroundings lies farther in front of the plane than the
+first [m]."""
+MAX_DEPTH = 4.0
+"""Holes farther away stay open: they are beyond the sensor's range [m]."""
+MIN_INCIDENCE = 0.25
+"""Minimum cosine between ray and normal [-]."""
+MIN_IMAGES = 2
+"""Minimum number of images that show the hole [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +92,6 @@ def complete(
     frames: Sequence[Frame],
     walls: Sequence[tuple[int, float]] = (),
     voxel: float = 0.015,
-    config: CompletionConfig | None = None,
 ) -> Cloud:
     """Add surfaces where several images should measure depth but none does.
 
@@ -110,18 +101,16 @@ def complete(
         walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall; holes in walls are
             windows or openings, not fronts.
         voxel: Spacing of added points [m].
-        config: Which holes are surfaces.
 
     Returns:
         The cloud, its own points first.
     """
-    config = config or CompletionConfig()
     seen = [(i, frame) for i, frame in enumerate(frames) if frame.depth is not None]
-    patches = [patch for i, frame in seen for patch in holes(frame, i, config)]
-    parts, seen_through = [cloud], SeenThrough(frames, config.through)
+    patches = [patch for i, frame in seen for patch in holes(frame, i)]
+    parts, seen_through = [cloud], SeenThrough(frames)
     patches = [patch for patch in patches if not _in_wall(patch, walls)]
     for group in _coplanar(patches, MAX_PLANE_DISTANCE):
-        points, colors = _confirmed(group, max(voxel, MIN_SPACING), config.images)
+        points, colors = _confirmed(group, max(voxel, MIN_SPACING), MIN_IMAGES)
         free = (points[:, 2] < 0.0) | seen_through(points)
         normal = np.zeros(3)
         normal[group[0].axis] = group[0].sign
@@ -134,13 +123,12 @@ def complete(
     )
 
 
-def holes(frame: Frame, index: int, config: CompletionConfig) -> Iterator[HolePatch]:
+def holes(frame: Frame, index: int) -> Iterator[HolePatch]:
     """Yield the holes in the depth of an image that are surfaces.
 
     Args:
         frame: With its pose in an upright world with the floor at z = 0.
         index: Index of the image.
-        config: Which holes are surfaces.
     """
     from scipy.ndimage import binary_dilation, find_objects, label
 
@@ -163,7 +151,7 @@ def holes(frame: Frame, index: int, config: CompletionConfig) -> Iterator[HolePa
             continue
         ray = rays[rows, columns][inside]
         ring = Ring(*(values[rows, columns][around] for values in (rays, points, normals)))
-        plane = _plane(eye, ring, ray, config)
+        plane = _plane(eye, ring, ray)
         if plane is None:
             continue
         axis, offset = plane
@@ -204,7 +192,6 @@ def _plane(
     eye: Float[np.ndarray, "3"],
     ring: Ring,
     hole: Float[np.ndarray, "n 3"],
-    config: CompletionConfig,
 ) -> tuple[int, float] | None:
     """Return the upright plane that a hole shows: axis of its normal and coordinate [m]; or None.
 
@@ -212,19 +199,18 @@ def _plane(
         eye: Camera position [m].
         ring: Surroundings of the hole.
         hole: Rays into the hole, of depth 1.
-        config: Which holes are surfaces.
     """
-    best, found = config.support, None
+    best, found = MIN_SUPPORT, None
     for axis in (0, 1):
         square = np.abs(ring.normals[:, axis]) > MIN_COSINE
         along = ring.points[square, axis]
-        if np.abs(hole[:, axis]).min() < config.grazing * np.linalg.norm(hole, axis=1).max():
+        if np.abs(hole[:, axis]).min() < MIN_INCIDENCE * np.linalg.norm(hole, axis=1).max():
             continue
         contact = _contact(eye, ring.points, axis, MAX_PLANE_DISTANCE)
         offsets = np.unique(np.round(along / MAX_PLANE_DISTANCE)) * MAX_PLANE_DISTANCE
         for offset in offsets:
             middle = float(np.median(along[np.abs(along - offset) < MAX_PLANE_DISTANCE]))
-            support = _support(eye, ring, hole, axis, middle, contact, config)
+            support = _support(eye, ring, hole, axis, middle, contact)
             if support > best:
                 best, found = support, (axis, middle)
     return found
@@ -260,14 +246,13 @@ def _support(
     axis: int,
     offset: float,
     contact: float,
-    config: CompletionConfig,
 ) -> float:
     """Return the share of a hole's surroundings that supports a plane; 0 if any contradicts it.
 
     See `_plane`; `contact` is where the floor in front of the hole ends.
     """
     depth = (offset - eye[axis]) / hole[:, axis]
-    if not (depth.min() > 0.0 and depth.max() < config.farthest):  # NaN too
+    if not (depth.min() > 0.0 and depth.max() < MAX_DEPTH):  # NaN too
         return 0.0
     points = eye + hole * depth[:, None]
     if points[:, 2].min() < -2 * MAX_PLANE_DISTANCE:  # it would extend below the floor
@@ -282,7 +267,7 @@ def _support(
         at = (eye + ring.rays * ((offset - eye[axis]) / ring.rays[:, axis])[:, None])[:, across]
     sides = [at[:, 1] < low[1], at[:, 1] > high[1], at[:, 0] < low[0], at[:, 0] > high[0]]
     below, floor = sides[0], ring.points[:, 2] < 2 * MAX_PLANE_DISTANCE
-    away, most = config.before
+    away, most = MAX_IN_FRONT
     behind, most_behind = TOE_SPACE
     if (
         not sides[1].any()  # it extends beyond the image
@@ -295,7 +280,7 @@ def _support(
     ):
         return 0.0
     shares = np.array([near[side].mean() if side.any() else 0.0 for side in sides])
-    two, one = config.side
+    two, one = SIDE_SUPPORT
     stands = -MAX_PLANE_DISTANCE < np.sign(eye[axis] - offset) * (offset - contact) < PLINTH_HEIGHT
     speaks = (shares >= two).sum() >= 2 or (stands and (shares >= one).any())
     return float(near.mean()) if speaks else 0.0

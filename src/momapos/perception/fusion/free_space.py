@@ -17,6 +17,8 @@ MIN_DEPTH = 0.1
 """Places closer to a camera are ignored [m]."""
 MAX_PROJECTED = 100_000
 """Number of places times images that are projected together, to bound memory [-]."""
+SEEN_BEYOND = 0.1
+"""An image sees through a place if it measures something this far behind it [m]."""
 
 
 class SeenThrough:
@@ -27,10 +29,9 @@ class SeenThrough:
 
     Args:
         frames: Images; those without depth are ignored.
-        through: Minimum distance of the measurement behind a place [m].
     """
 
-    def __init__(self, frames: Sequence[Frame], through: float) -> None:
+    def __init__(self, frames: Sequence[Frame]) -> None:
         self._depths = [frame.depth for frame in frames if frame.depth is not None]
         seeing = [frame for frame in frames if frame.depth is not None]
         self._T_camera_world = np.array([invert(frame.T_world_camera) for frame in seeing]).reshape(
@@ -39,7 +40,6 @@ class SeenThrough:
         self._intrinsics = np.array([frame.intrinsics for frame in seeing]).reshape(-1, 3, 3)
         shapes = np.array([depth.shape for depth in self._depths]).reshape(-1, 2)
         self._height, self._width = shapes.T[..., None]
-        self._through = through
 
     def __call__(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Tell which places in the images' world [m] are seen through."""
@@ -57,5 +57,5 @@ class SeenThrough:
         out = np.zeros(len(points), bool)
         for k in np.flatnonzero(there.any(axis=1)):
             on = np.flatnonzero(there[k] & ~out)
-            out[on] = self._depths[k][v[k, on], u[k, on]] > z[k, on] + self._through
+            out[on] = self._depths[k][v[k, on], u[k, on]] > z[k, on] + SEEN_BEYOND
         return out

@@ -8,7 +8,6 @@ to.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,34 +35,25 @@ MIN_FLOOR_SHARE = 0.06
 MIN_STEADINESS = 0.5
 """Smaller rotations are ignored [deg]: the source of the scan is more accurate than planes in a
 noisy cloud."""
+UP_CONE = 60.0
+"""Up is searched within this angle of the cameras' mean up direction [deg]; cameras look down at a
+kitchen, so their up leans forward."""
+DIRECTION_SPREAD = 6.0
+"""Normals within this angle belong to a direction [deg]."""
+HALF_LAYER = 0.03
+"""Half the thickness of a horizontal plane [m]."""
+PLANE_TOLERANCE = 0.01
+"""Points of one upright plane share a coordinate within this [m]."""
+MAX_POINTS = 40_000
+"""Number of points by which directions are counted; more do not help [-]."""
 
 
-@dataclass(frozen=True)
-class GravityConfig:
-    """How up is estimated."""
-
-    cone: float = 60.0
-    """Up is searched within this angle of the cameras' mean up direction [deg]; cameras look down
-    at a kitchen, so their up leans forward."""
-    spread: float = 6.0
-    """Normals within this angle belong to a direction [deg]."""
-    layer: float = 0.03
-    """Half the thickness of a horizontal plane [m]."""
-    plane: float = 0.01
-    """Points of one upright plane share a coordinate within this [m]."""
-    most_points: int = 40_000
-    """Number of points by which directions are counted; more do not help [-]."""
-
-
-def align_to_gravity(
-    cloud: Cloud, frames: Sequence[Frame], config: GravityConfig | None = None
-) -> Float[np.ndarray, "4 4"]:
+def align_to_gravity(cloud: Cloud, frames: Sequence[Frame]) -> Float[np.ndarray, "4 4"]:
     """Estimate the transform that makes a scan upright.
 
     Args:
         cloud: Surfaces with normals, in the world of the scan.
         frames: Images with camera poses; without images, the world's z axis is roughly up.
-        config: Constants.
 
     Returns:
         `T_up_cloud`: z is up, the floor is at z = 0, walls and furniture are along x and y. The
@@ -72,23 +62,22 @@ def align_to_gravity(
     Raises:
         InputError: The cloud has too few points, or no horizontal surface.
     """
-    config = config or GravityConfig()
     if len(cloud.points) < 100:
         raise InputError(f"a cloud of {len(cloud.points)} points is too small to find up")
-    step = -(-len(cloud.points) // config.most_points)
+    step = -(-len(cloud.points) // MAX_POINTS)
     points, normals = cloud.points[::step], cloud.normals[::step]
-    up = _search(normals, _camera_up(frames), config)
-    if not _along(normals, up, config).any():
+    up = _search(normals, _camera_up(frames))
+    if not _along(normals, up).any():
         raise InputError("the scan shows no horizontal surface, so up is unknown")
     for _ in range(3):
-        up = _fit(points, normals, up, config)
+        up = _fit(points, normals, up)
     R_up_cloud = _least_turn(up)
-    offset = _yaw_offset(points @ R_up_cloud.T, normals @ R_up_cloud.T, config)
+    offset = _yaw_offset(points @ R_up_cloud.T, normals @ R_up_cloud.T)
     R_up_cloud = Rotation.from_euler("z", -offset).as_matrix() @ R_up_cloud
     if np.degrees(Rotation.from_matrix(R_up_cloud).magnitude()) < MIN_STEADINESS:
         R_up_cloud = np.eye(3)
-    along = _along(normals, R_up_cloud[2], config)
-    z_floor = _floor_height(points[along] @ R_up_cloud[2], config)
+    along = _along(normals, R_up_cloud[2])
+    z_floor = _floor_height(points[along] @ R_up_cloud[2])
     return pose((0.0, 0.0, -z_floor), R_up_cloud)
 
 
@@ -126,11 +115,11 @@ def _square_to(edges: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 3"]:
 
 
 def _search(
-    normals: Float[np.ndarray, "n 3"], guess: Float[np.ndarray, "3"], config: GravityConfig
+    normals: Float[np.ndarray, "n 3"], guess: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
     """Return the direction near a guess that most normals are parallel or perpendicular to."""
-    directions = _cap(guess, np.radians(config.cone), 1200)
-    width = np.radians(config.spread)
+    directions = _cap(guess, np.radians(UP_CONE), 1200)
+    width = np.radians(DIRECTION_SPREAD)
     cosines = normals[:: max(1, len(normals) // 5000)] @ directions.T
     # Both scores are smooth, so that the best of a coarse set is near the global optimum.
     along = np.exp((np.minimum(cosines, 1.0) - 1) / (1 - np.cos(width))).mean(axis=0)
@@ -158,21 +147,18 @@ def _least_turn(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return Rotation.from_rotvec(axis / sine * np.arctan2(sine, up[2])).as_matrix()
 
 
-def _along(
-    normals: Float[np.ndarray, "n 3"], up: Float[np.ndarray, "3"], config: GravityConfig
-) -> Bool[np.ndarray, " n"]:
-    return normals @ up > np.cos(np.radians(2 * config.spread))
+def _along(normals: Float[np.ndarray, "n 3"], up: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
+    return normals @ up > np.cos(np.radians(2 * DIRECTION_SPREAD))
 
 
 def _fit(
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
     up: Float[np.ndarray, "3"],
-    config: GravityConfig,
 ) -> Float[np.ndarray, "3"]:
     """Fit parallel planes to all horizontal surfaces at once; their common normal is up."""
-    flat = points[_along(normals, up, config)]
-    layer = _layers(flat @ up, config)
+    flat = points[_along(normals, up)]
+    layer = _layers(flat @ up)
     flat, layer = flat[layer >= 0], layer[layer >= 0]
     if not len(flat):
         return up
@@ -184,20 +170,20 @@ def _fit(
     fitted = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
     # A single narrow strip leaves one direction open; the mean normal is better then.
     if values[1] < 20 * values[0]:
-        fitted = normals[_along(normals, up, config)].mean(axis=0)
+        fitted = normals[_along(normals, up)].mean(axis=0)
     return fitted / np.linalg.norm(fitted)
 
 
-def _layers(z: Float[np.ndarray, " n"], config: GravityConfig) -> Int[np.ndarray, " n"]:
+def _layers(z: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """Number the planes among heights by histogram peaks; -1 for points between them."""
-    low, histogram = _histogram(z, config.layer)
+    low, histogram = _histogram(z, HALF_LAYER)
     out = np.full(len(z), -1)
     for number in range(8):
         peak = int(np.argmax(histogram))
         if histogram[peak] < 0.02 * len(z):
             break
-        height = low + (peak + 0.5) * config.layer
-        out[(np.abs(z - height) < config.layer) & (out < 0)] = number
+        height = low + (peak + 0.5) * HALF_LAYER
+        out[(np.abs(z - height) < HALF_LAYER) & (out < 0)] = number
         histogram[max(0, peak - 2) : peak + 3] = 0
     return out
 
@@ -209,26 +195,24 @@ def _histogram(z: Float[np.ndarray, " n"], width: float) -> tuple[float, Int[np.
     return low, np.bincount(bins[bins >= 0], minlength=1)
 
 
-def _floor_height(z: Float[np.ndarray, " n"], config: GravityConfig) -> float:
-    low, histogram = _histogram(z, config.layer)
+def _floor_height(z: Float[np.ndarray, " n"]) -> float:
+    low, histogram = _histogram(z, HALF_LAYER)
     window = np.convolve(histogram, np.ones(2, int), "same")
     large = window >= MIN_FLOOR_SHARE * len(z)
     first = int(np.argmax(large)) if large.any() else int(np.argmax(window))
     stop = min(first + 3, len(histogram))
     peak = first + int(np.argmax(histogram[first:stop]))
-    height = low + (peak + 0.5) * config.layer
-    return float(np.median(z[np.abs(z - height) < config.layer]))
+    height = low + (peak + 0.5) * HALF_LAYER
+    return float(np.median(z[np.abs(z - height) < HALF_LAYER]))
 
 
-def _yaw_offset(
-    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], config: GravityConfig
-) -> float:
+def _yaw_offset(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]) -> float:
     """Return the yaw of vertical surfaces from x and y, in (-pi/4, pi/4] [rad].
 
     Normals give it to a few degrees. Then the yaw is refined so that most points share a coordinate
     across their surface.
     """
-    upright = np.abs(normals[:, 2]) < np.sin(np.radians(2 * config.spread))
+    upright = np.abs(normals[:, 2]) < np.sin(np.radians(2 * DIRECTION_SPREAD))
     if upright.sum() < 50:
         return 0.0
     places, facing = points[upright, :2], normals[upright, :2]
@@ -239,7 +223,7 @@ def _yaw_offset(
     turn = (float(np.argmax(smooth)) + 0.5) / 90 * np.pi / 2
     for reach, step in SEARCHED:
         tried = turn + np.radians(np.arange(-reach, reach + step / 2, step))
-        turn = tried[np.argmax([_sharpness(places, facing, one, config) for one in tried])]
+        turn = tried[np.argmax([_sharpness(places, facing, one) for one in tried])]
     return float(np.mod(turn + np.pi / 4, np.pi / 2) - np.pi / 4)
 
 
@@ -247,14 +231,13 @@ def _sharpness(
     places: Float[np.ndarray, "n 2"],
     facing: Float[np.ndarray, "n 2"],
     turn: float,
-    config: GravityConfig,
 ) -> float:
     """Return how well points share a coordinate across their surface after a yaw rotation [rad]."""
     c, s = np.cos(turn), np.sin(turn)
     axes = np.array([[c, -s], [s, c]])
-    along = np.abs(facing @ axes) > np.cos(np.radians(2 * config.spread))
+    along = np.abs(facing @ axes) > np.cos(np.radians(2 * DIRECTION_SPREAD))
     counts = [
-        _histogram(at[own], config.plane)[1].astype(float)
+        _histogram(at[own], PLANE_TOLERANCE)[1].astype(float)
         for at, own in zip((places @ axes).T, along.T, strict=True)
         if own.any()
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,37 +17,28 @@ if TYPE_CHECKING:
 
 TURNS = tuple(np.pi / 2 * k for k in range(4))
 """Upright scans have walls along x and y, so they differ by quarter turns [rad]."""
+MIN_HEIGHT = 0.05
+"""Lower points are ignored, because all floors are alike [m]."""
+CELL = 0.05
+"""Edge length of the floor cells in which points are counted [m]."""
+MAX_POINTS = 20_000
+"""Maximum number of points of each scan [-]."""
+ROUNDS = 30
+"""Iterations of the fit [-]."""
+MATCH_DISTANCES = (0.25, 0.04)
+"""Maximum distance between matched points in the first and in the last iteration [m]."""
+SAME_DISTANCE = 0.04
+"""Points with a point of the other scan this close are in both [m]."""
+MIN_COMMON = 0.6
+"""Minimum share of one scan that is in the other, if they show one room [-]."""
 
 
-@dataclass(frozen=True)
-class RegistrationConfig:
-    """How two scans are registered."""
-
-    floor: float = 0.05
-    """Lower points are ignored, because all floors are alike [m]."""
-    cell: float = 0.05
-    """Edge length of the floor cells in which points are counted [m]."""
-    most_points: int = 20_000
-    """Maximum number of points of each scan [-]."""
-    rounds: int = 30
-    """Iterations of the fit [-]."""
-    near: tuple[float, float] = (0.25, 0.04)
-    """Maximum distance between matched points in the first and in the last iteration [m]."""
-    same: float = 0.04
-    """Points with a point of the other scan this close are in both [m]."""
-    share: float = 0.6
-    """Minimum share of one scan that is in the other, if they show one room [-]."""
-
-
-def register(
-    cloud: Cloud, other: Cloud, config: RegistrationConfig | None = None
-) -> Float[np.ndarray, "4 4"]:
+def register(cloud: Cloud, other: Cloud) -> Float[np.ndarray, "4 4"]:
     """Estimate the pose of another upright scan of the same room.
 
     Args:
         cloud: One scan, upright.
         other: The other one, also upright; it may be turned about z by quarters, and moved.
-        config: Constants.
 
     Returns:
         `T_cloud_other`; a rotation about z and a translation.
@@ -56,30 +46,27 @@ def register(
     Raises:
         InputError: They do not show one room.
     """
-    config = config or RegistrationConfig()
-    points, normals = _standing(cloud, config)
-    others, _ = _standing(other, config)
+    points, normals = _standing(cloud)
+    others, _ = _standing(other)
     tree = cKDTree(points)
-    guesses = [np.eye(4), *(_shifted(points, others, turn, config) for turn in TURNS)]
-    shares = [_share(tree, apply(T, others), 2 * config.cell) for T in guesses]
-    T = _fit(tree, normals, others, guesses[int(np.argmax(shares))], config)
+    guesses = [np.eye(4), *(_shifted(points, others, turn) for turn in TURNS)]
+    shares = [_share(tree, apply(T, others), 2 * CELL) for T in guesses]
+    T = _fit(tree, normals, others, guesses[int(np.argmax(shares))])
     moved = apply(T, others)
-    share = max(_share(tree, moved, config.same), _share(cKDTree(moved), points, config.same))
-    if share < config.share:
+    share = max(_share(tree, moved, SAME_DISTANCE), _share(cKDTree(moved), points, SAME_DISTANCE))
+    if share < MIN_COMMON:
         raise InputError(
             f"the two scans do not show the same room: they share {share:.0%} of their points "
-            f"above the floor, and need {config.share:.0%}"
+            f"above the floor, and need {MIN_COMMON:.0%}"
         )
     return T
 
 
-def _standing(
-    cloud: Cloud, config: RegistrationConfig
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    keep = np.flatnonzero(cloud.points[:, 2] > config.floor)
+def _standing(cloud: Cloud) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    keep = np.flatnonzero(cloud.points[:, 2] > MIN_HEIGHT)
     if not len(keep):
         raise InputError("a scan shows only the floor, so it cannot be registered")
-    keep = keep[:: -(-len(keep) // config.most_points)]
+    keep = keep[:: -(-len(keep) // MAX_POINTS)]
     return cloud.points[keep], cloud.normals[keep]
 
 
@@ -87,17 +74,16 @@ def _shifted(
     points: Float[np.ndarray, "n 3"],
     others: Float[np.ndarray, "m 3"],
     turn: float,
-    config: RegistrationConfig,
 ) -> Float[np.ndarray, "4 4"]:
     """Return the translation after a rotation for which two rooms overlap most, from above."""
     R = rotation_about(UP, np.array(turn))
     turned = others @ R.T
     low = np.minimum(points.min(0), turned.min(0))[:2]
     high = np.maximum(points.max(0), turned.max(0))[:2]
-    shape = tuple((2 * np.ceil((high - low) / config.cell).astype(int) + 2).tolist())
+    shape = tuple((2 * np.ceil((high - low) / CELL).astype(int) + 2).tolist())
 
     def raster(xyz: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "w h"]:
-        cells = np.floor((xyz[:, :2] - low) / config.cell).astype(int)
+        cells = np.floor((xyz[:, :2] - low) / CELL).astype(int)
         count = np.zeros(shape)
         np.add.at(count, (cells[:, 0], cells[:, 1]), 1.0)
         return np.sqrt(count)  # a high wall must not outweigh the rest
@@ -105,7 +91,7 @@ def _shifted(
     match = irfft2(rfft2(raster(points)) * np.conj(rfft2(raster(turned))), shape)
     best = np.array(np.unravel_index(int(np.argmax(match)), shape))
     best = np.where(best > np.array(shape) // 2, best - shape, best)
-    return pose(np.append(best * config.cell, 0.0), R)
+    return pose(np.append(best * CELL, 0.0), R)
 
 
 def _fit(
@@ -113,11 +99,10 @@ def _fit(
     normals: Float[np.ndarray, "n 3"],
     others: Float[np.ndarray, "m 3"],
     T: Float[np.ndarray, "4 4"],
-    config: RegistrationConfig,
 ) -> Float[np.ndarray, "4 4"]:
     """Fit x, y, z and yaw so that the points of one cloud lie in the planes of the other."""
     points = np.asarray(tree.data)
-    for near in np.geomspace(*config.near, config.rounds):
+    for near in np.geomspace(*MATCH_DISTANCES, ROUNDS):
         moved = apply(T, others)
         away, index = tree.query(moved, distance_upper_bound=near)
         found = np.isfinite(away)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
-from momapos.core import InputError
+from momapos.core import InputError, finite_number, refuse_below
 from momapos.core.geometry import invert
 from momapos.model.records import Cloud, Frame
 
@@ -68,6 +68,10 @@ MIN_WEIGHT = 0.08
 """Minimum weight of a voxel on a surface; one image at z meters weighs about 1/z^2 [-]."""
 TRUNCATION = 4.0
 """Truncation distance [voxels]; it must cover the sensor's noise."""
+MIN_INCIDENCE = 0.17
+"""Minimum cosine between a ray and the surface's normal, about 80 degrees [-]."""
+MAX_DEPTH_STEP = 0.04
+"""Pixels next to a larger depth step are ignored; relative to the depth [-]."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +82,13 @@ class FusionConfig:
     """Smaller depth is ignored [m]."""
     farthest: float = 5.0
     """Larger depth is ignored: the noise of stereo grows with its square [m]."""
-    grazing: float = 0.17
-    """Minimum cosine between a ray and the surface's normal, about 80 degrees [-]."""
-    edge: float = 0.04
-    """Pixels next to a larger depth step are ignored; relative to the depth [-]."""
     most_bytes: int = 2_000_000_000
     """Maximum memory."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "nearest")
+        refuse_below(self, self.nearest, "farthest")
+        refuse_below(self, 1, "most_bytes")
 
 
 def fuse(
@@ -104,9 +109,7 @@ def fuse(
         InputError: No frame has usable depth, a pose is not finite, `voxel` is out of
             `VOXEL_RANGE`, or the room needs too much memory.
     """
-    low, high = VOXEL_RANGE
-    if not low <= voxel <= high:  # NaN too
-        raise InputError(f"voxel must be between {low} and {high} m, not {voxel}")
+    finite_number("voxel", voxel, *VOXEL_RANGE)
     config = config or FusionConfig()
     frames = [frame for frame in frames if frame.depth is not None]
     for frame in frames:
@@ -143,7 +146,7 @@ def _empty(
 def _look(frame: Frame, config: FusionConfig) -> FusionImage:
     depth = _usable(frame, config)
     K = np.asarray(frame.intrinsics, float)
-    facing = facing_of(depth, K, config.edge, config.grazing)
+    facing = facing_of(depth, K, MAX_DEPTH_STEP, MIN_INCIDENCE)
     T_camera_world = invert(np.asarray(frame.T_world_camera, float))
     return FusionImage(depth, facing, deepest_of(depth), frame.color, K, T_camera_world)
 

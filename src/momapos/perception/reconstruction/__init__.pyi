@@ -1,4 +1,3 @@
-from .alignment import AlignmentConfig as AlignmentConfig
 from .front_network import FrontNetwork as FrontNetwork
 from .model_config import ModelConfig as ModelConfig
 from .object_model import furniture_model as furniture_model
@@ -7,7 +6,6 @@ from .scene_builder import GivenModel as GivenModel
 from .scene_builder import build_scene as build_scene
 from .scene_builder import place_model as place_model
 from .seen_motion import SeenMotion as SeenMotion
-from .seen_motion import SeenMotionConfig as SeenMotionConfig
 from .seen_motion import moved_piece as moved_piece
 from .templates import TemplatePredictor as TemplatePredictor
 from .urdformer import UrdformerPredictor as UrdformerPredictor

@@ -35,22 +35,14 @@ MIN_SIDE = 0.08
 """Minimum width and height of a door, and width of a drawer [m]."""
 MAX_HEIGHT_MAP = 0.12
 """Maximum distance of a part's front from the face [m]."""
-
-
-@dataclass(frozen=True)
-class AlignmentConfig:
-    """How parts are fitted onto a face."""
-
-    grid: int | None = None
-    """Grid steps across the face to which parts snap, 12 as in URDFormer; None: no grid."""
-    seam: float = 0.015
-    """Edges closer to each other, or to the rim of the face, are merged [m]."""
-    same: float = 0.5
-    """Of two parts that share this much of the smaller one, the less certain is dropped [-]."""
-    thickness: tuple[float, float] = (0.008, 0.035)
-    """Minimum and maximum thickness of a handle, so that a gripper can hold it [m]."""
-    handle_height_map: tuple[float, float] = (0.015, 0.12)
-    """Measured protrusions below the first are ignored, above the second clipped [m]."""
+MERGE_DISTANCE = 0.015
+"""Edges closer to each other, or to the rim of the face, are merged [m]."""
+MAX_SHARED = 0.5
+"""Of two parts that share this much of the smaller one, the less certain is dropped [-]."""
+HANDLE_THICKNESS = (0.008, 0.035)
+"""Minimum and maximum thickness of a handle, so that a gripper can hold it [m]."""
+PROTRUSION_RANGE = (0.015, 0.12)
+"""Measured protrusions below the first are ignored, above the second clipped [m]."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +72,7 @@ class AlignedPart:
 
 
 def align(
-    face: FaceImage, parts: Sequence[Part], config: AlignmentConfig | None = None
+    face: FaceImage, parts: Sequence[Part], grid: int | None = None
 ) -> tuple[AlignedPart, ...]:
     """Fit the parts of a face to the face and to each other.
 
@@ -89,7 +81,7 @@ def align(
     Args:
         face: The face, with its size and height map.
         parts: The detected parts.
-        config: How to fit.
+        grid: Grid steps across the face to which parts snap, 12 as in URDFormer; None: no grid.
 
     Returns:
         The parts, top to bottom and left to right, without small and duplicate ones.
@@ -97,20 +89,19 @@ def align(
     Raises:
         InputError: A rectangle is not finite.
     """
-    config = config or AlignmentConfig()
     for index, part in enumerate(parts):
         if not np.isfinite([*part.box, *(part.handle or ())]).all():
             raise InputError(
                 f"part {index} of the front ({part.kind}): box and handle must be finite, "
                 f"not {part.box}, {part.handle}"
             )
-    if config.grid is not None:
-        parts = [_snapped(part, config.grid) for part in parts]
+    if grid is not None:
+        parts = [_snapped(part, grid) for part in parts]
     seen = sorted(parts, key=lambda part: -part.score)
-    areas = _merged(_separated([area_of(part.box, face) for part in seen], config), face, config)
+    areas = _merged(_separated([area_of(part.box, face) for part in seen]), face)
     areas = with_frames(areas, face)
     aligned = [
-        _aligned(face, part, area, config)
+        _aligned(face, part, area)
         for part, area in zip(seen, areas, strict=True)
         if area is not None and not _too_small(part.kind, area)
     ]
@@ -142,17 +133,16 @@ def _snapped(part: Part, steps: int) -> Part:
     return replace(part, box=tuple(new.ravel().tolist()), handle=handle)
 
 
-def _separated(areas: Sequence[Area], config: AlignmentConfig) -> list[Area | None]:
+def _separated(areas: Sequence[Area]) -> list[Area | None]:
     """Cut overlapping areas at the middle of their overlap; None for duplicates.
 
     Args:
         areas: The most certain first.
-        config: When two are duplicates.
     """
     kept: list[Area | None] = []
     for area in areas:
         shared = [0.0 if a is None else _overlap(a, area) for a in kept]
-        if max(shared, default=0.0) > config.same:
+        if max(shared, default=0.0) > MAX_SHARED:
             kept.append(None)
             continue
         for index, other in enumerate(kept):
@@ -183,14 +173,12 @@ def _cut(a: Area, b: Area) -> tuple[Area, Area]:
     return replace(a, bottom=middle), replace(b, top=middle)
 
 
-def _merged(
-    areas: Sequence[Area | None], face: FaceImage, config: AlignmentConfig
-) -> list[Area | None]:
+def _merged(areas: Sequence[Area | None], face: FaceImage) -> list[Area | None]:
     """Merge edges that are nearly equal; their order stays, so no new overlaps arise."""
     there = [area for area in areas if area is not None]
     x = np.array([[a.left, a.right] for a in there]).ravel()
     z = np.array([[a.bottom, a.top] for a in there]).ravel()
-    x, z = _seams(x, face.width, config.seam), _seams(z, face.height, config.seam)
+    x, z = _seams(x, face.width, MERGE_DISTANCE), _seams(z, face.height, MERGE_DISTANCE)
     merged = iter(np.column_stack([x[::2], z[::2], x[1::2], z[1::2]]).tolist())
     return [None if area is None else Area(*next(merged)) for area in areas]
 
@@ -220,21 +208,19 @@ def _too_small(kind: PartKind, area: Area) -> bool:
 # ----------------------------------------------------------------------------------- part by part
 
 
-def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
+def _aligned(face: FaceImage, part: Part, area: Area) -> AlignedPart:
     seen = None if part.handle is None else area_of(part.handle, face)
-    if seen is not None and is_flat(face, area, seen, config.handle_height_map[0]):
+    if seen is not None and is_flat(face, area, seen, PROTRUSION_RANGE[0]):
         found = bars(face, area, BAR_PROTRUSION, BAR_LENGTH, BAR_THICKNESS)
         seen = found[0] if found else seen
     out = front_of(face, area, MAX_HEIGHT_MAP, without=seen)
-    handle = None if seen is None else _handle(face, area, seen, out, config)
+    handle = None if seen is None else _handle(face, area, seen, out)
     return AlignedPart(part.kind, area, out, handle, part.odds, part.score)
 
 
-def _handle(
-    face: FaceImage, part: Area, seen: Area, behind: float, config: AlignmentConfig
-) -> AlignedHandle | None:
+def _handle(face: FaceImage, part: Area, seen: Area, behind: float) -> AlignedHandle | None:
     """Return a handle with a place and a graspable size; None if it is not on the part."""
-    thinnest, thickest = config.thickness
+    thinnest, thickest = HANDLE_THICKNESS
     room = min(part.width, part.height) / 4
     inside = seen.within(part)
     if inside is None:
@@ -247,7 +233,7 @@ def _handle(
         height = float(np.clip(height, thinnest, thickest))
         width = max(width, height)
     margin = min(thinnest, room)  # off the edges, so that it clears the neighbors
-    out, measured = _standing_out(face, part, inside, config)
+    out, measured = _standing_out(face, part, inside)
     x, z = _straight(face, inside, behind + out)
     left, right = _placed(x, width, part.left + margin, part.right - margin)
     bottom, top = _placed(z, height, part.bottom + margin, part.top - margin)
@@ -274,11 +260,9 @@ def _placed(middle: float, size: float, low: float, high: float) -> tuple[float,
     return start, start + size
 
 
-def _standing_out(
-    face: FaceImage, part: Area, handle: Area, config: AlignmentConfig
-) -> tuple[float, bool]:
+def _standing_out(face: FaceImage, part: Area, handle: Area) -> tuple[float, bool]:
     """Return the protrusion of a handle [m], and whether it was measured."""
-    least, most = config.handle_height_map
+    least, most = PROTRUSION_RANGE
     out = stands_out(face, part, handle)
     if out is None or out < least:
         return HANDLE_PROTRUSION, False

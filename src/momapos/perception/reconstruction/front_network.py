@@ -8,7 +8,6 @@ faces only; see `training/fronts`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -29,22 +28,16 @@ if TYPE_CHECKING:
 
 FIRST_SHARE = 0.75
 """Weight of the first network in a part's score, a weighted geometric mean [-]."""
-
-
-@dataclass(frozen=True)
-class FrontNetworkConfig:
-    """Thresholds of the networks."""
-
-    most: int = 20
-    """Maximum number of proposals for the second network [-]."""
-    part: float = 0.27
-    """Minimum score of a part [-]; chosen on drawn faces."""
-    front: float = 0.5
-    """Minimum probability of a front for parts to be added from handles alone [-]."""
-    handle: float = 0.5
-    """Minimum probability of a handle [-]."""
-    overlap: float = 0.4
-    """From this common area, relative to the smaller part, the weaker part is dropped [-]."""
+MAX_PROPOSALS = 20
+"""Maximum number of proposals for the second network [-]."""
+MIN_PART_SCORE = 0.27
+"""Minimum score of a part [-]; chosen on drawn faces."""
+MIN_FRONT_PROBABILITY = 0.5
+"""Minimum probability of a front for parts to be added from handles alone [-]."""
+MIN_HANDLE_PROBABILITY = 0.5
+"""Minimum probability of a handle [-]."""
+MAX_OVERLAP = 0.4
+"""From this common area, relative to the smaller part, the weaker part is dropped [-]."""
 
 
 class FrontNetwork:
@@ -54,10 +47,9 @@ class FrontNetwork:
         MissingExtraError: onnxruntime is not installed.
     """
 
-    def __init__(self, config: FrontNetworkConfig | None = None) -> None:
+    def __init__(self) -> None:
         for name in ("face", "part"):
             _session(name)
-        self.config = config or FrontNetworkConfig()
 
     def __call__(self, face: FaceImage, label: str) -> Front:  # noqa: ARG002
         """Find the parts of a face.
@@ -83,13 +75,13 @@ class FrontNetwork:
         whole = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), decode.FACE_PIXELS)
         heat, reach, front = _run_on_face(whole[None])
         # A weaker cell cannot become a part, whatever the second network returns.
-        floor = self.config.part ** (1 / FIRST_SHARE)
-        boxes, kinds = decode.peaks(heat[0], reach[0], floor, self.config.most)
+        floor = MIN_PART_SCORE ** (1 / FIRST_SHARE)
+        boxes, kinds = decode.peaks(heat[0], reach[0], floor, MAX_PROPOSALS)
         if len(boxes):
             kept = decode.distinct(boxes, kinds.max(axis=1), 0.7, nested=False)
             boxes, kinds = boxes[kept], kinds[kept]
         parts = self._parts(face, stack, boxes, kinds)
-        if front[0] >= self.config.front:
+        if front[0] >= MIN_FRONT_PROBABILITY:
             parts = (*parts, *parts_from_bars(face, parts))
         return Front(float(front[0]), _by_handles(face, stack, parts))
 
@@ -118,19 +110,19 @@ class FrontNetwork:
         # plain doors without a handle.
         score = (1.0 - sure[:, -1]) ** (1 - FIRST_SHARE) * kinds.max(axis=1) ** FIRST_SHARE
         broad = (found[:, 2:] - found[:, :2] > decode.MIN_SIDE).all(axis=1)
-        good = np.nonzero(broad & (score > self.config.part))[0]
+        good = np.nonzero(broad & (score > MIN_PART_SCORE))[0]
         if not len(good):
             return ()
         # Overlaps are resolved by both equally: the second network tells a door from its panel.
         rank = (1.0 - sure[good, -1]) * kinds[good].max(axis=1)
-        good = good[decode.distinct(found[good], rank, self.config.overlap, nested=True)]
+        good = good[decode.distinct(found[good], rank, MAX_OVERLAP, nested=True)]
         good = good[np.argsort(-score[good], kind="stable")]
         return tuple(
             decode.part(
                 vote[i].astype(float),
                 found[i],
                 float(score[i]),
-                handles[i] if held[i] > self.config.handle else None,
+                handles[i] if held[i] > MIN_HANDLE_PROBABILITY else None,
             )
             for i in good
         )

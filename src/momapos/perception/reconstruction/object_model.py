@@ -29,7 +29,7 @@ from momapos.model.scene.library import (
 
 from .alignment import MAX_HEIGHT_MAP, AlignedHandle, AlignedPart, align, front_of
 from .height_maps import Area
-from .model_config import ModelConfig
+from .model_config import DOOR_THICKNESS, PART_GAP, TRAY_SHARE, ModelConfig
 from .part_motions import Motions, Neighbors
 
 MIN_BAR_ASPECT = 2.0
@@ -98,7 +98,7 @@ def furniture_model(
             f"{detection.name}: the face is {face.width:.2f} x {face.height:.2f} m, but this side "
             f"of the box is {width:.2f} x {height:.2f} m; give the image of the side at `facing`"
         )
-    aligned = align(face, parts, config.alignment)
+    aligned = align(face, parts, config.grid)
     center = vec(detection.box.center)
     if not aligned:
         return solid(detection.name, detection.label, vec(size), center, yaw)
@@ -147,14 +147,14 @@ def _layers(
     """Place the walls behind the rearmost door."""
     depth = size[1]
     front = _Layers(-depth / 2, 0.0, depth / 2, min(config.panel, min(size) / 8), 1.0)
-    rear = max(sum(_slab(part, front, config)) for part in parts) - front.face
+    rear = max(sum(_slab(part, front)) for part in parts) - front.face
     shallow = min(1.0, depth / 3 / max(rear, 1e-3))
-    return replace(front, opening=front.face + shallow * rear + config.gap, shallow=shallow)
+    return replace(front, opening=front.face + shallow * rear + PART_GAP, shallow=shallow)
 
 
-def _slab(part: AlignedPart, layers: _Layers, config: ModelConfig) -> tuple[float, float]:
+def _slab(part: AlignedPart, layers: _Layers) -> tuple[float, float]:
     """Return the y coordinate of a part's front, and its thickness [m]."""
-    thickness = float(np.clip(part.out, *config.thickness))
+    thickness = float(np.clip(part.out, *DOOR_THICKNESS))
     return layers.face - part.out * layers.shallow, thickness * layers.shallow
 
 
@@ -248,8 +248,8 @@ def _moving(
     config: ModelConfig,
     neighbors: Neighbors,
 ) -> FurniturePart:
-    front, thickness = _slab(part, layers, config)
-    tray = config.tray * (layers.back - layers.wall - layers.opening)
+    front, thickness = _slab(part, layers)
+    tray = TRAY_SHARE * (layers.back - layers.wall - layers.opening)
     motions = Motions(
         part.area, part.out, front, thickness, face, config, min(config.travel, tray), neighbors,
         any(part.area.stands_on(other) for other in areas),
@@ -261,7 +261,7 @@ def _moving(
         boxes.append(_box(f"{name}_hinge_side", strip, inner, front + thickness, face))
     if part.kind == "drawer":
         rear = layers.opening + tray
-        boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
+        boxes += _tray(name, part.area, front + thickness, rear, face, layers)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
     sure, held = _confidence(part)
     return FurniturePart(
@@ -287,11 +287,10 @@ def _tray(
     rear: float,
     face: FaceImage,
     layers: _Layers,
-    config: ModelConfig,
 ) -> list[Box]:
     """Return the open box of a drawer, in the space between the boards around it."""
-    inside, room = _inside(face, layers), area.within(area, layers.wall / 2 + config.gap)
-    room = None if room is None else room.within(inside, config.gap)
+    inside, room = _inside(face, layers), area.within(area, layers.wall / 2 + PART_GAP)
+    room = None if room is None else room.within(inside, PART_GAP)
     if room is None:
         return []
     board = min(0.012, room.width / 4, room.height / 4)

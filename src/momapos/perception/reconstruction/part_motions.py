@@ -10,7 +10,7 @@ from momapos.model.scene.library import JointMotion, Vec, vec
 
 from .alignment import MAX_HEIGHT_MAP, front_of
 from .height_maps import Area
-from .model_config import ModelConfig
+from .model_config import MAX_PASSED, PART_GAP, ModelConfig
 
 STRIP = 0.03
 """Width of the strip next to a hinge in which the height map is read [m]."""
@@ -68,14 +68,14 @@ class Motions:
         config, depth = self.config, self.config.hinge_depth
         if self._is_tight(kind):
             past = (self._neighbor(kind) or 0.0) - self.out
-            depth = config.tight_hinge_depth if past < config.passed * self.area.width else 0.0
+            depth = config.tight_hinge_depth if past < MAX_PASSED * self.area.width else 0.0
         return min(depth, self.thickness)
 
     def of(self, kind: PartKind) -> JointMotion:
         """Return the joint of a kind of part; all open with a positive value."""
         if kind == "drawer":
             return JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), self.travel)
-        gap = self.config.gap
+        gap = PART_GAP
         x, z = self.face.width / 2, self.face.height / 2
         left, right = self.area.left + gap - x, self.area.right - gap - x
         bottom, top = self.area.bottom + gap - z, self.area.top - gap - z
@@ -97,7 +97,7 @@ class Motions:
         it starts as far from the axis as the axis lies behind the neighbor's front, so that it
         stays within its width until it has passed the neighbor.
         """
-        area = self.area.within(self.area, self.config.gap)
+        area = self.area.within(self.area, PART_GAP)
         assert area is not None
         if kind == "drawer":
             return area
@@ -124,7 +124,7 @@ class Motions:
         out = (self._neighbor(kind) or 0.0) - self.out if self._is_tight(kind) else 0.0
         if out <= 0.0 or depth <= 0.0:
             return None, leaf
-        past = depth + out + self.config.gap
+        past = depth + out + PART_GAP
         if kind == "door_left":
             edge = self.area.left + past
             return replace(leaf, right=edge), replace(leaf, left=edge)
@@ -133,7 +133,7 @@ class Motions:
 
     def _surroundings(self, kind: PartKind) -> float:
         """Return how far the area next to a hinge protrudes beyond the part's front [m]."""
-        area, face, config = self.area, self.face, self.config
+        area, face = self.area, self.face
         strip = {
             "door_left": replace(area, left=area.left - STRIP, right=area.left),
             "door_right": replace(area, left=area.right, right=area.right + STRIP),
@@ -143,7 +143,7 @@ class Motions:
         if strip is None:
             return 0.0
         out = front_of(face, strip, MAX_HEIGHT_MAP)
-        return max(0.0, out - self.out) + (config.gap if out > self.out else 0.0)
+        return max(0.0, out - self.out) + (PART_GAP if out > self.out else 0.0)
 
     def hypotheses(self, odds: Sequence[tuple[PartKind, float]]) -> tuple[Hypothesis, ...]:
         """Return all probable motions of the part, the most probable first.

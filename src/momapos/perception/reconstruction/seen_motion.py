@@ -32,37 +32,30 @@ FREE = {"door_left": 1.0, "door_right": -1.0, "door_down": 1.0, "door_up": -1.0}
 """Side of the edge opposite to the hinge: +1 right or up, -1 left or down."""
 EDGE_ERROR = 0.008
 """Standard error of an observed edge [m]."""
-
-
-@dataclass(frozen=True)
-class SeenMotionConfig:
-    """How parts that moved are found."""
-
-    near: float = 0.03
-    """Surfaces this close to each other are the same [m]."""
-    gone: float = 0.3
-    """Share of a part's front that must be absent after it moved [-]; a drawer shows its tray
-    there."""
-    fewest: int = 40
-    """Minimum number of points of a front [-]."""
-    support: float = 0.5
-    """Share of the front that must be found elsewhere [-]."""
-    turns: tuple[float, float, float] = (np.radians(10.0), np.radians(130.0), np.radians(5.0))
-    """Candidate angles of doors: from, to, step [rad]."""
-    slides: tuple[float, float, float] = (0.04, 0.7, 0.02)
-    """Candidate displacements of drawers: from, to, step [m]."""
-    facing: float = 0.9
-    """Cosine between the normals of one surface before and after [-]."""
-    straight: float = 0.95
-    """The same for the fit, which must not include static surfaces [-]."""
-    margin: float = 0.06
-    """Points this far beyond the expected edges of the front may belong to it [m]."""
-    layer: float = 0.04
-    """Points this far in front of or behind it may belong to it [m]."""
-    axis_error: float = 0.015
-    """Standard error of an assumed axis [m]."""
-    rounds: int = 6
-    """Iterations of the fit [-]."""
+SAME_SURFACE = 0.03
+"""Surfaces this close to each other are the same [m]."""
+MIN_GONE = 0.3
+"""Share of a part's front that must be absent after it moved [-]; a drawer shows its tray there."""
+MIN_POINTS = 40
+"""Minimum number of points of a front [-]."""
+MIN_SUPPORT = 0.5
+"""Share of the front that must be found elsewhere [-]."""
+TURNS: tuple[float, float, float] = (np.radians(10.0), np.radians(130.0), np.radians(5.0))
+"""Candidate angles of doors: from, to, step [rad]."""
+SLIDES = (0.04, 0.7, 0.02)
+"""Candidate displacements of drawers: from, to, step [m]."""
+MIN_FACING = 0.9
+"""Cosine between the normals of one surface before and after [-]."""
+MIN_FIT_FACING = 0.95
+"""The same for the fit, which must not include static surfaces [-]."""
+EDGE_MARGIN = 0.06
+"""Points this far beyond the expected edges of the front may belong to it [m]."""
+LAYER = 0.04
+"""Points this far in front of or behind it may belong to it [m]."""
+AXIS_ERROR = 0.015
+"""Standard error of an assumed axis [m]."""
+ROUNDS = 6
+"""Iterations of the fit [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,33 +78,29 @@ class SeenMotion:
     """How far it is open [rad] or [m]."""
 
 
-def moved_piece(
-    piece: Piece, before: Cloud, after: Cloud, config: SeenMotionConfig | None = None
-) -> tuple[Piece, dict[str, SeenMotion]]:
+def moved_piece(piece: Piece, before: Cloud, after: Cloud) -> tuple[Piece, dict[str, SeenMotion]]:
     """Replace the joints of parts that moved between two scans by the observed ones.
 
     Args:
         piece: The furniture as modeled from the first scan, with its parts closed.
         before: The first scan.
         after: The second scan, in the same frame.
-        config: Constants.
 
     Returns:
         The piece with these joints and its parts as in the second scan; and the observed motion of
         each part that moved, by its name.
     """
-    config = config or SeenMotionConfig()
     T = invert(pose(piece.xyz, rotation_about(UP, np.array(piece.yaw))))
     reach = float(
         np.linalg.norm([box.high for part in piece.parts for box in part.boxes], axis=1).max()
     )
-    there = [_local(cloud, T, 2.0 * reach + config.slides[1]) for cloud in (before, after)]
-    new = _only_in(there[1], there[0], config.near)
+    there = [_local(cloud, T, 2.0 * reach + SLIDES[1]) for cloud in (before, after)]
+    new = _only_in(there[1], there[0], SAME_SURFACE)
     parts, seen = [], {}
     for part in piece.parts:
         found = None
         if part.motion is not None:
-            found = _moved(part, there[0], there[1], new, config)
+            found = _moved(part, there[0], there[1], new)
         if found is not None:
             seen[part.name] = found
         parts.append(part if found is None else with_observed_joint(part, found))
@@ -129,38 +118,36 @@ def with_observed_joint(part: FurniturePart, seen: SeenMotion) -> FurniturePart:
     return replace(part, boxes=boxes, motion=motion, hypotheses=(only,), value=seen.value)
 
 
-def _moved(
-    part: FurniturePart, before: Cloud, after: Cloud, new: Cloud, config: SeenMotionConfig
-) -> SeenMotion | None:
+def _moved(part: FurniturePart, before: Cloud, after: Cloud, new: Cloud) -> SeenMotion | None:
     assert part.motion is not None
     leaf = part.boxes[0]
     low, high = np.array(leaf.low), np.array(leaf.high)
     points = before.points
     on = ((points[:, [0, 2]] > low[[0, 2]]) & (points[:, [0, 2]] < high[[0, 2]])).all(1)
-    on &= (np.abs(points[:, 1] - low[1]) < config.near) & (before.normals @ FRONT > config.facing)
-    if on.sum() < config.fewest or len(new.points) < config.fewest:
+    on &= (np.abs(points[:, 1] - low[1]) < SAME_SURFACE) & (before.normals @ FRONT > MIN_FACING)
+    if on.sum() < MIN_POINTS or len(new.points) < MIN_POINTS:
         return None
     front = points[on]
-    away, _ = cKDTree(after.points).query(front, distance_upper_bound=config.near)
-    if np.isinf(away).mean() < config.gone:
+    away, _ = cKDTree(after.points).query(front, distance_upper_bound=SAME_SURFACE)
+    if np.isinf(away).mean() < MIN_GONE:
         return None
     tree = cKDTree(new.points)
     inside = front + np.array([0.0, high[1] - low[1], 0.0])
-    best, seen = config.support, None
+    best, seen = MIN_SUPPORT, None
     for kind, axis in AXES.items():
         edge = _edge(kind, low, high)
         end = _free_end(kind, low, high)
         for side in (Side(front, FRONT, end), Side(inside, -FRONT, end)):
-            value = _best_candidate(kind, edge, side, tree, new, config)
-            fitted = _fitted(kind, side, after, _transform(kind, edge, axis, value), config)
+            value = _best_candidate(kind, edge, side, tree, new)
+            fitted = _fitted(kind, side, after, _transform(kind, edge, axis, value))
             if fitted is None:
                 continue
-            share = _support(tree, new, side, _transform(kind, fitted[0], axis, fitted[1]), config)
+            share = _support(tree, new, side, _transform(kind, fitted[0], axis, fitted[1]))
             if share < best:
                 continue
             pivot = np.array(part.motion.pivot if part.motion.axis == axis else edge)
             if side.normal @ FRONT > 0.0:  # the inside's offset depends on the leaf's thickness
-                pivot += _trust(kind, fitted[1], config) * (fitted[0] - pivot)
+                pivot += _trust(kind, fitted[1]) * (fitted[0] - pivot)
             name: Literal["prismatic", "revolute"] = "prismatic" if kind == "drawer" else "revolute"
             best = share
             seen = SeenMotion(kind, JointMotion(name, vec(pivot), axis, fitted[1]), fitted[1])
@@ -173,22 +160,19 @@ def _best_candidate(
     side: Side,
     tree: cKDTree,
     new: Cloud,
-    config: SeenMotionConfig,
 ) -> float:
     """Return the candidate value of a kind at which most of the part is found."""
-    values = np.arange(*(config.slides if kind == "drawer" else config.turns))
-    shares = [
-        _support(tree, new, side, _transform(kind, edge, AXES[kind], v), config) for v in values
-    ]
+    values = np.arange(*(SLIDES if kind == "drawer" else TURNS))
+    shares = [_support(tree, new, side, _transform(kind, edge, AXES[kind], v)) for v in values]
     return float(values[int(np.argmax(shares))])
 
 
-def _trust(kind: PartKind, value: float, config: SeenMotionConfig) -> float:
+def _trust(kind: PartKind, value: float) -> float:
     """Return the weight of the observed against the assumed axis: small angles are imprecise."""
     if kind == "drawer":
         return 1.0
     seen = EDGE_ERROR / (2.0 * np.sin(value / 2.0))
-    return float(config.axis_error**2 / (config.axis_error**2 + seen**2))
+    return float(AXIS_ERROR**2 / (AXIS_ERROR**2 + seen**2))
 
 
 def _edge(
@@ -225,12 +209,11 @@ def _support(
     new: Cloud,
     side: Side,
     T: Float[np.ndarray, "4 4"],
-    config: SeenMotionConfig,
 ) -> float:
     """Return the share of a moved side that lies on a new surface facing the same way."""
-    away, index = tree.query(apply(T, side.points), distance_upper_bound=config.near)
+    away, index = tree.query(apply(T, side.points), distance_upper_bound=SAME_SURFACE)
     found = np.isfinite(away)
-    facing = new.normals[index[found]] @ (T[:3, :3] @ side.normal) > config.facing
+    facing = new.normals[index[found]] @ (T[:3, :3] @ side.normal) > MIN_FACING
     return float(facing.sum() / len(side.points))
 
 
@@ -239,7 +222,6 @@ def _fitted(
     side: Side,
     after: Cloud,
     T: Float[np.ndarray, "4 4"],
-    config: SeenMotionConfig,
 ) -> tuple[Float[np.ndarray, "3"], float] | None:
     """Fit a point on the axis and the value that move a side of a part to where it is observed.
 
@@ -251,13 +233,13 @@ def _fitted(
     u, v = _across(kind)  # along the front, and out of it, in the plane that the part moves in
     middle = np.median(front, axis=0)
     value = float(-T[1, 3]) if slides else 0.0
-    for _ in range(config.rounds):
+    for _ in range(ROUNDS):
         R = T[:3, :3]
         back = apply(invert(T), after.points)
         beside = np.abs(back - middle) - np.ptp(front, axis=0) / 2
-        near = (beside < [config.margin, config.layer, config.margin]).all(1)
-        near &= after.normals @ (R @ side.normal) > config.straight
-        if near.sum() < config.fewest:
+        near = (beside < [EDGE_MARGIN, LAYER, EDGE_MARGIN]).all(1)
+        near &= after.normals @ (R @ side.normal) > MIN_FIT_FACING
+        if near.sum() < MIN_POINTS:
             return None
         seen = after.points[near]
         if slides:
@@ -277,7 +259,7 @@ def _fitted(
         shift = (ends[1] - ends[0]) * along + (depth[1] - depth[0]) * n
         center = np.linalg.solve(np.eye(2) - R2, shift)
         value = turn * float(np.sign(np.cross(u, v) @ axis))
-        if not config.turns[0] / 2 < value < np.pi:
+        if not TURNS[0] / 2 < value < np.pi:
             return None
         pivot = center[0] * u + center[1] * v
         T = _transform(kind, pivot, axis.tolist(), value)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import FileFormatError, InputError
+from momapos.core import FileFormatError, whole_number
 
 from .images import read_small_gray
 from .validation import evenly_spaced
@@ -48,8 +48,7 @@ def choose(
     Raises:
         InputError: The limit is below 1.
     """
-    if limit < 1:
-        raise InputError(f"max_frames must be at least 1, not {limit}")
+    whole_number("max_frames", limit, 1)
     if len(poses) <= limit:
         return list(range(len(poses)))
     stretches, middles = _stretches(poses, limit)

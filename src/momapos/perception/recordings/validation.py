@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import FileFormatError, InputError
+from momapos.core import FileFormatError, whole_number
 from momapos.model.records import Frame
 
 if TYPE_CHECKING:
@@ -89,8 +89,7 @@ def check_intrinsics(K: Float[np.ndarray, "3 3"], where: str) -> Float[np.ndarra
 
 def evenly_spaced(count: int, limit: int) -> list[int]:
     """Return at most `limit` of `count` indices, including the first and the last."""
-    if limit < 1:
-        raise InputError(f"max_frames must be at least 1, not {limit}")
+    whole_number("max_frames", limit, 1)
     if count <= limit:
         return list(range(count))
     return np.round(np.linspace(0, count - 1, limit)).astype(int).tolist()

@@ -1,16 +1,13 @@
 from .closed_leaves import close_in_cloud as close_in_cloud
-from .instance_boxes import BoxConfig as BoxConfig
 from .instance_boxes import boxes as boxes
 from .instance_boxes import drop_fragments as drop_fragments
 from .instance_boxes import inside as inside
 from .instance_boxes import named as named
 from .instance_boxes import wall_detections as wall_detections
-from .leaf_evidence import OpenLeafConfig as OpenLeafConfig
 from .open_leaves import find_open_leaves as find_open_leaves
 from .pointing import PixelOf as PixelOf
 from .pointing import PointAt as PointAt
 from .pointing import pointed_at as pointed_at
-from .room_shell import RoomConfig as RoomConfig
 from .room_shell import RoomShell as RoomShell
 from .room_shell import at_wall as at_wall
 from .room_shell import find_room as find_room

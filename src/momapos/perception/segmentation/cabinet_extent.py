@@ -17,18 +17,12 @@ MIN_Z, MIN_DROP = 0.12, 0.1
 """Sides are measured this far above the floor, and this far below the top [m]."""
 EAVES = (0.05, 0.4)
 """Smaller overhangs are flush, larger ones are not overhangs [m]."""
-
-
-@dataclass(frozen=True)
-class CabinetExtentConfig:
-    """When a surface is a side of furniture."""
-
-    near: float = 0.11
-    """Surfaces this close to an edge of the top may be the side below it [m]."""
-    broad: float = 0.25
-    """Minimum share of a side that a surface covers [-]."""
-    sharp: float = 0.015
-    """Points of one surface are within this of its plane [m]."""
+MAX_EDGE_DISTANCE = 0.11
+"""Surfaces this close to an edge of the top may be the side below it [m]."""
+MIN_COVERED = 0.25
+"""Minimum share of a side that a surface covers [-]."""
+PLANE_TOLERANCE = 0.015
+"""Points of one surface are within this of its plane [m]."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +41,6 @@ def cabinet_extent(
     normals: Float[np.ndarray, "n 3"],
     rectangle: Rectangle,
     height: float,
-    config: CabinetExtentConfig,
 ) -> Rectangle:
     """Return the outline of the furniture below a top that may overhang.
 
@@ -60,11 +53,10 @@ def cabinet_extent(
         normals: Normals of the points.
         rectangle: The top seen from above.
         height: Height of the top [m].
-        config: Constants.
     """
     if height - MIN_Z - MIN_DROP < 0.1:
         return rectangle
-    sides = [_side(points, normals, rectangle, height, side, config) for side in range(4)]
+    sides = [_side(points, normals, rectangle, height, side) for side in range(4)]
     body = list(rectangle)
     for side, found in enumerate(sides):
         if found is None:
@@ -84,20 +76,19 @@ def _side(
     rectangle: Rectangle,
     height: float,
     side: int,
-    config: CabinetExtentConfig,
 ) -> _Side | None:
     axis, sign = side % 2, -1.0 if side < 2 else 1.0
     start, stop = rectangle[1 - axis], rectangle[3 - axis]
     inward, along = sign * (rectangle[side] - points[:, axis]), points[:, 1 - axis]
     on = (sign * normals[:, axis] > 0.8) & (along > start) & (along < stop)
     on &= (points[:, 2] > MIN_Z) & (points[:, 2] < height - MIN_DROP)
-    on &= (inward > -config.near) & (inward < EAVES[1])
-    for depth in sorted(peaks(inward[on], config.sharp, 10, 2 * config.sharp)):
-        flat = on & (np.abs(inward - depth) < config.sharp)
+    on &= (inward > -MAX_EDGE_DISTANCE) & (inward < EAVES[1])
+    for depth in sorted(peaks(inward[on], PLANE_TOLERANCE, 10, 2 * PLANE_TOLERANCE)):
+        flat = on & (np.abs(inward - depth) < PLANE_TOLERANCE)
         covered = area(along[flat], points[flat, 2])
         share = covered / ((stop - start) * (height - MIN_DROP - MIN_Z))
-        if share > config.broad:
-            return _Side(depth, *ends(along[flat], 2 * config.sharp))
+        if share > MIN_COVERED:
+            return _Side(depth, *ends(along[flat], 2 * PLANE_TOLERANCE))
     return None
 
 

@@ -28,37 +28,31 @@ MAX_RAGGEDNESS = 0.2
 above the camera [m]. Doors divide such a row later."""
 MIN_PROTRUSION = 0.15
 """Maximum protrusion of handles [m]."""
-
-
-@dataclass(frozen=True)
-class FrontPlaneConfig:
-    """When a surface is the front of furniture."""
-
-    area: float = 0.06
-    """Minimum area [m2]."""
-    side: float = 0.2
-    """Minimum width and height [m]."""
-    step: float = 0.02
-    """Surfaces with a step of more than twice this are two fronts [m]."""
-    gap: float = 0.04
-    """Gaps of up to twice this, as between doors, are bridged [m]."""
-    depth: float = 0.9
-    """Maximum depth of furniture [m], unless it hides all of the floor back to a wall."""
-    deepest: float = 1.25
-    """Maximum depth in that case [m]."""
-    open: float = 0.2
-    """A footprint is not filled if the floor is seen on more than this share of it; under raised
-    doors the floor is seen a little [-]."""
-    foot: float = 0.25
-    """Fronts whose lower edge is below this stand on the floor, on feet or a plinth [m]."""
-    shallow: float = 0.05
-    """Minimum depth of furniture [m]."""
-    stack: float = 0.15
-    """Maximum gap between stacked fronts of one width that belong together [m]."""
-    hung: float = 1.0
-    """Fronts whose lower edge is above this hang on the wall [m]."""
-    tall: float = 1.2
-    """Standing fronts that end above this are tall [m]."""
+MIN_FRONT_AREA = 0.06
+"""Minimum area [m2]."""
+MIN_FRONT_SIDE = 0.2
+"""Minimum width and height [m]."""
+HALF_MAX_STEP = 0.02
+"""Surfaces with a step of more than twice this are two fronts [m]."""
+HALF_MAX_GAP = 0.04
+"""Gaps of up to twice this, as between doors, are bridged [m]."""
+MAX_FURNITURE_DEPTH = 0.9
+"""Maximum depth of furniture [m], unless it hides all of the floor back to a wall."""
+MAX_HIDDEN_DEPTH = 1.25
+"""Maximum depth in that case [m]."""
+MAX_FLOOR_SEEN = 0.2
+"""A footprint is not filled if the floor is seen on more than this share of it; under raised doors
+the floor is seen a little [-]."""
+MAX_FOOT_HEIGHT = 0.25
+"""Fronts whose lower edge is below this stand on the floor, on feet or a plinth [m]."""
+MIN_FURNITURE_DEPTH = 0.05
+"""Minimum depth of furniture [m]."""
+MAX_STACK_GAP = 0.15
+"""Maximum gap between stacked fronts of one width that belong together [m]."""
+MIN_HUNG_HEIGHT = 1.0
+"""Fronts whose lower edge is above this hang on the wall [m]."""
+MIN_TALL_HEIGHT = 1.2
+"""Standing fronts that end above this are tall [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +70,7 @@ class FrontPlane:
 
 
 def find_front_planes(
-    cloud: Cloud, room: RoomShell, among: Int[np.ndarray, " m"], config: FrontPlaneConfig
+    cloud: Cloud, room: RoomShell, among: Int[np.ndarray, " m"]
 ) -> list[FrontPlane]:
     """Find fronts among some points of an upright cloud.
 
@@ -87,18 +81,18 @@ def find_front_planes(
     for axis in (0, 1):
         for sign in (1.0, -1.0):
             facing = among[sign * cloud.normals[among, axis] > 0.85]
-            for members in _flat(cloud.points[facing], facing, axis, config):
-                for piece in _divided(cloud.points[members], members, axis, config):
-                    found.append(_front(cloud, room, among, piece, axis, sign, config))
-    return _stacked(sorted((f for f in found if f is not None), key=lambda f: -f.rank), config)
+            for members in _flat(cloud.points[facing], facing, axis):
+                for piece in _divided(cloud.points[members], members, axis):
+                    found.append(_front(cloud, room, among, piece, axis, sign))
+    return _stacked(sorted((f for f in found if f is not None), key=lambda f: -f.rank))
 
 
-def _stacked(fronts: list[FrontPlane], config: FrontPlaneConfig) -> list[FrontPlane]:
+def _stacked(fronts: list[FrontPlane]) -> list[FrontPlane]:
     """Merge stacked fronts in one plane, such as the doors of a fridge with a grip gap."""
     out: list[FrontPlane] = []
     for front in fronts:
         for k, other in enumerate(out):
-            if _one_above_other(front, other, config):
+            if _one_above_other(front, other):
                 (low, high), (low_2, high_2) = corners(front.box), corners(other.box)
                 members = np.concatenate([other.members, front.members])
                 box = from_corners(np.minimum(low, low_2), np.maximum(high, high_2))
@@ -109,17 +103,17 @@ def _stacked(fronts: list[FrontPlane], config: FrontPlaneConfig) -> list[FrontPl
     return out
 
 
-def _one_above_other(a: FrontPlane, b: FrontPlane, config: FrontPlaneConfig) -> bool:
+def _one_above_other(a: FrontPlane, b: FrontPlane) -> bool:
     if (a.axis, a.sign) != (b.axis, b.sign):
         return False
     apart = np.abs(a.box.center - b.box.center) - (a.box.size + b.box.size) / 2
     faces = [f.box.center[f.axis] + f.sign * f.box.size[f.axis] / 2 for f in (a, b)]
     across = 1 - a.axis
     return bool(
-        abs(faces[0] - faces[1]) < config.step
+        abs(faces[0] - faces[1]) < HALF_MAX_STEP
         and abs(a.box.center[across] - b.box.center[across]) < PROFILE_STEP
         and abs(a.box.size[across] - b.box.size[across]) < 2 * PROFILE_STEP
-        and apart[2] < config.stack
+        and apart[2] < MAX_STACK_GAP
     )
 
 
@@ -127,14 +121,13 @@ def _flat(
     points: Float[np.ndarray, "n 3"],
     members: Int[np.ndarray, " n"],
     axis: int,
-    config: FrontPlaneConfig,
 ) -> Iterator[Int[np.ndarray, " k"]]:
-    cell = [config.gap] * 3
-    cell[axis] = config.step
+    cell = [HALF_MAX_GAP] * 3
+    cell[axis] = HALF_MAX_STEP
     label = components(points, (cell[0], cell[1], cell[2]))
     for k in range(label.max(initial=-1) + 1):
         group = label == k
-        if group.sum() < config.area / config.gap**2:
+        if group.sum() < MIN_FRONT_AREA / HALF_MAX_GAP**2:
             return
         yield members[group]
 
@@ -143,7 +136,6 @@ def _divided(
     points: Float[np.ndarray, "n 3"],
     members: Int[np.ndarray, " n"],
     axis: int,
-    config: FrontPlaneConfig,
 ) -> Iterator[Int[np.ndarray, " k"]]:
     """Divide a flat surface where its upper or lower edge has a step, into pieces wide enough for
     a front: a narrow strip at an end is just an unseen part of the edge."""
@@ -161,8 +153,8 @@ def _divided(
     # Second row below the top: a single stray point is not an edge.
     top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
     bottom = np.array([z[order[starts[k] + 1]] for k in seen])
-    hangs = float(np.median(bottom)) > config.hung
-    tall = not hangs and float(np.median(top)) > config.tall
+    hangs = float(np.median(bottom)) > MIN_HUNG_HEIGHT
+    tall = not hangs and float(np.median(top)) > MIN_TALL_HEIGHT
     cuts = _steps(
         top, MAX_RAGGEDNESS if tall else PROFILE_STEP, np.inf if hangs else MIN_CLEAR_STEP
     )
@@ -172,7 +164,7 @@ def _divided(
     edges = [low]
     high = float(along.max())
     for cut in low + strip * seen[sorted(cuts)]:
-        if cut - edges[-1] > config.side and high - cut > config.side:
+        if cut - edges[-1] > MIN_FRONT_SIDE and high - cut > MIN_FRONT_SIDE:
             edges.append(float(cut))
     part = np.searchsorted(edges[1:], along)
     for k in range(len(edges)):
@@ -207,7 +199,6 @@ def _front(
     members: Int[np.ndarray, " k"],
     axis: int,
     sign: float,
-    config: FrontPlaneConfig,
 ) -> FrontPlane | None:
     points = cloud.points[members]
     other = 1 - axis
@@ -216,14 +207,14 @@ def _front(
     low, high = points.min(axis=0), points.max(axis=0)
     for k in (other, 2):
         low[k], high[k] = ends(points[:, k], PROFILE_STEP / 2)
-    if high[other] - low[other] < config.side or high[2] - low[2] < config.side:
+    if high[other] - low[other] < MIN_FRONT_SIDE or high[2] - low[2] < MIN_FRONT_SIDE:
         return None
     size = area(points[:, other], points[:, 2])
-    if size < config.area:
+    if size < MIN_FRONT_AREA:
         return None
     # The densest plane: of a curved front it is the middle, which protrudes most.
-    face = peaks(points[:, axis], config.step / 2, 1, config.step)[0]
-    wall = _wall_behind(cloud, room, low, high, face, axis, sign, config)
+    face = peaks(points[:, axis], HALF_MAX_STEP / 2, 1, HALF_MAX_STEP)[0]
+    wall = _wall_behind(cloud, room, low, high, face, axis, sign)
     if wall is not None:
         back = wall.offset
     else:
@@ -231,13 +222,15 @@ def _front(
         away = sign * (face - around[:, axis])
         column = (around[:, other] > low[other]) & (around[:, other] < high[other])
         column &= (around[:, 2] > low[2]) & (around[:, 2] < high[2] + 0.03)
-        column &= (away > -0.02) & (away < config.depth)
+        column &= (away > -0.02) & (away < MAX_FURNITURE_DEPTH)
         alike = column & (facing > 0.8)
-        end = _next_front(away[alike], around[alike][:, [other, 2]], config)
+        end = _next_front(away[alike], around[alike][:, [other, 2]])
         away = away[column & (away < end)]
-        back = face - sign * max(config.shallow, float(np.percentile(away, 98, method="higher")))
+        back = face - sign * max(
+            MIN_FURNITURE_DEPTH, float(np.percentile(away, 98, method="higher"))
+        )
     low[axis], high[axis] = min(face, back), max(face, back)
-    low[2] = 0.0 if low[2] < config.foot else low[2]
+    low[2] = 0.0 if low[2] < MAX_FOOT_HEIGHT else low[2]
     box = from_corners(low, high)
     return FrontPlane(axis, sign, box, members, size * (1.0 if wall is None else 3.0))
 
@@ -245,21 +238,19 @@ def _front(
 def _next_front(
     away: Float[np.ndarray, " n"],
     places: Float[np.ndarray, "n 2"],
-    config: FrontPlaneConfig,
 ) -> float:
     """Return the distance from a front to the next front or side behind it; at most `depth` [m].
 
     Args:
         away: Distance behind the front of surfaces that face the same way [m].
         places: Their position across it [m].
-        config: Constants.
     """
     behind = away[away > MIN_PROTRUSION]
-    for at in sorted(peaks(behind, config.step, 10, 2 * config.step)):
-        flat = np.abs(away - at) < config.step
-        if area(*places[flat].T) > config.area:
-            return at - config.step
-    return config.depth
+    for at in sorted(peaks(behind, HALF_MAX_STEP, 10, 2 * HALF_MAX_STEP)):
+        flat = np.abs(away - at) < HALF_MAX_STEP
+        if area(*places[flat].T) > MIN_FRONT_AREA:
+            return at - HALF_MAX_STEP
+    return MAX_FURNITURE_DEPTH
 
 
 def _wall_behind(
@@ -270,7 +261,6 @@ def _wall_behind(
     face: float,
     axis: int,
     sign: float,
-    config: FrontPlaneConfig,
 ) -> Wall | None:
     middle = (low + high) / 2
     middle[axis] = face
@@ -279,16 +269,16 @@ def _wall_behind(
         for wall in room.walls
         if wall.axis == axis and wall.sign == sign and wall.spans(middle[None], 0.2)[0]
     ]
-    reach = config.deepest if low[2] < config.foot else config.depth
-    near = [w for w in behind if config.shallow < w.distance(middle[None])[0] < reach]
+    reach = MAX_HIDDEN_DEPTH if low[2] < MAX_FOOT_HEIGHT else MAX_FURNITURE_DEPTH
+    near = [w for w in behind if MIN_FURNITURE_DEPTH < w.distance(middle[None])[0] < reach]
     if not near:
         return None
     wall = min(near, key=lambda wall: wall.distance(middle[None])[0])
-    if wall.distance(middle[None])[0] < config.depth:
+    if wall.distance(middle[None])[0] < MAX_FURNITURE_DEPTH:
         return wall
     start, stop = low[:2].copy(), high[:2].copy()
     start[axis], stop[axis] = sorted((face, wall.offset))
-    return None if floor_seen(cloud, start, stop) > config.open else wall
+    return None if floor_seen(cloud, start, stop) > MAX_FLOOR_SEEN else wall
 
 
 def attach_hoods(
@@ -317,7 +307,7 @@ def attach_hoods(
 
 
 def attach_handles(
-    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, config: FrontPlaneConfig
+    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud
 ) -> tuple[list[Instance], list[Instance]]:
     """Add handles that touch no other points to the furniture that they protrude from.
 
@@ -328,7 +318,7 @@ def attach_handles(
         points = cloud.points[item.members]
         low, high = points.min(axis=0), points.max(axis=0)
         for k, body in enumerate(out):
-            if body.box is not None and low[2] > config.foot and _before(body.box, low, high):
+            if body.box is not None and low[2] > MAX_FOOT_HEIGHT and _before(body.box, low, high):
                 out[k] = replace(body, members=np.concatenate([body.members, item.members]))
                 break
         else:

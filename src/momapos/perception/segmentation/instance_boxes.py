@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from momapos.core import InputError
 from momapos.core.geometry import (
     UprightBox,
     along_edges,
     bottom,
-    box_axes,
     corners,
     from_corners,
     to_local,
@@ -36,50 +35,39 @@ MIN_EDGE = 0.01
 """Minimum edge length [m]."""
 WALL_THICKNESS = 0.1
 """Thickness of the boxes of walls [m]."""
+MAX_NEIGHBOR_DISTANCE = 0.03
+"""Points farther than this from their eight nearest neighbors on average are outliers [m]."""
+OUTSIDE_PERCENT = 1.0
+"""Share of points that may lie outside on each side [%]."""
+FACE_SEARCH = 0.08
+"""A face is searched this far from the outermost points [m]; handles protrude by 3 to 6 cm."""
+MIN_FACE_COVERED = 0.2
+"""Minimum share of a face that a surface covers [-]."""
+PLANE_TOLERANCE = 0.008
+"""Points of one surface are within this of its plane [m]."""
+FLOOR_SNAP = 0.12
+"""Bottoms closer to the floor are snapped to it; the lowest part is rarely seen [m]."""
+WALL_SNAP = 0.1
+"""Backs closer to a wall are snapped to it; they are never seen [m]."""
+SUPPORT_SNAP = 0.1
+"""Bottoms closer to a surface are snapped to it [m]."""
+MIN_YAW = 7.0
+"""Objects whose faces are turned by more from x and y get a turned box [deg]."""
+MAX_SMALL_SIDE = 0.35
+"""Smaller objects are extended if a side was not seen [m]."""
+MAX_SHEET_THICKNESS = 0.12
+"""Larger ones are extended if what was seen of them is thinner than this [m]."""
+MIN_POINTS = 10
+"""Instances without a box and with fewer points are dropped [-]."""
 
 
-@dataclass(frozen=True)
-class BoxConfig:
-    """How boxes are fitted."""
-
-    outlier: float = 0.03
-    """Points farther than this from their eight nearest neighbors on average are outliers [m]."""
-    percentile: float = 1.0
-    """Share of points that may lie outside on each side [%]."""
-    search: float = 0.08
-    """A face is searched this far from the outermost points [m]; handles protrude by 3 to 6 cm."""
-    face: float = 0.2
-    """Minimum share of a face that a surface covers [-]."""
-    sharp: float = 0.008
-    """Points of one surface are within this of its plane [m]."""
-    floor: float = 0.12
-    """Bottoms closer to the floor are snapped to it; the lowest part is rarely seen [m]."""
-    wall: float = 0.1
-    """Backs closer to a wall are snapped to it; they are never seen [m]."""
-    support: float = 0.1
-    """Bottoms closer to a surface are snapped to it [m]."""
-    turned: float = 7.0
-    """Objects whose faces are turned by more from x and y get a turned box [deg]."""
-    oriented: bool = False
-    """Whether every object gets the box of minimum area, whatever its yaw."""
-    small: float = 0.35
-    """Smaller objects are extended if a side was not seen [m]."""
-    sheet: float = 0.12
-    """Larger ones are extended if what was seen of them is thinner than this [m]."""
-    least_points: int = 10
-    """Instances without a box and with fewer points are dropped [-]."""
-
-
-def boxes(
-    cloud: Cloud, instances: Sequence[Instance], room: RoomShell, config: BoxConfig | None = None
-) -> list[Detection]:
+def boxes(cloud: Cloud, instances: Sequence[Instance], room: RoomShell) -> list[Detection]:
     """Fit boxes to instances and name them.
 
     Args:
         cloud: Upright: z up, floor at z = 0.
         instances: With members, or a box, or both.
         room: Walls that backs are snapped to.
-        config: Constants.
 
     Returns:
         One detection per instance with a box or enough points, named `<label>_<k>`: for each
@@ -88,20 +76,19 @@ def boxes(
     Raises:
         InputError: Members are not indices of the cloud.
     """
-    config = config or BoxConfig()
     drawn = []
     for instance in instances:
-        members = _members(cloud, instance, config)
-        if len(members) >= config.least_points or instance.box is not None:
-            box = _draw(cloud, members, instance.box, config)
-            drawn.append((instance, members, _snapped(box, room, config)))
+        members = _members(cloud, instance)
+        if len(members) >= MIN_POINTS or instance.box is not None:
+            box = _draw(cloud, members, instance.box)
+            drawn.append((instance, members, _snapped(box, room)))
     drawn.sort(key=lambda row: bottom(row[2]))
     tops: list[UprightBox] = []
     standing = []
     for instance, members, box in drawn:
-        box, stand = _on_support(box, tops, config)
+        box, stand = _on_support(box, tops)
         if stand == "support" and instance.box is None:
-            box = _extended(cloud, members, box, room, config)
+            box = _extended(cloud, members, box, room)
         tops.append(box)
         standing.append((instance, members, box, stand))
     found = []
@@ -152,9 +139,8 @@ def inside(points: Float[np.ndarray, "n 3"], box: UprightBox) -> Bool[np.ndarray
     return (np.abs(to_local(points, box)) <= box.size / 2 + 0.01).all(axis=1)
 
 
-def wall_detections(room: RoomShell, config: BoxConfig | None = None) -> list[Detection]:
+def wall_detections(room: RoomShell) -> list[Detection]:
     """Return the walls as boxes behind their surfaces; a robot must not drive there."""
-    config = config or BoxConfig()
     out = []
     for wall in room.walls:
         center, size = np.empty(3), np.empty(3)
@@ -169,7 +155,7 @@ def wall_detections(room: RoomShell, config: BoxConfig | None = None) -> list[De
 # ---------------------------------------------------------------- points
 
 
-def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndarray, " k"]:
+def _members(cloud: Cloud, instance: Instance) -> Int[np.ndarray, " k"]:
     if instance.members is not None:
         members = np.asarray(instance.members)
         if len(members) and not (members.min() >= 0 and members.max() < len(cloud.points)):
@@ -184,32 +170,30 @@ def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndar
     if len(members) < 12:
         return members
     distances, _ = cKDTree(cloud.points[members]).query(cloud.points[members], k=9)
-    return members[distances[:, 1:].mean(axis=1) < config.outlier]
+    return members[distances[:, 1:].mean(axis=1) < MAX_NEIGHBOR_DISTANCE]
 
 
 # ---------------------------------------------------------------- faces
 
 
-def _draw(
-    cloud: Cloud, members: Int[np.ndarray, " k"], given: UprightBox | None, config: BoxConfig
-) -> UprightBox:
+def _draw(cloud: Cloud, members: Int[np.ndarray, " k"], given: UprightBox | None) -> UprightBox:
     """Return the box around points, or a given one, with its faces snapped to surfaces."""
     points, normals = cloud.points[members], cloud.normals[members]
-    yaw = given.yaw if given is not None else _yaw(points, normals, config)
+    yaw = given.yaw if given is not None else _yaw(normals)
     turned, facing = along_edges(points, yaw), along_edges(normals, yaw)
     if given is not None:
         low, high = corners(given)
     else:
-        low, high = np.percentile(turned, [config.percentile, 100 - config.percentile], axis=0)
+        low, high = np.percentile(turned, [OUTSIDE_PERCENT, 100 - OUTSIDE_PERCENT], axis=0)
     faces = [low.copy(), high.copy()]
     for axis in range(3):
         for side, sign in ((0, -1.0), (1, 1.0)):
             on = sign * facing[:, axis] > 0.8
             start = (low, high)[side][axis]
-            reach = config.search if given is None else GIVEN_SEARCH
+            reach = FACE_SEARCH if given is None else GIVEN_SEARCH
             reach = min(reach, 0.4 * (high - low)[axis])
             near = on & (np.abs(turned[:, axis] - start) < reach)
-            found = _surface(turned[near], axis, low, high, config)
+            found = _surface(turned[near], axis, low, high)
             if found is not None:
                 faces[side][axis] = found
     thin = faces[1] - faces[0] < MIN_EDGE
@@ -224,26 +208,20 @@ def _surface(
     axis: int,
     low: Float[np.ndarray, "3"],
     high: Float[np.ndarray, "3"],
-    config: BoxConfig,
 ) -> float | None:
     """Return the coordinate of the largest plane across an axis, among points facing along it."""
-    found = peaks(points[:, axis], config.sharp, 8, config.sharp)
+    found = peaks(points[:, axis], PLANE_TOLERANCE, 8, PLANE_TOLERANCE)
     if not found:
         return None
-    on = points[np.abs(points[:, axis] - found[0]) < 2 * config.sharp]
+    on = points[np.abs(points[:, axis] - found[0]) < 2 * PLANE_TOLERANCE]
     a, b = (k for k in range(3) if k != axis)
     whole = (high[a] - low[a]) * (high[b] - low[b])
     seen = area(on[:, a], on[:, b], 0.025)
-    return found[0] if seen > config.face * whole else None
+    return found[0] if seen > MIN_FACE_COVERED * whole else None
 
 
-def _yaw(
-    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], config: BoxConfig
-) -> float:
+def _yaw(normals: Float[np.ndarray, "n 3"]) -> float:
     """Return the yaw of an object's box: 0, unless its faces clearly show another one."""
-    least = _least_area(points[:, :2])
-    if config.oriented:
-        return least
     upright = np.abs(normals[:, 2]) < 0.3
     if upright.sum() < 30:
         return 0.0
@@ -251,46 +229,30 @@ def _yaw(
     mean = np.exp(4j * angle).mean()
     offset = float(np.angle(mean)) / 4
     # Round objects have faces on all sides: their normals cancel.
-    clear = abs(mean) > 0.5 and abs(offset) > np.radians(config.turned)
+    clear = abs(mean) > 0.5 and abs(offset) > np.radians(MIN_YAW)
     return offset if clear else 0.0
-
-
-def _least_area(points: Float[np.ndarray, "n 2"]) -> float:
-    """Return the yaw of the smallest rectangle around points, in (-pi/4, pi/4] [rad]."""
-    if len(points) < 3:
-        return 0.0
-    try:
-        hull = points[ConvexHull(points).vertices]
-    except QhullError:
-        return 0.0  # all on one line
-    edges = np.roll(hull, -1, axis=0) - hull
-    angles = np.mod(np.arctan2(edges[:, 1], edges[:, 0]) + np.pi / 4, np.pi / 2) - np.pi / 4
-    areas = [np.prod(np.ptp(hull @ box_axes(angle).T, axis=0)) for angle in angles]
-    return float(angles[int(np.argmin(areas))])
 
 
 # ---------------------------------------------------------------- snapping
 
 
-def _snapped(box: UprightBox, room: RoomShell, config: BoxConfig) -> UprightBox:
+def _snapped(box: UprightBox, room: RoomShell) -> UprightBox:
     """Snap a box to the floor and the walls that it nearly touches."""
     low, high = corners(box)
-    if low[2] < config.floor:
+    if low[2] < FLOOR_SNAP:
         low[2] = 0.0
     if abs(box.yaw) < 1e-9:
         for wall in room.walls:
             if wall.spans(box.center[None], 0.3)[0]:
                 face = low if wall.sign > 0 else high
-                if abs(face[wall.axis] - wall.offset) < config.wall:
+                if abs(face[wall.axis] - wall.offset) < WALL_SNAP:
                     face[wall.axis] = wall.offset
     if (high - low < MIN_EDGE).any():
         return box
     return from_corners(low, high, box.yaw)
 
 
-def _on_support(
-    box: UprightBox, tops: Sequence[UprightBox], config: BoxConfig
-) -> tuple[UprightBox, Stand]:
+def _on_support(box: UprightBox, tops: Sequence[UprightBox]) -> tuple[UprightBox, Stand]:
     """Snap a box to the object below it, and tell what it stands on."""
     at = bottom(box)
     if at <= 0.0:
@@ -300,7 +262,7 @@ def _on_support(
         for other in tops
         if (np.abs(to_local(box.center[None], other)[0, :2]) < other.size[:2] / 2).all()
         and top(other) < top(box) - MIN_EDGE
-        and -config.support < at - top(other) < config.support
+        and -SUPPORT_SNAP < at - top(other) < SUPPORT_SNAP
     ]
     if not below:
         return box, "hung"
@@ -314,21 +276,20 @@ def _extended(
     members: Int[np.ndarray, " k"],
     box: UprightBox,
     room: RoomShell,
-    config: BoxConfig,
 ) -> UprightBox:
     """Make an object as deep as it is wide if its far side was not seen.
 
     The camera sees only the near half of a cup on a counter, and only the front of a microwave
     below a shelf. A flat top seen from above shows the whole outline, so nothing is added.
     """
-    sheet = min(box.size[:2]) < config.sheet
-    if (max(box.size) > config.small and not sheet) or len(members) < 10:
+    sheet = min(box.size[:2]) < MAX_SHEET_THICKNESS
+    if (max(box.size) > MAX_SMALL_SIDE and not sheet) or len(members) < 10:
         return box
     local = to_local(cloud.points[members], box)
     facing = along_edges(cloud.normals[members], box.yaw)
     flat = (facing[:, 2] > 0.9) & (local[:, 2] > box.size[2] / 2 - 0.02)
     top_seen = area(local[flat, 0], local[flat, 1], 0.02) > 0.5 * box.size[0] * box.size[1]
-    if top_seen and max(box.size) < config.small:
+    if top_seen and max(box.size) < MAX_SMALL_SIDE:
         return box
     low, high = corners(box)
     axis = 0 if box.size[0] < box.size[1] else 1

@@ -15,7 +15,30 @@ import numpy as np
 from momapos.core.geometry import between
 from momapos.model.records import Cloud, OpenLeaf
 
-from .leaf_evidence import OTHER_SIDE, Free, OpenLeafConfig, evidence, is_same
+from .leaf_evidence import (
+    CELL,
+    EMPTY_BEHIND,
+    HINGE_DEPTH,
+    LAYER,
+    LEAF_THICKNESS,
+    MAX_BESIDE,
+    MAX_LIFT,
+    MIN_AREA,
+    MIN_FACING,
+    MIN_FILLED,
+    MIN_FRONT_FACING,
+    MIN_POINTS,
+    MIN_REMOVED,
+    MIN_THIN,
+    OTHER_SIDE,
+    SEARCH_DISTANCE,
+    SIDE_RANGE,
+    TURN_RANGE,
+    WALL_DISTANCE,
+    Free,
+    evidence,
+    is_same,
+)
 from .room_shell import area, cell_numbers, peaks
 from .supports import components
 
@@ -36,7 +59,6 @@ def find_open_leaves(
     cloud: Cloud,
     free: Free,
     walls: Sequence[tuple[int, float]] = (),
-    config: OpenLeafConfig | None = None,
 ) -> list[OpenLeaf]:
     """Find open doors and flaps, the largest first.
 
@@ -45,25 +67,23 @@ def find_open_leaves(
         free: Tells which places were seen to be empty.
         walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall; what protrudes from a
             wall is not a leaf.
-        config: Constants.
     """
-    config = config or OpenLeafConfig()
-    coarse = _one_per_cell(cloud.points, config.layer)
-    if len(coarse) < config.dense * len(cloud.points):
+    coarse = _one_per_cell(cloud.points, LAYER)
+    if len(coarse) < MIN_REMOVED * len(cloud.points):
         cloud = Cloud(cloud.points[coarse], cloud.normals[coarse], cloud.colors[coarse])
     points = cloud.points
-    among = _one_per_cell(points, config.cell)
+    among = _one_per_cell(points, CELL)
     thin = np.zeros(len(points), bool)
-    for away in config.thick:
+    for away in EMPTY_BEHIND:
         thin[among] |= free(points[among] - away * cloud.normals[among])
     found: list[tuple[float, OpenLeaf]] = []
     for hinge in np.eye(3)[[2, 0, 1]]:
-        for patch in _patches(cloud, among, thin, hinge, config):
-            found += _leaves_of(patch, cloud, free, thin, hinge, walls, config)
+        for patch in _patches(cloud, among, thin, hinge):
+            found += _leaves_of(patch, cloud, free, thin, hinge, walls)
     found.sort(key=lambda pair: -pair[0])
     kept: list[OpenLeaf] = []
     for _, leaf in found:
-        if not any(is_same(leaf, other, config) for other in kept):
+        if not any(is_same(leaf, other) for other in kept):
             kept.append(leaf)
     return sorted(kept, key=lambda leaf: -leaf.size[0] * leaf.size[1])
 
@@ -78,7 +98,6 @@ def _patches(
     among: Int[np.ndarray, " m"],
     thin: Bool[np.ndarray, " n"],
     hinge: Float[np.ndarray, "3"],
-    config: OpenLeafConfig,
 ) -> Iterator[Int[np.ndarray, " k"]]:
     """Yield flat groups of points whose plane contains the direction of a hinge.
 
@@ -92,14 +111,14 @@ def _patches(
         facing = np.cos(angle) * one + np.sin(angle) * other
         group = square[normals[square] @ facing > np.cos(ANGLE_STEP)]
         place = points[group] @ np.stack([np.cross(hinge, facing), facing, hinge], axis=1)
-        cell = (2 * config.cell, config.layer + config.cell, 2 * config.cell)
+        cell = (2 * CELL, LAYER + CELL, 2 * CELL)
         label = components(place, cell)
         for k in range(label.max(initial=-1) + 1):
             patch = group[label == k]
-            if len(patch) * config.cell**2 < config.area:
+            if len(patch) * CELL**2 < MIN_AREA:
                 break
             askew = np.abs(normals[patch].mean(0)).max() < MIN_ALIGNED
-            if askew or thin[patch].sum() * config.cell**2 >= config.thin * config.area:
+            if askew or thin[patch].sum() * CELL**2 >= MIN_THIN * MIN_AREA:
                 yield patch
 
 
@@ -130,7 +149,6 @@ def _leaves_of(
     thin: Bool[np.ndarray, " n"],
     hinge: Float[np.ndarray, "3"],
     walls: Sequence[tuple[int, float]],
-    config: OpenLeafConfig,
 ) -> Iterator[tuple[float, OpenLeaf]]:
     """Yield the leaves that a flat group of points may be, with scores.
 
@@ -138,29 +156,29 @@ def _leaves_of(
     """
     points, normals = cloud.points[patch], cloud.normals[patch]
     low, high = points.min(0), points.max(0)
-    around = max(config.around, float(np.ptp(points, axis=0).max()) + config.beside)
+    around = max(SEARCH_DISTANCE, float(np.ptp(points, axis=0).max()) + MAX_BESIDE)
     cloud = _part(cloud, low - around, high + around)
-    reach = config.cell + 2 * config.layer + config.thickness[1]
+    reach = CELL + 2 * LAYER + LEAF_THICKNESS[1]
     near = _part(cloud, low - reach, high + reach)
     for out in np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]]):
         if abs(out @ hinge) > 0.5 or abs(normals.mean(0) @ out) > np.cos(
-            config.turns[0] - ANGLE_STEP
+            TURN_RANGE[0] - ANGLE_STEP
         ):
             continue
-        for front, likely in _fronts(cloud, out, config):
-            if any(abs(front * out[axis] - at) < config.wall and out[axis] for axis, at in walls):
+        for front, likely in _fronts(cloud, out):
+            if any(abs(front * out[axis] - at) < WALL_DISTANCE and out[axis] for axis, at in walls):
                 continue
             ahead = points @ out > front
-            if ahead.sum() * config.cell**2 < config.area:
+            if ahead.sum() * CELL**2 < MIN_AREA:
                 continue
-            if (points[ahead] @ out).min() - front > config.beside + config.thickness[1]:
+            if (points[ahead] @ out).min() - front > MAX_BESIDE + LEAF_THICKNESS[1]:
                 continue
-            slab = _slab(near, points[ahead], normals[ahead], front, out, hinge, config)
+            slab = _slab(near, points[ahead], normals[ahead], front, out, hinge)
             if slab is None:
                 continue
             askew = np.abs(slab.facing).max() < MIN_ALIGNED
-            if askew or thin[patch[ahead]].mean() >= config.thin:
-                for share, leaf in _leaves(slab, near, cloud, free, config):
+            if askew or thin[patch[ahead]].mean() >= MIN_THIN:
+                for share, leaf in _leaves(slab, near, cloud, free):
                     yield share + FRONT_WEIGHT * likely, leaf
 
 
@@ -169,21 +187,19 @@ def _part(cloud: Cloud, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"
     return Cloud(cloud.points[there], cloud.normals[there], cloud.colors[there])
 
 
-def _fronts(
-    cloud: Cloud, out: Float[np.ndarray, "3"], config: OpenLeafConfig
-) -> list[tuple[float, float]]:
+def _fronts(cloud: Cloud, out: Float[np.ndarray, "3"]) -> list[tuple[float, float]]:
     """Return the coordinates of a cloud's fronts along their normal [m], and their scores.
 
     The score is the size relative to the largest front, less what lies in front of it and faces
     the same way [-].
     """
-    facing = cloud.normals @ out > config.straight
+    facing = cloud.normals @ out > MIN_FRONT_FACING
     at = cloud.points[facing] @ out
-    found = np.array(peaks(at, config.layer, config.fewest, 1.5 * config.layer))
+    found = np.array(peaks(at, LAYER, MIN_POINTS, 1.5 * LAYER))
     if not len(found):
         return []
-    near = np.abs(at - found[:, None]) < config.layer
-    before = (at > found[:, None] + config.beside) & (at < found[:, None] + config.around)
+    near = np.abs(at - found[:, None]) < LAYER
+    before = (at > found[:, None] + MAX_BESIDE) & (at < found[:, None] + SEARCH_DISTANCE)
     counts = near.sum(1)
     likely = counts / counts.max() - np.minimum(before.sum(1) / counts, 1.0)
     return list(zip(found.tolist(), likely.tolist(), strict=True))
@@ -196,7 +212,6 @@ def _slab(
     front: float,
     out: Float[np.ndarray, "3"],
     hinge: Float[np.ndarray, "3"],
-    config: OpenLeafConfig,
 ) -> _Slab | None:
     """Fit a rectangle to the points of a group that lie in one plane; None if there is none."""
     kept = points
@@ -208,17 +223,15 @@ def _slab(
         facing = np.cross(axes[:, 2], hinge)
         facing = facing / np.linalg.norm(facing) * np.sign(normals.mean(0) @ facing or 1.0)
         off = np.abs((points - middle) @ facing)
-        kept = points[off <= max(2.0 * float(np.median(off)), config.layer / 2)]
+        kept = points[off <= max(2.0 * float(np.median(off)), LAYER / 2)]
     along = np.cross(hinge, facing)
     along = along * np.sign(along @ out or 1.0)
     axes = np.stack([along, facing, hinge], axis=1)
     coarse = (kept - middle) @ axes
-    low, high = coarse.min(0) - config.cell, coarse.max(0) + config.cell
+    low, high = coarse.min(0) - CELL, coarse.max(0) + CELL
     uneven = 2.0 * float(np.median(np.abs((kept - middle) @ facing)))
-    flat = np.abs(cloud.points @ facing - middle @ facing) < np.clip(
-        uneven, config.layer, 2 * config.layer
-    )
-    flat[flat] &= cloud.normals[flat] @ facing > config.facing
+    flat = np.abs(cloud.points @ facing - middle @ facing) < np.clip(uneven, LAYER, 2 * LAYER)
+    flat[flat] &= cloud.normals[flat] @ facing > MIN_FACING
     flat[flat] &= cloud.points[flat] @ out > front
     place = (cloud.points[flat] - middle) @ axes
     place = place[((place > low) & (place < high))[:, [0, 2]].all(1)]
@@ -226,26 +239,24 @@ def _slab(
         return None
     low, high = np.percentile(place, (1.0, 99.0), axis=0)
     width, height = (high - low)[[0, 2]]
-    if min(width, height) < config.sides[0] or max(width, height) > config.sides[1]:
+    if min(width, height) < SIDE_RANGE[0] or max(width, height) > SIDE_RANGE[1]:
         return None
-    if area(place[:, 0], place[:, 2], config.cell) < config.filled * width * height:
+    if area(place[:, 0], place[:, 2], CELL) < MIN_FILLED * width * height:
         return None
     edge = middle + axes @ [low[0], np.median(place[:, 1]), low[2]]
     return _Slab(edge, along, facing, out, hinge, front, (float(width), float(height)))
 
 
-def _leaves(
-    slab: _Slab, near: Cloud, cloud: Cloud, free: Free, config: OpenLeafConfig
-) -> Iterator[tuple[float, OpenLeaf]]:
-    thickness = _other_side(slab, near, config)
+def _leaves(slab: _Slab, near: Cloud, cloud: Cloud, free: Free) -> Iterator[tuple[float, OpenLeaf]]:
+    thickness = _other_side(slab, near)
     for along in (np.cross(slab.hinge, slab.out), np.cross(slab.out, slab.hinge)):
         value = float(np.arctan2(slab.open_along @ slab.out, slab.open_along @ along))
-        if config.turns[0] < value < config.turns[1]:
-            leaf = _leaf(slab, along, value, thickness, cloud, config)
-            if leaf is None or (leaf.kind == "door_up" and value > config.lifted):
+        if TURN_RANGE[0] < value < TURN_RANGE[1]:
+            leaf = _leaf(slab, along, value, thickness, cloud)
+            if leaf is None or (leaf.kind == "door_up" and value > MAX_LIFT):
                 continue
-            apart = (slab.edge - leaf.pivot) @ slab.open_along / config.beside
-            share = evidence(leaf, cloud, free, config) if apart < 1.0 else 0.0
+            apart = (slab.edge - leaf.pivot) @ slab.open_along / MAX_BESIDE
+            share = evidence(leaf, cloud, free) if apart < 1.0 else 0.0
             if share > 0.0:
                 yield share - apart, leaf
 
@@ -256,13 +267,12 @@ def _leaf(
     value: float,
     thickness: float | None,
     cloud: Cloud,
-    config: OpenLeafConfig,
 ) -> OpenLeaf | None:
     """Return a slab as a leaf opened by an angle [rad]; None if it would lie behind its hinge."""
-    leaf = _hinged(slab, along, value, thickness or config.thickness[0], config)
+    leaf = _hinged(slab, along, value, thickness or LEAF_THICKNESS[0])
     if thickness is None and slab.facing @ leaf.normal < 0.0:
-        rim = _rim(leaf, cloud, config)
-        leaf = leaf if rim is None else _hinged(slab, along, value, rim, config)
+        rim = _rim(leaf, cloud)
+        leaf = leaf if rim is None else _hinged(slab, along, value, rim)
     return leaf if min(leaf.size) > 0.0 else None
 
 
@@ -271,39 +281,38 @@ def _hinged(
     along: Float[np.ndarray, "3"],
     value: float,
     thickness: float,
-    config: OpenLeafConfig,
 ) -> OpenLeaf:
     """Return a slab as a leaf of a given thickness, with its axis behind its outer face."""
     looks = np.cos(value) * slab.out - np.sin(value) * along  # normal of its outer face, open
     face = slab.edge if slab.facing @ looks > 0.0 else slab.edge + thickness * looks
-    deep = slab.front - config.hinge_depth
-    aside = (config.hinge_depth - face @ looks + deep * np.cos(value)) / np.sin(value)
+    deep = slab.front - HINGE_DEPTH
+    aside = (HINGE_DEPTH - face @ looks + deep * np.cos(value)) / np.sin(value)
     low = (slab.edge @ slab.hinge) * slab.hinge
     pivot = aside * along + deep * slab.out + low
     end = slab.edge + slab.size[0] * slab.open_along
     size = float((end - pivot) @ slab.open_along), slab.size[1]
-    corner = pivot + config.hinge_depth * slab.out
+    corner = pivot + HINGE_DEPTH * slab.out
     return OpenLeaf(corner, along, slab.out, size, pivot, value, thickness)
 
 
-def _other_side(slab: _Slab, cloud: Cloud, config: OpenLeafConfig) -> float | None:
+def _other_side(slab: _Slab, cloud: Cloud) -> float | None:
     axes = np.stack([slab.open_along, slab.facing, slab.hinge], axis=1)
     place = (cloud.points - slab.edge) @ axes
     on = ((place[:, [0, 2]] > 0.0) & (place[:, [0, 2]] < slab.size)).all(1)
-    on &= (place[:, 1] < 0.0) & (place[:, 1] > -config.thickness[1])
-    on &= cloud.normals @ slab.facing < -config.straight
-    seen = area(place[on, 0], place[on, 2], config.cell)
+    on &= (place[:, 1] < 0.0) & (place[:, 1] > -LEAF_THICKNESS[1])
+    on &= cloud.normals @ slab.facing < -MIN_FRONT_FACING
+    seen = area(place[on, 0], place[on, 2], CELL)
     if seen < OTHER_SIDE * slab.size[0] * slab.size[1]:
         return None
-    return max(-float(np.median(place[on, 1])), config.thickness[0] / 2)
+    return max(-float(np.median(place[on, 1])), LEAF_THICKNESS[0] / 2)
 
 
-def _rim(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> float | None:
+def _rim(leaf: OpenLeaf, cloud: Cloud) -> float | None:
     """Return how far behind the front the leaf's stop lies [m]; None if it was not seen."""
     place = leaf.local(cloud.points)
-    inside = (place[:, [0, 2]] > -config.layer).all(1)
-    inside &= (place[:, [0, 2]] < np.array(leaf.size) + config.layer).all(1)
-    edge = np.minimum(place[:, [0, 2]], leaf.size - place[:, [0, 2]]).min(1) < config.beside / 2
-    deep = (place[:, 1] < -config.layer) & (place[:, 1] > -config.thickness[1])
-    on = inside & edge & deep & (cloud.normals @ leaf.out > config.straight)
-    return -float(np.median(place[on, 1])) if on.sum() >= config.fewest else None
+    inside = (place[:, [0, 2]] > -LAYER).all(1)
+    inside &= (place[:, [0, 2]] < np.array(leaf.size) + LAYER).all(1)
+    edge = np.minimum(place[:, [0, 2]], leaf.size - place[:, [0, 2]]).min(1) < MAX_BESIDE / 2
+    deep = (place[:, 1] < -LAYER) & (place[:, 1] > -LEAF_THICKNESS[1])
+    on = inside & edge & deep & (cloud.normals @ leaf.out > MIN_FRONT_FACING)
+    return -float(np.median(place[on, 1])) if on.sum() >= MIN_POINTS else None

@@ -57,23 +57,15 @@ MIN_WALL_LENGTH = 1.0
 """Minimum length of a wall [m]."""
 MIN_WALL_TOP = 1.35
 """Minimum seen height of a wall, unless nothing in the scan is this high [m]."""
-
-
-@dataclass(frozen=True)
-class RoomConfig:
-    """When a surface belongs to the shell of a room."""
-
-    behind: float = 0.3
-    """Maximum share of a wall's length with something behind it: furniture fronts have walls
-    behind them, walls have nothing [-]."""
-    depth: tuple[float, float] = (0.08, 2.0)
-    """Range of "behind" [m]: closer is noise, farther is another room."""
-    thickness: float = 0.03
-    """Points this close to a plane of the shell belong to it [m]."""
-    ceiling: float = 2.0
-    """Minimum height of a ceiling [m]."""
-
-
+MAX_OPEN_BEHIND = 0.3
+"""Maximum share of a wall's length with something behind it: furniture fronts have walls behind
+them, walls have nothing [-]."""
+BEHIND_RANGE = (0.08, 2.0)
+"""Range of "behind" [m]: closer is noise, farther is another room."""
+SHELL_THICKNESS = 0.03
+"""Points this close to a plane of the shell belong to it [m]."""
+MIN_CEILING = 2.0
+"""Minimum height of a ceiling [m]."""
 STRIP = 0.1
 """Width of the strips of a wall that are checked for points behind them [m]."""
 MAX_STRAY = 0.2
@@ -86,25 +78,16 @@ CELL = 0.05
 """Raster cell for the measurement of areas [m]."""
 
 
-def find_room(cloud: Cloud, config: RoomConfig | None = None) -> RoomShell:
+def find_room(cloud: Cloud) -> RoomShell:
     """Find ceiling and walls of an upright cloud."""
-    config = config or RoomConfig()
-    walls = [
-        wall
-        for axis in (0, 1)
-        for sign in (1.0, -1.0)
-        for wall in _walls(cloud, axis, sign, config)
-    ]
-    return RoomShell(tuple(walls), _ceiling(cloud, config))
+    walls = [wall for axis in (0, 1) for sign in (1.0, -1.0) for wall in _walls(cloud, axis, sign)]
+    return RoomShell(tuple(walls), _ceiling(cloud))
 
 
-def in_room(
-    room: RoomShell, cloud: Cloud, config: RoomConfig | None = None
-) -> Bool[np.ndarray, " n"]:
+def in_room(room: RoomShell, cloud: Cloud) -> Bool[np.ndarray, " n"]:
     """Tell which points belong to floor, ceiling or walls, or lie beyond them."""
-    config = config or RoomConfig()
     points, normals = cloud.points, cloud.normals
-    thick = config.thickness
+    thick = SHELL_THICKNESS
     out = (points[:, 2] < thick) | ((points[:, 2] < 2 * thick) & (normals[:, 2] > 0.9))
     if room.ceiling is not None:
         out |= points[:, 2] > room.ceiling - thick
@@ -158,7 +141,7 @@ def floor_seen(
     cloud: Cloud, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], margin: float = 0.1
 ) -> float:
     """Return the share of a rectangle on which the floor was seen, `margin` [m] off its edges."""
-    points, thickness = cloud.points, RoomConfig().thickness
+    points, thickness = cloud.points, SHELL_THICKNESS
     inside = ((points[:, :2] > low + margin) & (points[:, :2] < high - margin)).all(axis=1)
     floor = points[inside & (points[:, 2] < thickness)]
     return area(floor[:, 0], floor[:, 1]) / float(np.prod(high - low))
@@ -203,30 +186,28 @@ def peaks(values: Float[np.ndarray, " n"], width: float, least: int, apart: floa
     return found
 
 
-def _walls(cloud: Cloud, axis: int, sign: float, config: RoomConfig) -> list[Wall]:
+def _walls(cloud: Cloud, axis: int, sign: float) -> list[Wall]:
     facing = np.flatnonzero(sign * cloud.normals[:, axis] > 0.9)
     points = cloud.points[facing]
     tall = min(MIN_WALL_TOP, 0.75 * float(np.percentile(cloud.points[:, 2], 99)))
     walls = []
-    for offset in peaks(points[:, axis], 2 * config.thickness, 100, 4 * config.thickness):
-        on = points[np.abs(points[:, axis] - offset) < config.thickness]
+    for offset in peaks(points[:, axis], 2 * SHELL_THICKNESS, 100, 4 * SHELL_THICKNESS):
+        on = points[np.abs(points[:, axis] - offset) < SHELL_THICKNESS]
         along, height = on[:, 1 - axis], on[:, 2]
         low, high = np.percentile(along, [0.2, 99.8])
         middle = np.percentile(along, 95) - np.percentile(along, 5)
         top = float(np.percentile(height, 99))
         if middle >= 0.9 * MIN_WALL_LENGTH and top >= tall and area(along, height) >= MIN_WALL_AREA:
             wall = Wall(axis, sign, offset, float(low), float(high), top)
-            if _share_hiding(wall, along, cloud, config) <= config.behind:
+            if _share_hiding(wall, along, cloud) <= MAX_OPEN_BEHIND:
                 walls.append(wall)
     return walls
 
 
-def _share_hiding(
-    wall: Wall, along: Float[np.ndarray, " n"], cloud: Cloud, config: RoomConfig
-) -> float:
+def _share_hiding(wall: Wall, along: Float[np.ndarray, " n"], cloud: Cloud) -> float:
     """Return the share of a surface's strips that have something behind them."""
     away = -wall.distance(cloud.points)
-    behind = (away > config.depth[0]) & (away < config.depth[1])
+    behind = (away > BEHIND_RANGE[0]) & (away < BEHIND_RANGE[1])
     count = int(np.ceil((wall.high - wall.low) / STRIP)) + 1
 
     def strips(values: Float[np.ndarray, " m"]) -> Int[np.ndarray, " count"]:
@@ -239,8 +220,8 @@ def _share_hiding(
     return float((seen & hiding).sum() / max(1, seen.sum()))
 
 
-def _ceiling(cloud: Cloud, config: RoomConfig) -> float | None:
-    down = cloud.points[(cloud.normals[:, 2] < -0.9) & (cloud.points[:, 2] > config.ceiling)]
+def _ceiling(cloud: Cloud) -> float | None:
+    down = cloud.points[(cloud.normals[:, 2] < -0.9) & (cloud.points[:, 2] > MIN_CEILING)]
     for z in sorted(peaks(down[:, 2], 0.05, 100, 0.2), reverse=True):
         on = down[np.abs(down[:, 2] - z) < 0.05]
         if area(on[:, 0], on[:, 1]) > 1.0:

@@ -18,20 +18,41 @@ from momapos.core import InputError
 from momapos.core.geometry import UprightBox, corners, from_corners
 from momapos.model.records import Cloud, Instance
 
-from .cabinet_extent import cabinet_extent, closed_share
+from .cabinet_extent import MAX_EDGE_DISTANCE, cabinet_extent, closed_share
 from .config import (
     BACK_THICKNESS,
+    MAX_BACK_HEIGHT,
+    MAX_LIP,
+    MAX_OBJECT_HEIGHT,
+    MAX_OPEN_FLOOR,
     MAX_OVERHANG,
+    MAX_SHELF_DEPTH,
+    MIN_CLOSED,
+    MIN_CORNER,
+    MIN_LIFT,
+    MIN_POINTS,
     MIN_SLAB_LENGTH,
     MIN_SMALL_POINTS,
+    MIN_TALL_TOP,
+    MIN_WALL_PROTRUSION,
     SEAT,
+    SLAB_THICKNESS,
     TOUCHING,
     TOUCHING_SMALL,
-    SegmentConfig,
 )
 from .front_planes import FrontPlane, attach_handles, attach_hoods, find_front_planes
 from .room_shell import find_room, flat_on_wall, floor_seen, in_room
-from .supports import Rectangle, Support, components, find_supports, floor_raster, rectangles
+from .supports import (
+    MIN_SUPPORT_HEIGHT,
+    OUTLINE_CELL,
+    SURFACE_LAYER,
+    Rectangle,
+    Support,
+    components,
+    find_supports,
+    floor_raster,
+    rectangles,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Int
@@ -44,9 +65,6 @@ class ClassicalSegmenter:
     end to end, or to the corner of the room; `rows.split_row` divides it between the fronts in the
     images. Tops at another height, such as an oven's between counters, divide it here.
     """
-
-    def __init__(self, config: SegmentConfig | None = None) -> None:
-        self.config = config or SegmentConfig()
 
     def __call__(self, cloud: Cloud) -> list[Instance]:
         """Segment a cloud.
@@ -64,23 +82,23 @@ class ClassicalSegmenter:
             raise InputError("the cloud is empty")
         if not (np.isfinite(cloud.points).all() and np.isfinite(cloud.normals).all()):
             raise InputError("the cloud has points or normals that are not finite")
-        return _Segmentation(cloud, self.config).run()
+        return _Segmentation(cloud).run()
 
 
 class _Segmentation:
     """One cloud during segmentation, with the points that are still free."""
 
-    def __init__(self, cloud: Cloud, config: SegmentConfig) -> None:
-        self.cloud, self.config = cloud, config
-        self.room = find_room(cloud, config.room)
-        self.free = ~in_room(self.room, cloud, config.room)
-        self.raster = floor_raster(cloud.points, config.support.cell)
+    def __init__(self, cloud: Cloud) -> None:
+        self.cloud = cloud
+        self.room = find_room(cloud)
+        self.free = ~in_room(self.room, cloud)
+        self.raster = floor_raster(cloud.points, OUTLINE_CELL)
 
     def run(self) -> list[Instance]:
         among = np.flatnonzero(self.free)
         if not len(among):
             return []
-        supports = find_supports(self.cloud, self.room, among, self.raster, self.config.support)
+        supports = find_supports(self.cloud, self.room, among, self.raster)
         supports = self._lengthened(supports, self._fronts())
         small = [one for support in supports for one in self._objects_on(support, supports)]
         tops = [support for support in supports if self.free[support.members].mean() > 0.5]
@@ -89,22 +107,22 @@ class _Segmentation:
         furniture = [body for top in tops for body in self._below(top)]
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
-        furniture, rest = attach_handles(furniture, rest, self.cloud, self.config.front)
+        furniture, rest = attach_handles(furniture, rest, self.cloud)
         return attach_hoods(furniture, rest, self.cloud, TOUCHING) + small
 
     def _fronts(self) -> list[FrontPlane]:
         among = np.flatnonzero(self.free)
-        return find_front_planes(self.cloud, self.room, among, self.config.front)
+        return find_front_planes(self.cloud, self.room, among)
 
     # ------------------------------------------------------------ objects on a surface
 
     def _objects_on(self, support: Support, supports: Sequence[Support]) -> list[Instance]:
         """Return the groups of points that stand on a surface and do not reach beyond it."""
-        config, points = self.config, self.cloud.points
+        points = self.cloud.points
         if self._is_seat(support):
             return []
         above = points[:, 2] - support.height
-        possible = self.free & (above > config.lift) & (above < config.reach)
+        possible = self.free & (above > MIN_LIFT) & (above < MAX_OBJECT_HEIGHT)
         for other in supports:
             if 0 < other.height - support.height < 0.08:
                 possible[other.members] = False  # a neighbor's top, one step higher
@@ -125,14 +143,14 @@ class _Segmentation:
 
     def _is_seat(self, support: Support) -> bool:
         height, size = SEAT
-        covers = support.outline.sum() * self.config.support.cell**2
+        covers = support.outline.sum() * OUTLINE_CELL**2
         return bool(support.height < height and covers < size)
 
     def _with_edges(
         self, members: Int[np.ndarray, " k"], possible: Bool[np.ndarray, " n"]
     ) -> Int[np.ndarray, " m"]:
         """Add the points of an object that the erosion of the surface cut off."""
-        points, margin = self.cloud.points, 1.5 * self.config.support.cell
+        points, margin = self.cloud.points, 1.5 * OUTLINE_CELL
         low, high = points[members].min(axis=0) - margin, points[members].max(axis=0) + margin
         low[2], high[2] = low[2] + margin, high[2]
         near = np.flatnonzero(possible & ((points > low) & (points < high)).all(axis=1))
@@ -148,16 +166,16 @@ class _Segmentation:
         A low camera sees a counter's front but little of its top, and objects on it hide the
         middle.
         """
-        config, found = self.config.support, list(tops)
+        found = list(tops)
         for front in fronts:
             low, high = corners(front.box)
             mask = self.raster.filled((low[0], low[1], high[0], high[1]))
-            level = [top for top in found if abs(top.height - high[2]) < self.config.lip]
+            level = [top for top in found if abs(top.height - high[2]) < MAX_LIP]
             below = [top for top in level if (top.outline & mask).any()]
-            if not below or low[2] >= config.lowest:
+            if not below or low[2] >= MIN_SUPPORT_HEIGHT:
                 continue
             height = min(below, key=lambda top: abs(top.height - high[2])).height
-            own = [top for top in below if abs(top.height - height) < config.layer]
+            own = [top for top in below if abs(top.height - height) < SURFACE_LAYER]
             others = np.any([~mask, *(top.outline for top in level if top not in own)], axis=0)
             outline = np.any([~others, *(top.outline for top in own)], axis=0)
             members = np.concatenate([top.members for top in own])
@@ -166,7 +184,7 @@ class _Segmentation:
         return sorted(found, key=lambda top: -top.height)
 
     def _below(self, top: Support) -> list[Instance]:
-        if top.height > self.config.tall:
+        if top.height > MIN_TALL_TOP:
             return []
         out = []
         pieces = [
@@ -177,8 +195,8 @@ class _Segmentation:
         shares = [self._closed_share(piece, top.height) for piece in pieces]
         for piece, share in zip(pieces, shares, strict=True):
             # A corner shows no side: it is closed if the rest is and no floor is seen below it.
-            hidden = max(shares) >= self.config.closed and not self._shows_floor(piece)
-            seen = share >= self.config.closed
+            hidden = max(shares) >= MIN_CLOSED and not self._shows_floor(piece)
+            seen = share >= MIN_CLOSED
             label = "cabinet" if hidden and not seen else ""
             out += self._body(piece, top.height, label, closed=bool(seen or hidden))
         return [self._with_back(body) for body in out] if self._is_seat(top) else out
@@ -186,11 +204,11 @@ class _Segmentation:
     def _with_back(self, seat: Instance) -> Instance:
         """Add the thin back of a chair that rises from an edge of its seat."""
         assert seat.box is not None
-        config, points = self.config, self.cloud.points
+        points = self.cloud.points
         low, high = corners(seat.box)
-        column = self._column((low[0], low[1], high[0], high[1]), high[2] + config.back)
+        column = self._column((low[0], low[1], high[0], high[1]), high[2] + MAX_BACK_HEIGHT)
         rising = column[points[column, 2] > high[2]]
-        if len(rising) < config.least_points or self._goes_on(rising, column):
+        if len(rising) < MIN_POINTS or self._goes_on(rising, column):
             return seat
         start, stop = points[rising].min(axis=0), points[rising].max(axis=0)
         thin, wide = np.sort((stop - start)[:2])
@@ -206,13 +224,13 @@ class _Segmentation:
 
     def _shows_floor(self, rectangle: Rectangle) -> bool:
         low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
-        return floor_seen(self.cloud, low, high) > self.config.open
+        return floor_seen(self.cloud, low, high) > MAX_OPEN_FLOOR
 
     def _without_corners(self, rectangle: Rectangle, height: float) -> list[Rectangle]:
         """Cut off ends of a row without a front, as in the corner of a room."""
-        points, normals, config = self.cloud.points, self.cloud.normals, self.config
+        points, normals = self.cloud.points, self.cloud.normals
         size = rectangle[2] - rectangle[0], rectangle[3] - rectangle[1]
-        if max(size) - min(size) < config.corner:
+        if max(size) - min(size) < MIN_CORNER:
             return [rectangle]  # too short to divide
         across = 0 if size[0] < size[1] else 1
         along = 1 - across
@@ -224,15 +242,15 @@ class _Segmentation:
             on &= np.abs(points[:, across] - rectangle[side]) < MAX_OVERHANG
             at = points[on, along]
             at = at[(at > low) & (at < high)]
-            if len(at) > 4 * config.least_points:
+            if len(at) > 4 * MIN_POINTS:
                 first, last = np.percentile(at, [1, 99])
                 best = max(best, (float(len(at)), float(first), float(last)))
         count, first, last = best
-        if not count or last - first < config.corner:
+        if not count or last - first < MIN_CORNER:
             return [rectangle]
         edges = [low]
-        edges += [first] if first - low > config.corner else []
-        edges += [last] if high - last > config.corner else []
+        edges += [first] if first - low > MIN_CORNER else []
+        edges += [last] if high - last > MIN_CORNER else []
         pieces = []
         for a, b in zip(edges, [*edges[1:], high], strict=True):
             piece = list(rectangle)
@@ -243,19 +261,19 @@ class _Segmentation:
     def _body(
         self, rectangle: Rectangle, height: float, label: str, *, closed: bool
     ) -> list[Instance]:
-        config, points = self.config, self.cloud.points
+        points = self.cloud.points
         low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
         members = self._column(rectangle, height)
-        if len(members) < config.least_points:
+        if len(members) < MIN_POINTS:
             return []
         if not closed:
             return self._open(members, rectangle, height)
         self.free[members] = False
         normals = self.cloud.normals
-        body = cabinet_extent(points[members], normals[members], rectangle, height, config.extent)
+        body = cabinet_extent(points[members], normals[members], rectangle, height)
         if max(high - low) < MIN_SLAB_LENGTH and body == rectangle:
             return [Instance(label, 0.7, members, _box(rectangle, 0.0, height))]
-        split = height - config.slab
+        split = height - SLAB_THICKNESS
         is_slab = points[members, 2] > split
         return [
             Instance(label, 0.7, members[~is_slab], _box(body, 0.0, split)),
@@ -266,20 +284,20 @@ class _Segmentation:
         """Return the free points below a top, and a little in front of it."""
         points, margin = self.cloud.points, MAX_OVERHANG
         low, high = np.array(rectangle[:2]) - margin, np.array(rectangle[2:]) + margin
-        near = self.free & (points[:, 2] < height + self.config.lift)
+        near = self.free & (points[:, 2] < height + MIN_LIFT)
         near &= ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
         return np.flatnonzero(near)
 
     def _closed_share(self, rectangle: Rectangle, height: float) -> float:
         members = self._column(rectangle, height)
         points, normals = self.cloud.points[members], self.cloud.normals[members]
-        return closed_share(points, normals, rectangle, height, self.config.extent.near)
+        return closed_share(points, normals, rectangle, height, MAX_EDGE_DISTANCE)
 
     def _open(
         self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float
     ) -> list[Instance]:
         """Return a table with its visible legs, or a shelf; chairs below a table stay free."""
-        config, points = self.config, self.cloud.points
+        points = self.cloud.points
         upper = points[members, 2] > height - 0.12
         below = members[~upper]
         label = components(points[below], TOUCHING)
@@ -299,7 +317,7 @@ class _Segmentation:
             and wall.distance(middle)[0] < (far - corner)[wall.axis] / 2 + 0.12
             for wall in self.room.walls
         )
-        if at_wall and min(far - corner) < config.shelf:
+        if at_wall and min(far - corner) < MAX_SHELF_DEPTH:
             thick = min(float(np.ptp(points[members[upper], 2])), 0.12)
             return [Instance("shelf", 0.5, own, _box(rectangle, height - thick, height))]
         return [Instance("", 0.7, own, _box(rectangle, 0.0, height))]
@@ -334,7 +352,7 @@ class _Segmentation:
 
     def _rest(self, boxes: Sequence[UprightBox]) -> list[Instance]:
         """Return groups of touching points that are not just edges of other objects."""
-        points, config = self.cloud.points, self.config
+        points = self.cloud.points
         for box in boxes:
             self.free[self._inside(box, MAX_OVERHANG)] = False
         among = np.flatnonzero(self.free)
@@ -342,9 +360,9 @@ class _Segmentation:
         out = []
         for k in range(label.max(initial=-1) + 1):
             members = among[label == k]
-            if len(members) < config.least_points:
+            if len(members) < MIN_POINTS:
                 break
-            if not flat_on_wall(self.room, points[members], config.flat):
+            if not flat_on_wall(self.room, points[members], MIN_WALL_PROTRUSION):
                 out.append(Instance("", 0.4, members))
         return out
 

@@ -29,26 +29,20 @@ _Cells = tuple[int, int, int, int]
 """Low x, low y, high x, high y (exclusive), in cells of a raster."""
 MAX_HOLE = 0.6
 """Holes up to this area are filled: sinks, and objects on the surface [m2]."""
-
-
-@dataclass(frozen=True)
-class SupportConfig:
-    """When a surface supports objects."""
-
-    cell: float = 0.03
-    """Edge length of the floor cells of outlines [m]."""
-    layer: float = 0.015
-    """Height of the cells in which surfaces are grown [m]; larger steps than two cells divide."""
-    area: float = 0.06
-    """Minimum area [m2]."""
-    lowest: float = 0.25
-    """Minimum height above the floor [m]."""
-    highest: float = 1.9
-    """Maximum height; cameras are rarely above it [m]."""
-    closing: float = 0.15
-    """Gaps in an outline up to twice this are closed: objects hide the surface [m]."""
-    basin: float = 0.35
-    """A surface in the hole of another one is its basin if at most this much lower [m]."""
+OUTLINE_CELL = 0.03
+"""Edge length of the floor cells of outlines [m]."""
+SURFACE_LAYER = 0.015
+"""Height of the cells in which surfaces are grown [m]; larger steps than two cells divide."""
+MIN_SUPPORT_AREA = 0.06
+"""Minimum area [m2]."""
+MIN_SUPPORT_HEIGHT = 0.25
+"""Minimum height above the floor [m]."""
+MAX_SUPPORT_HEIGHT = 1.9
+"""Maximum height; cameras are rarely above it [m]."""
+HALF_CLOSED_GAP = 0.15
+"""Gaps in an outline up to twice this are closed: objects hide the surface [m]."""
+MAX_BASIN_DEPTH = 0.35
+"""A surface in the hole of another one is its basin if at most this much lower [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +133,6 @@ def find_supports(
     room: RoomShell,
     among: Int[np.ndarray, " m"],
     raster: FloorRaster,
-    config: SupportConfig,
 ) -> list[Support]:
     """Find surfaces that face up, highest first.
 
@@ -148,39 +141,38 @@ def find_supports(
         room: Walls, at which hidden parts of surfaces end.
         among: Indices of the points to use.
         raster: Raster of the whole cloud.
-        config: Constants.
     """
     z = cloud.points[among, 2]
-    flat = (cloud.normals[among, 2] > 0.9) & (z > config.lowest) & (z < config.highest)
+    flat = (cloud.normals[among, 2] > 0.9) & (z > MIN_SUPPORT_HEIGHT) & (z < MAX_SUPPORT_HEIGHT)
     members = among[flat]
-    label = components(cloud.points[members], (config.cell, config.cell, config.layer))
+    label = components(cloud.points[members], (OUTLINE_CELL, OUTLINE_CELL, SURFACE_LAYER))
     if not len(label):
         return []
-    least = int(config.area / config.cell**2 / 4)
+    least = int(MIN_SUPPORT_AREA / OUTLINE_CELL**2 / 4)
     groups = []
     for k in range(label.max() + 1):
         group = members[label == k]
         if len(group) < least:
             break
         heights = cloud.points[group, 2]
-        for height in peaks(heights, config.layer, least, 2 * config.layer):
-            groups.append(group[np.abs(heights - height) < config.layer])
-    merged = _same_height(groups, cloud, raster, config)
+        for height in peaks(heights, SURFACE_LAYER, least, 2 * SURFACE_LAYER):
+            groups.append(group[np.abs(heights - height) < SURFACE_LAYER])
+    merged = _same_height(groups, cloud, raster)
     supports = []
     for group in merged:
         seen = raster.drawn(cloud.points[group])
-        if seen.sum() * config.cell**2 >= config.area:
+        if seen.sum() * OUTLINE_CELL**2 >= MIN_SUPPORT_AREA:
             height = float(np.median(cloud.points[group, 2]))
-            supports.append(Support(height, _hidden_too(seen, room, raster, config), group))
+            supports.append(Support(height, _hidden_too(seen, room, raster), group))
     supports.sort(key=lambda support: -support.height)
-    return [s for k, s in enumerate(supports) if not _is_basin(s, supports[:k], config)]
+    return [s for k, s in enumerate(supports) if not _is_basin(s, supports[:k])]
 
 
-def _is_basin(support: Support, higher: Sequence[Support], config: SupportConfig) -> bool:
+def _is_basin(support: Support, higher: Sequence[Support]) -> bool:
     """Check whether a surface is the bottom of a hole in a higher one, like a sink's."""
     size = support.outline.sum()
     return any(
-        other.height - support.height < config.basin
+        other.height - support.height < MAX_BASIN_DEPTH
         and (support.outline & other.outline).sum() > 0.7 * size
         for other in higher
     )
@@ -190,16 +182,15 @@ def _same_height(
     groups: Sequence[Int[np.ndarray, " _"]],
     cloud: Cloud,
     raster: FloorRaster,
-    config: SupportConfig,
 ) -> list[Int[np.ndarray, " _"]]:
     """Merge pieces of one surface that objects divide."""
     merged: list[tuple[float, Bool[np.ndarray, "x y"], list[Int[np.ndarray, " _"]]]] = []
-    reach = _square(config.closing, config.cell)
+    reach = _square(HALF_CLOSED_GAP, OUTLINE_CELL)
     for group in groups:
         height = float(np.median(cloud.points[group, 2]))
         mask = ndimage.binary_dilation(raster.drawn(cloud.points[group]), reach)
         for k, (other, reached, pieces) in enumerate(merged):
-            if abs(height - other) < config.layer and (reached & mask).any():
+            if abs(height - other) < SURFACE_LAYER and (reached & mask).any():
                 merged[k] = (other, reached | mask, [*pieces, group])
                 break
         else:
@@ -213,7 +204,7 @@ def _square(radius: float, cell: float) -> Bool[np.ndarray, "k k"]:
 
 
 def _hidden_too(
-    seen: Bool[np.ndarray, "x y"], room: RoomShell, raster: FloorRaster, config: SupportConfig
+    seen: Bool[np.ndarray, "x y"], room: RoomShell, raster: FloorRaster
 ) -> Bool[np.ndarray, "x y"]:
     """Fill gaps, holes, and notches that end at a wall: objects hide the surface there."""
     outside = np.zeros_like(seen)
@@ -223,13 +214,13 @@ def _hidden_too(
         across = (strip[0], edge[0], strip[1], edge[1])
         along = (edge[0], strip[0], edge[1], strip[1])
         outside |= raster.filled(across if wall.axis == 0 else along)
-    radius = round(config.closing / config.cell)
+    radius = round(HALF_CLOSED_GAP / OUTLINE_CELL)
     padded = np.pad(seen | outside, radius + 1)
-    closed = ndimage.binary_closing(padded, _square(config.closing, config.cell))
+    closed = ndimage.binary_closing(padded, _square(HALF_CLOSED_GAP, OUTLINE_CELL))
     closed = closed[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
-    closed &= ndimage.binary_dilation(seen, _square(2 * config.closing, config.cell))
+    closed &= ndimage.binary_dilation(seen, _square(2 * HALF_CLOSED_GAP, OUTLINE_CELL))
     holes, count = ndimage.label(~(closed | outside))
-    sizes = np.bincount(holes.ravel(), minlength=count + 1) * config.cell**2
+    sizes = np.bincount(holes.ravel(), minlength=count + 1) * OUTLINE_CELL**2
     small = sizes < MAX_HOLE
     small[0] = False
     filled = (closed | small[holes]) & ~outside

@@ -7,11 +7,10 @@ from .faces import box_faces as box_faces
 from .faces import neighbor_protrusion as neighbor_protrusion
 from .front_view import FrontView as FrontView
 from .front_view import KnownFront as KnownFront
-from .front_view import ViewConfig as ViewConfig
+from .front_view import ViewMethod as ViewMethod
 from .front_view import choose_view as choose_view
 from .front_view import handle_evidence as handle_evidence
 from .projection import area as area
 from .projection import corners as corners
 from .projection import observations as observations
-from .rows import RowConfig as RowConfig
 from .rows import split_row as split_row

@@ -29,6 +29,7 @@ from .projection import Observation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+ViewMethod = Literal["voting", "first"]
 SURROUNDINGS = (0.03, 0.1)
 """Width of the surroundings shown with a face; the second if the first shows no front [m]."""
 FRONTAL_POWER = 10
@@ -57,30 +58,22 @@ MIN_AGREEING = 4
 """Number of images whose parts are merged on the front [-]."""
 MAX_OBLIQUENESS = 45.0
 """Used instead of `frontal` if no image lies within it [deg]."""
-
-
-@dataclass(frozen=True)
-class ViewConfig:
-    """How the front of an object is chosen."""
-
-    method: Literal["voting", "first"] = "voting"
-    """Vote of all images for each face, or the first image that passes, as in the paper."""
-    frontal: float = 30.0
-    """Images farther than this from a face's normal are ignored [deg]."""
-    least: float = 0.5
-    """A face is a front from this probability on [-]."""
-    flat: float = 0.3
-    """Share of a front that must be coplanar; half of a desk is leg space [-]."""
-    shown: float = 0.55
-    """Share of a face that an image must show [-]."""
-    votes: int = 2
-    """Number of images that vote for a face [-]."""
-    partly: float = 0.15
-    """Images that show less of a face are not merged into its height map [-]."""
-    merged: int = 12
-    """Number of images whose depth is merged into the height map of a face [-]."""
-    looked_at: int = 32
-    """Number of images of a face that are examined, the most promising first [-]."""
+MAX_FRONTAL_ANGLE = 30.0
+"""Images farther than this from a face's normal are ignored [deg]."""
+MIN_FRONT_PROBABILITY = 0.5
+"""A face is a front from this probability on [-]."""
+MIN_FLAT = 0.3
+"""Share of a front that must be coplanar; half of a desk is leg space [-]."""
+MIN_SHOWN = 0.55
+"""Share of a face that an image must show [-]."""
+VOTES = 2
+"""Number of images that vote for a face [-]."""
+MIN_PARTLY_SHOWN = 0.15
+"""Images that show less of a face are not merged into its height map [-]."""
+MAX_MERGED = 12
+"""Number of images whose depth is merged into the height map of a face [-]."""
+MAX_EXAMINED = 32
+"""Number of images of a face that are examined, the most promising first [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +98,7 @@ def choose_view(
     frames: Sequence[Frame],
     seen: Sequence[Observation],
     look: FrontDetector,
-    config: ViewConfig,
+    method: ViewMethod = "voting",
     known: Sequence[KnownFront] = (),
     backed: Sequence[bool] = (False,) * FACES,
 ) -> FrontView | None:
@@ -119,16 +112,16 @@ def choose_view(
         frames: All images.
         seen: The images that show it, most central first.
         look: Finds the parts on a face.
-        config: How to choose.
+        method: Vote of all images for each face, or the first image that passes, as in the paper.
         known: Fronts of rows that the box may be a piece of.
         backed: Whether the side opposite to each face stands against a wall.
 
     Returns:
         The front; None if no image shows one.
     """
-    if config.method == "first":
-        return _first(box, frames, seen, look, config, known)
-    return _voting(box, frames, seen, look, config, known, backed)
+    if method == "first":
+        return _first(box, frames, seen, look, known)
+    return _voting(box, frames, seen, look, known, backed)
 
 
 def _first(
@@ -136,22 +129,21 @@ def _first(
     frames: Sequence[Frame],
     seen: Sequence[Observation],
     look: FrontDetector,
-    config: ViewConfig,
     known: Sequence[KnownFront],
 ) -> FrontView | None:
     faces = box_faces(box)
     for sight in seen:
         cosines = np.array([cosines_to(face, [frames[sight.frame]])[0] for face in faces])
         face = faces[int(np.argmax(cosines))]
-        if cosines.max() < np.cos(np.radians(config.frontal)):
+        if cosines.max() < np.cos(np.radians(MAX_FRONTAL_ANGLE)):
             continue
         frame = frames[sight.frame]
-        if visible_share(face, frame) < config.shown:
+        if visible_share(face, frame) < MIN_SHOWN:
             continue
         image = face_image(face, [frame])
-        front = FaceViews(face, [frame], [0]).look(0, look, config.least)
+        front = FaceViews(face, [frame], [0]).look(0, look, MIN_FRONT_PROBABILITY)
         front = _with_known(front, face, frame, known)
-        if front_evidence(front, image) >= config.least:
+        if front_evidence(front, image) >= MIN_FRONT_PROBABILITY:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return FrontView(face, sight.frame, angle, image, front, ())
     return None
@@ -162,7 +154,6 @@ def _voting(
     frames: Sequence[Frame],
     seen: Sequence[Observation],
     look: FrontDetector,
-    config: ViewConfig,
     known: Sequence[KnownFront],
     backed: Sequence[bool],
 ) -> FrontView | None:
@@ -173,17 +164,17 @@ def _voting(
     best: tuple[float, FaceViews, list[int], FaceImage, list[Front]] | None = None
     worth = [1.0 if behind or not any(backed) else UNBACKED_WEIGHT for behind in backed]
     for face in sorted(box_faces(box), key=lambda face: -worth[face.index]):
-        order, partly = choose_frames(face, frames, indices, config)
+        order, partly = choose_frames(face, frames, indices)
         if not order:
             continue
-        merged = [*order, *partly][: config.merged]
+        merged = [*order, *partly][:MAX_MERGED]
         views = FaceViews(face, frames, merged)
         image = face_image(face, [frames[i] for i in merged])
         flat = coplanar_share(image)
-        if flat < config.flat:  # open, like the side of a table
+        if flat < MIN_FLAT:  # open, like the side of a table
             evidence[face.index] = 0.0
             continue
-        asked, least = order[: config.votes], best[0] if best is not None else -1.0
+        asked, least = order[:VOTES], best[0] if best is not None else -1.0
         own: list[Front] = []
         doors: list[float] = []
         looks: list[float] = []
@@ -193,7 +184,7 @@ def _voting(
         for i in asked:
             if most * (len(asked) - len(looks)) + sum(looks) <= least * len(asked):
                 break
-            own.append(views.look(i, look, config.least))
+            own.append(views.look(i, look, MIN_FRONT_PROBABILITY))
             vote = _with_known(own[-1], face, frames[i], known)
             doors.append(front_evidence(vote, image))
             evident = (flat * vote.score + handle_evidence(vote, image)) / 2
@@ -201,13 +192,13 @@ def _voting(
         if not looks:
             continue
         rank = evidence[face.index] = float(np.mean(looks))
-        if len(looks) == len(asked) and np.mean(doors) >= config.least and rank > least:
+        if len(looks) == len(asked) and np.mean(doors) >= MIN_FRONT_PROBABILITY and rank > least:
             best = rank, views, order, image, own
     if best is None:
         return None
     _, views, order, image, own = best
     face, chosen = views.face, order[0]
-    front = _merged_front(views, order[:MIN_AGREEING], look, config.least, own)
+    front = _merged_front(views, order[:MIN_AGREEING], look, MIN_FRONT_PROBABILITY, own)
     front = _with_known(front, face, frames[chosen], known)
     front = replace(front, parts=equalize_doors(image, front.parts))
     angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
@@ -333,7 +324,7 @@ class FaceViews:
 
 
 def choose_frames(
-    face: Face, frames: Sequence[Frame], indices: np.ndarray, config: ViewConfig
+    face: Face, frames: Sequence[Frame], indices: np.ndarray
 ) -> tuple[list[int], list[int]]:
     """Choose the images in which to examine a face.
 
@@ -346,15 +337,15 @@ def choose_frames(
     """
     lines, cosines = _lines_to(face, [frames[i] for i in indices])
     clear = np.maximum(cosines, 0.0) ** FRONTAL_POWER / np.maximum(lines, MIN_DISTANCE) ** 2
-    for most in (config.frontal, MAX_OBLIQUENESS):
+    for most in (MAX_FRONTAL_ANGLE, MAX_OBLIQUENESS):
         good = np.flatnonzero(cosines >= np.cos(np.radians(most)))
-        good = good[np.argsort(-clear[good], kind="stable")][: config.looked_at]
+        good = good[np.argsort(-clear[good], kind="stable")][:MAX_EXAMINED]
         parts = np.array([visible_share(face, frames[indices[i]]) for i in good])
         order = np.argsort(-(parts**2 * clear[good]), kind="stable")
-        if (parts >= config.shown).any():
+        if (parts >= MIN_SHOWN).any():
             best, parts = indices[good[order]], parts[order]
-            part_only = (parts >= config.partly) & (parts < config.shown)
-            return best[parts >= config.shown].tolist(), best[part_only].tolist()
+            part_only = (parts >= MIN_PARTLY_SHOWN) & (parts < MIN_SHOWN)
+            return best[parts >= MIN_SHOWN].tolist(), best[part_only].tolist()
     return [], []
 
 

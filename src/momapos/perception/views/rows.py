@@ -8,7 +8,7 @@ door crosses.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -20,10 +20,11 @@ from momapos.model.records import Frame, Part
 from .even_doors import equalize_doors
 from .faces import Face, box_faces, camera_position_of, face_image
 from .front_view import (
+    MAX_MERGED,
+    MIN_FRONT_PROBABILITY,
     FaceViews,
     FrontDetector,
     KnownFront,
-    ViewConfig,
     choose_frames,
     front_evidence,
 )
@@ -41,24 +42,16 @@ MIN_WIDTH = 0.95
 """Narrower boxes are not split [m]."""
 MIN_WINDOW = 1.3
 """Minimum window width, since drawers of low rows are as wide as those of high ones [m]."""
-
-
-@dataclass(frozen=True)
-class RowConfig:
-    """How a row is split."""
-
-    window: float = 1.5
-    """Width of the windows in which a face is examined, in heights of the row [-]."""
-    margin: float = 0.03
-    """Parts that end this close to a window's end may continue beyond it [m]."""
+WINDOW_RATIO = 1.5
+"""Width of the windows in which a face is examined, in heights of the row [-]."""
+END_MARGIN = 0.03
+"""Parts that end this close to a window's end may continue beyond it [m]."""
 
 
 def split_row(
     box: UprightBox,
     frames: Sequence[Frame],
     look: FrontDetector,
-    config: RowConfig,
-    view: ViewConfig,
     known: Sequence[KnownFront] = (),
 ) -> tuple[list[UprightBox], KnownFront | None]:
     """Split a box between the fronts on its longer faces.
@@ -67,7 +60,6 @@ def split_row(
         box: The row.
         frames: All images.
         look: Finds the parts on a face.
-        config: How to split.
         view: How faces are examined.
         known: Parts that are already known.
 
@@ -77,31 +69,29 @@ def split_row(
         as well.
     """
     wide = [face for face in box_faces(box) if face.width >= MIN_WIDTH]
-    fronts = [_front_of(face, frames, look, config, view, known) for face in wide]
+    fronts = [_front_of(face, frames, look, known) for face in wide]
     best = max(fronts, key=lambda front: sum(part.score for part in front.parts), default=None)
     if best is None or not best.parts:
         return [box], None
-    cuts = _cuts(best.parts, best.face.width, config)
+    cuts = _cuts(best.parts, best.face.width)
     if not cuts:
-        return [box], None if _window_width(best.face, config) == best.face.width else best
+        return [box], None if _window_width(best.face) == best.face.width else best
     return _pieces(box, best.face, cuts), best
 
 
-def _window_width(face: Face, config: RowConfig) -> float:
+def _window_width(face: Face) -> float:
     """Return the width of the windows in which a face is examined [m]."""
-    return min(face.width, max(config.window * face.height, MIN_WINDOW))
+    return min(face.width, max(WINDOW_RATIO * face.height, MIN_WINDOW))
 
 
 def _front_of(
     face: Face,
     frames: Sequence[Frame],
     look: FrontDetector,
-    config: RowConfig,
-    view: ViewConfig,
     known: Sequence[KnownFront],
 ) -> KnownFront:
     """Find the parts on a long face in overlapping windows, and add the known ones."""
-    wide = _window_width(face, config)
+    wide = _window_width(face)
     count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
     found: list[Part] = []
     evidence = [0.0]
@@ -111,16 +101,16 @@ def _front_of(
         evidence += [one.score] if parts else []
     for left in np.linspace(0.0, face.width - wide, count):
         window = _window(face, float(left), wide)
-        chosen = _frames_for(window, frames, view)
+        chosen = _frames_for(window, frames)
         if not chosen:
             continue
-        front = FaceViews(window, chosen, range(len(chosen))).look(0, look, view.least)
+        front = FaceViews(window, chosen, range(len(chosen))).look(0, look, MIN_FRONT_PROBABILITY)
         likely = front_evidence(front, face_image(window, chosen, pixels=COARSE_PIXELS))
-        if likely >= view.least:
+        if likely >= MIN_FRONT_PROBABILITY:
             ends = (
-                bool(left > config.margin), bool(left + wide < face.width - config.margin)
+                bool(left > END_MARGIN), bool(left + wide < face.width - END_MARGIN)
             )  # fmt: skip
-            whole = _whole(front.parts, wide, ends, config.margin)
+            whole = _whole(front.parts, wide, ends, END_MARGIN)
             whole = equalize_doors(face_image(window, chosen), whole)
             whole = shift_handles(whole, window, camera_position_of(window, chosen[0]), undo=True)
             found += transferred(whole, window, face)
@@ -135,15 +125,15 @@ def _window(face: Face, left: float, wide: float) -> Face:
     return replace(face, T_world_face=T, width=wide)
 
 
-def _frames_for(face: Face, frames: Sequence[Frame], view: ViewConfig) -> list[Frame]:
+def _frames_for(face: Face, frames: Sequence[Frame]) -> list[Frame]:
     thin = UprightBox(
         face.T_world_face[:3, 3],
         np.array([0.02, face.width, face.height]),
         float(np.arctan2(face.outward[1], face.outward[0])),
     )
     candidates = [i for i, frame in enumerate(frames) if projection(thin, frame) is not None]
-    order, partly = choose_frames(face, frames, np.array(candidates, int), view)
-    return [frames[i] for i in [*order, *partly][: view.merged]] if order else []
+    order, partly = choose_frames(face, frames, np.array(candidates, int))
+    return [frames[i] for i in [*order, *partly][:MAX_MERGED]] if order else []
 
 
 def _whole(
@@ -158,14 +148,14 @@ def _whole(
     )
 
 
-def _cuts(parts: Sequence[Part], width: float, config: RowConfig) -> list[float]:
+def _cuts(parts: Sequence[Part], width: float) -> list[float]:
     spans = sorted((part.box[0] * width, part.box[2] * width) for part in parts)
     spans += [
         (a.box[0] * width, b.box[2] * width) for a in parts for b in parts if _pair(a, b, width)
     ]
     columns: list[list[float]] = []
     for left, right in sorted(spans):
-        if columns and left < columns[-1][1] - config.margin:
+        if columns and left < columns[-1][1] - END_MARGIN:
             columns[-1][1] = max(columns[-1][1], right)
         else:
             columns.append([left, right])

@@ -34,6 +34,20 @@ class ResistanceConfig:
     sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
     """Words in the category or name of objects whose doors have a seal."""
 
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "density", "hinge_friction", "slide_friction")
+        refuse_below(self, 0, "seal_force", "latch_force")
+        refuse_below(self, 0.001, "least_mass")
+        refuse_below(self, self.least_mass, "most_mass")
+
+
+HANDLE_POINTS = (0.0, 0.6, -0.6)
+"""Points along the handle, as shares of its half length [-]."""
+STANDOFFS = (0.0, 0.5, 1.0)
+"""Grasp depths, from the deepest reachable one (0) to that of the fingertips alone (1) [-]."""
+ROLLS = 8
+"""Number of rolls about the approach direction, for knobs and rigid objects [-]."""
+
 
 @dataclass(frozen=True)
 class GraspConfig:
@@ -49,12 +63,6 @@ class GraspConfig:
     """Turns about the handle's long axis [deg]."""
     tilts: tuple[float, ...] = (0.0, 25.0, -25.0)
     """Tilts along the handle [deg]."""
-    points: tuple[float, ...] = (0.0, 0.6, -0.6)
-    """Points along the handle, as shares of its half length [-]."""
-    standoffs: tuple[float, ...] = (0.0, 0.5, 1.0)
-    """Grasp depths, from the deepest reachable one (0) to that of the fingertips alone (1) [-]."""
-    rolls: int = 8
-    """Number of rolls about the approach direction, for knobs and rigid objects [-]."""
     pregrasp: float = 0.08
     """Length of the straight approach [m]."""
     hand_clearance: float = 0.004
@@ -71,12 +79,15 @@ class GraspConfig:
     resistance: ResistanceConfig = field(default_factory=ResistanceConfig)
 
     def __post_init__(self) -> None:
-        refuse_below(self, 1, "rolls")
         refuse_below(self, 0, "hand_clearance", "friction", "pad_contact", "grasp_margin", "swing")
         refuse_below(self, 0.01, "pregrasp")
-        for name in ("families", "turns", "tilts", "points", "standoffs"):
+        for name in ("families", "turns", "tilts"):
             if not getattr(self, name):
                 raise InputError(f"{name} must hold at least one value")
+
+
+SUBSTEPS = 4
+"""Number of steps per waypoint; all are checked [-]."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +100,6 @@ class MotionConfig:
     """Travel of a slide between waypoints [m]."""
     waypoints: Optional[int] = None  # noqa: UP045 (see cli.options)
     """Number of waypoints; None to derive it from the two above [-]."""
-    substeps: int = 4
-    """Number of steps per waypoint; all are checked [-]."""
     home_again: bool = False
     """Whether the hand releases the part at the end and the arm returns home, with a picked object,
     as before another task."""
@@ -99,6 +108,5 @@ class MotionConfig:
     def __post_init__(self) -> None:
         refuse_below(self, 0.1, "waypoint_angle")
         refuse_below(self, 0.001, "waypoint_slide")
-        refuse_below(self, 1, "substeps")
         if self.waypoints is not None:
             refuse_below(self, 2, "waypoints")

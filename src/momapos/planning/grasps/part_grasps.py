@@ -13,7 +13,7 @@ from momapos.core.geometry import rotation_about, rotation_of
 from momapos.model.robots import Grip, Robot
 from momapos.model.urdf import Articulated
 
-from .config import GraspConfig
+from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
 from .fronts import front_face, front_part
 from .hand_boxes import Hand, empty_handed, hand_of
 from .handle_core import HandleKind
@@ -121,7 +121,7 @@ def approach_lines(robot: Robot, handle: Handle, config: GraspConfig) -> Approac
     """Combine turns about the handle, tilts and points along it, and rolls about the approach."""
     side = np.cross(handle.long, handle.out)
     if handle.knob:
-        rolls = np.arange(config.rolls) * 2 * np.pi / config.rolls
+        rolls = np.arange(ROLLS) * 2 * np.pi / ROLLS
     else:
         rolls = np.array([0, np.pi])
         if 2 * handle.half_length < robot.opening:
@@ -129,7 +129,7 @@ def approach_lines(robot: Robot, handle: Handle, config: GraspConfig) -> Approac
     free = handle.kind in (HandleKind.LEVER, HandleKind.KNOB)
     tilts = np.radians(sorted({*config.tilts, *(FREE_TILTS if free else ())}, key=abs))
     turns = np.radians(config.turns)
-    grid = np.stack(np.meshgrid(rolls, _points(handle, config), tilts, turns, indexing="ij"), -1)
+    grid = np.stack(np.meshgrid(rolls, _points(handle), tilts, turns, indexing="ij"), -1)
     roll, point, tilt, turn = grid.reshape(-1, 4).T
     R_turn = rotation_about(handle.long, turn)
     approach = R_turn @ -handle.out
@@ -144,11 +144,11 @@ def approach_lines(robot: Robot, handle: Handle, config: GraspConfig) -> Approac
     return ApproachLines(R, target, complexity)
 
 
-def _points(handle: Handle, config: GraspConfig) -> Float[np.ndarray, " p"]:
+def _points(handle: Handle) -> Float[np.ndarray, " p"]:
     usable = max(handle.half_length - 0.015, 0.0)
     if usable < 0.02:
         return np.zeros(1)
-    return np.array(config.points) * usable
+    return np.array(HANDLE_POINTS) * usable
 
 
 @lru_cache(maxsize=_PARTS)
@@ -280,13 +280,13 @@ def _grasp_depths(
     at_origin = np.full(len(deepest), min(hand.pad_middle, 0.0))
     turns = (at_origin <= deepest) & (at_origin >= shallow)
     R, p, complexity, line = [], [], [], []
-    for share in (*config.standoffs, None):
+    for share in (*STANDOFFS, None):
         if share is None:
             travel, rows = at_origin, fits & turns
         else:
             travel = deepest + share * (shallow - deepest)
             rows = fits & ~(turns & (np.abs(travel - at_origin) < MIN_OVERLAP))
-            rows &= (share == config.standoffs[0]) | (deepest - travel > MIN_OVERLAP / 2)
+            rows &= (share == STANDOFFS[0]) | (deepest - travel > MIN_OVERLAP / 2)
         R.append(lines.R[rows])
         line.append(np.flatnonzero(rows) + (len(rows) if share is None else 0))
         p.append(origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach))

@@ -10,7 +10,7 @@ from momapos.core.geometry import rotation_about, rotation_of
 from momapos.model.robots import Robot
 from momapos.model.urdf import Articulated
 
-from .config import GraspConfig
+from .config import HANDLE_POINTS, GraspConfig
 from .fronts import PUSH_INSET, front_face, front_part
 from .hand_boxes import Hand, hand_of
 from .handle_records import Handle
@@ -49,7 +49,7 @@ def push_from_behind(
     inward = inward * (1.0 if inward @ to_hinge > 0 else -1.0)
     usable = max(back.half_length - 0.03, 0.0)
     grid = np.meshgrid(
-        np.radians(LEANS), np.radians(config.tilts), np.array(config.points) * usable,
+        np.radians(LEANS), np.radians(config.tilts), np.array(HANDLE_POINTS) * usable,
         np.arange(4) * np.pi / 2, indexing="ij",
     )  # fmt: skip
     lean, tilt, point, roll = (g.ravel() for g in grid)

@@ -13,7 +13,7 @@ from momapos.model.robots import Grip, Robot
 from momapos.model.scene import SceneObject
 from momapos.model.urdf import Articulated
 
-from .config import GraspConfig
+from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
 from .grasp_families import Grasps, GraspSelection, firmest_first
 from .hand_boxes import Hand, empty_handed, hand_of
 from .handle_shapes import Element, corners
@@ -103,7 +103,7 @@ def _holding(
     )
     mass, center = mass_of(model, config.resistance)
     center = T_upright_root[:3, :3] @ center + T_upright_root[:3, 3]
-    lines = _lines(robot, elements, center, config)
+    lines = _lines(robot, elements, center)
     need = (1.0 + config.swing) * GRAVITY * mass
     hand = hand_of(robot)
     if robot.grips is Grip.SUCTION:
@@ -121,10 +121,9 @@ def _lines(
     robot: Robot,
     elements: tuple[Element, ...],
     center: Float[np.ndarray, "3"],
-    config: GraspConfig,
 ) -> _Lines:
     """Combine pitches, yaws and points along the object; the closing axis is horizontal."""
-    yaws = np.arange(config.rolls) * 2 * np.pi / config.rolls
+    yaws = np.arange(ROLLS) * 2 * np.pi / ROLLS
     pitch, yaw, swap = (
         values.ravel()
         for values in np.meshgrid(np.radians(PITCHES), yaws, (1.0, -1.0), indexing="ij")
@@ -140,7 +139,7 @@ def _lines(
     points = corners(elements) - center
     lateral = points @ across.T
     usable = np.stack([-lateral.min(0), lateral.max(0)]) - PAD_INSET
-    shares = np.array(config.points)
+    shares = np.array(HANDLE_POINTS)
     off = shares[:, None] * np.where(shares[:, None] > 0, usable[1], usable[0]).clip(0)
     row = np.tile(np.arange(len(yaw)), len(shares))
     kept = (shares == 0).repeat(len(yaw)) | (np.abs(off.ravel()) > PAD_INSET)
@@ -220,7 +219,7 @@ def _depths(
     origin = lines.target - hand.pad_middle * approach
     deepest = np.minimum(advance(hand, elements, lines.R, origin, config).travel, 0.0)
     shallow = np.minimum(hand.pad_middle - hand.tip + MIN_OVERLAP - lines.near, deepest)
-    shares = np.array(config.standoffs)
+    shares = np.array(STANDOFFS)
     travel = deepest + shares[:, None] * (shallow - deepest)
     different = (shares[:, None] == shares[0]) | (deepest - travel > MIN_OVERLAP)
     share, row = np.nonzero(different & (deepest > -np.inf))

@@ -15,7 +15,7 @@ from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import opening_of
 
-from .config import GraspConfig, MotionConfig
+from .config import SUBSTEPS, GraspConfig, MotionConfig
 from .grasp_families import select_inner_pushes, select_part_grasps
 from .handle_core import HandleKind
 from .handle_records import Handle
@@ -121,7 +121,7 @@ def _joint_motion(
     joint = target.joint(task.joint)
     start = target.values()[joint.name]
     count = config.waypoints or _count(joint.kind, abs(task.to - start), config)
-    values = np.linspace(start, task.to, (count - 1) * config.substeps + 1)
+    values = np.linspace(start, task.to, (count - 1) * SUBSTEPS + 1)
     model, sign = target.posed_model(joint.name), opening_sign(target, joint.name, task.to)
     handle = find_handle(model, joint.name, sign)
     part = CarriedPart(model, joint.name, handle.carrier)
@@ -149,7 +149,7 @@ def _joint_motion(
         task=task,
         Ts_world_tool=np.ascontiguousarray(Ts_world_tool),
         object_q=np.concatenate([np.full(steps, start), values]),
-        waypoint_steps=np.concatenate([[0], steps + np.arange(count) * config.substeps]),
+        waypoint_steps=np.concatenate([[0], steps + np.arange(count) * SUBSTEPS]),
         grasp_step=steps,
         holding=np.arange(steps + len(values)) > 0,
         static=static,
@@ -209,7 +209,7 @@ def _rigid_motion(
         robot, target, T_object, config.grasps, carried=task.verb == "place"
     )
     Ts_object_tool = chosen.Ts_part_tool
-    lifts = np.linspace(0.0, LIFT_HEIGHT, config.substeps + 1)
+    lifts = np.linspace(0.0, LIFT_HEIGHT, SUBSTEPS + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
     Ts_world_object[:, 2, 3] += lifts
     T_object_link = {n: invert(T_object) @ T for n, T in target.link_poses().items()}

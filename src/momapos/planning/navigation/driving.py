@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Clock, SceneError
+from momapos.core import Clock, SceneError, refuse_below
 from momapos.core.geometry import wrap_angle
 
 from .base_motion import clip_velocity, integrate
@@ -55,6 +55,10 @@ SIMULATION_STEP = 0.02
 """Time step of the simulated base [s]."""
 TURN_TOLERANCE = float(np.radians(2.0))
 """Largest difference between the true heading and the goal's on arrival [rad]."""
+CONTROL_STEP = 0.06
+"""Time between control steps [s]."""
+SETTLE_TIME = 1.0
+"""Time that the base stands at first, to localize itself [s]."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +67,6 @@ class DriveConfig:
 
     tolerance: float = 0.03
     """Largest distance between the true pose and the goal on arrival [m]."""
-    control: float = 0.06
-    """Time between control steps [s]."""
-    settle: float = 1.0
-    """Time that the base stands at first, to localize itself [s]."""
     patience: float = 4.0
     """Time without progress after which the path is replanned [s]."""
     replans: int = 6
@@ -76,6 +76,10 @@ class DriveConfig:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     path: PathConfig = field(default_factory=PathConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0.001, "tolerance", "timeout")
+        refuse_below(self, 0, "patience", "replans")
 
 
 def drive(
@@ -177,7 +181,7 @@ class _DriveRun:
 
     def _follow_paths(self) -> _End | None:
         """Plan and drive paths until the base arrives; return why it does not, None if it does."""
-        if ended := self._wait(self.config.settle):
+        if ended := self._wait(SETTLE_TIME):
             return ended
         end: _End | None = None
         # After the dynamic window got stuck, and near the goal, the path is followed exactly.
@@ -241,7 +245,7 @@ class _DriveRun:
         return discs[np.hypot(discs[:, 2], discs[:, 3]) < _STANDING]
 
     def _wait(self, seconds: float) -> _End | None:
-        for _ in range(int(seconds / self.config.control)):
+        for _ in range(int(seconds / CONTROL_STEP)):
             if ended := self._step(np.zeros(3)):
                 return ended
         return None
@@ -254,7 +258,7 @@ class _DriveRun:
             without stopping first.
         """
         config, robot = self.config, self.nav_map.robot
-        steering = Steering(self.nav_map, path, config.window, config.control)
+        steering = Steering(self.nav_map, path, config.window, CONTROL_STEP)
         index, best, since = 0, -np.inf, self.now
         while True:
             began = self.clock()
@@ -267,7 +271,7 @@ class _DriveRun:
             if halts:
                 short = direct_path(self.nav_map, pose, self.goal, config.path)
                 short = short if short is not None and is_aligned(robot, short) else None
-                wish = velocity_window(robot, self.velocity, config.control)[0]
+                wish = velocity_window(robot, self.velocity, CONTROL_STEP)[0]
             else:
                 wish = steering.choose(pose, self.velocity, index, discs)
             self.step_times.append(self.clock() - began)
@@ -282,20 +286,20 @@ class _DriveRun:
 
     def _dock(self, path: BasePath) -> _End | None:
         config, robot = self.config, self.nav_map.robot
-        steering = Steering(self.nav_map, path, config.window, config.control)
-        docking = Docking(robot, path, config.control)
+        steering = Steering(self.nav_map, path, config.window, CONTROL_STEP)
+        docking = Docking(robot, path, CONTROL_STEP)
         waited = 0.0
         while not docking.finished(self.localizer.pose, self.velocity):
             began = self.clock()
             pose, discs = self.localizer.pose, self._discs()
             wish = docking.command(pose, self.velocity)
-            reached = clip_velocity(robot, self.velocity, wish, config.control)
+            reached = clip_velocity(robot, self.velocity, wish, CONTROL_STEP)
             if not steering.allows(pose, reached, discs):
-                wish = velocity_window(robot, self.velocity, config.control)[0]
+                wish = velocity_window(robot, self.velocity, CONTROL_STEP)[0]
             self.step_times.append(self.clock() - began)
             if ended := self._step(wish):
                 return ended
-            waited = waited + config.control if is_stopped(self.velocity) else 0.0
+            waited = waited + CONTROL_STEP if is_stopped(self.velocity) else 0.0
             if waited > config.patience:
                 return self._stuck(discs)
         return None
@@ -312,9 +316,9 @@ class _DriveRun:
 
     def _step(self, wish: Float[np.ndarray, "3"]) -> _End | None:
         """Simulate one control step; return why the drive ends, None if it continues."""
-        config, robot = self.config, self.nav_map.robot
-        count = max(1, round(config.control / SIMULATION_STEP))
-        dt = config.control / count
+        robot = self.nav_map.robot
+        count = max(1, round(CONTROL_STEP / SIMULATION_STEP))
+        dt = CONTROL_STEP / count
         passed = []
         for _ in range(count):
             self.velocity = clip_velocity(robot, self.velocity, wish, dt)
@@ -326,7 +330,7 @@ class _DriveRun:
             self.velocities.append(self.velocity)
         self.on_pose(self.pose)
         mean = np.mean(self.velocities[-count:], axis=0)
-        self.localizer.step(self.pose, mean, config.control)
+        self.localizer.step(self.pose, mean, CONTROL_STEP)
         return self._check(np.array(passed))
 
     def _check(self, passed: Float[np.ndarray, "k 3"]) -> _End | None:

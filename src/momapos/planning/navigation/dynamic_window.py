@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from momapos.core import refuse_below
 from momapos.core.compiled import F1, F2, entry, kernel
 from momapos.model.robots import Robot
 
@@ -25,24 +26,29 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
+HORIZON = 1.2
+"""Time for which a velocity is simulated [s]."""
+DEVIATION_COST = 2.5
+"""Cost of deviation from the path, in progress per deviation [-]."""
+CROWDING_COST = 0.1
+"""Cost of contact relative to the preferred gap, in progress [m]."""
+PREDICTION_TIME = 2.5
+"""Time for which moving obstacles are predicted, at constant velocity [s]."""
+
+
 @dataclass(frozen=True)
 class WindowConfig:
     """How velocities are chosen."""
 
-    horizon: float = 1.2
-    """Time for which a velocity is simulated [s]."""
-    deviation: float = 2.5
-    """Cost of deviation from the path, in progress per deviation [-]."""
     preferred_clearance: float = 0.06
     """Preferred gap to obstacles [m]."""
-    crowding: float = 0.1
-    """Cost of contact relative to the preferred gap, in progress [m]."""
     margin: float = 0.02
     """Smallest gap to obstacles; smaller where the path itself is closer [m]."""
-    look: float = 2.5
-    """Time for which moving obstacles are predicted, at constant velocity [s]."""
     distance: float = 0.15
     """Distance kept to moving obstacles [m]."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "preferred_clearance", "margin", "distance")
 
 
 class PathAhead(NamedTuple):
@@ -323,15 +329,15 @@ class Steering:
         """
         nav_map, c, path = self.nav_map, self.config, self.path
         robot = nav_map.robot
-        ahead = c.horizon * (robot.max_speed + METERS_PER_RADIAN * robot.max_yaw_rate)
+        ahead = HORIZON * (robot.max_speed + METERS_PER_RADIAN * robot.max_yaw_rate)
         end = max(int(np.searchsorted(path.s, path.s[index] + ahead)), index + 1)
         here = float(gaps(pose[None], nav_map.prisms, nav_map.planning_obstacles, cap=0.2)[0])
         need = min(c.margin, 0.6 * float(path.gap[index : end + 1].min()), here)
         surroundings = OutlineArrays(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
         ahead_of = slice(index, end + 1)
         weights = WindowWeights(
-            self.dt, robot.max_acceleration, robot.max_yaw_acceleration, need, c.horizon,
-            c.deviation, c.preferred_clearance, c.crowding, c.look, c.distance,
+            self.dt, robot.max_acceleration, robot.max_yaw_acceleration, need, HORIZON,
+            DEVIATION_COST, c.preferred_clearance, CROWDING_COST, PREDICTION_TIME, c.distance,
         )  # fmt: skip
         rest = PathAhead(path.poses[ahead_of], path.s[ahead_of] - path.s[index])
         return rate(pose, samples, surroundings, rest, discs, weights)

@@ -26,6 +26,7 @@ from .outline_gaps import gaps
 from .path_ends import (
     DEFAULT_CONFIG,
     MIN_GAP,
+    TURNING_COST,
     LatticeEntries,
     PathConfig,
     lattice_poses,
@@ -166,7 +167,7 @@ class _Planner:
         if np.isfinite(direct[0]):
             bound = np.hypot(*(goal - start)[:2])
             turn = abs(wrap_angle(goal[2] - start[2])) if self.omni else 2 * np.pi
-            if direct[0] <= bound + self.config.turning * turn + 1e-6:
+            if direct[0] <= bound + TURNING_COST * turn + 1e-6:
                 yield simple
                 return
         begin, end = (

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import refuse_below
 from momapos.core.geometry import wrap_angle
 
 from .base_motion import integrate
@@ -27,6 +28,9 @@ class NoiseConfig:
     """Standard deviation of the odometry's velocities, as a share of them, drawn each step [-]."""
     fused: bool = True
     """Whether fixes are fused with odometry; otherwise the last fix is the estimate."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "position", "heading", "odometry")
 
 
 class Localizer:

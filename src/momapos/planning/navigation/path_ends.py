@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import refuse_below
 from momapos.core.geometry import wrap_angle
 
 from .cost_map import CELL
@@ -27,6 +28,12 @@ MIN_GAP = 0.01
 """Smallest gap along a path, except at its ends [m]."""
 _RADII = 0.15, 0.3
 """Radius of the lattice states connected to an exit, and to the start or goal itself [m]."""
+CONTACT_COST = 1.0
+"""Additional cost of a meter in contact with obstacles [-]."""
+TURNING_COST = 0.1
+"""Cost of turning [m/rad]."""
+REVERSING_COST = 1.3
+"""Cost of a meter driven backwards, for a differential base [-]."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +42,9 @@ class PathConfig:
 
     preferred_clearance: float = 0.08
     """Gap above which proximity to obstacles costs nothing [m]."""
-    weight: float = 1.0
-    """Additional cost of a meter in contact with obstacles [-]."""
-    turning: float = 0.1
-    """Cost of turning [m/rad]."""
-    reversing: float = 1.3
-    """Cost of a meter driven backwards, for a differential base [-]."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "preferred_clearance")
 
 
 DEFAULT_CONFIG = PathConfig()
@@ -51,8 +55,8 @@ def path_model(
 ) -> PathModel:
     """Collect the data of a path search for the kernels."""
     weights = CostWeights(
-        float(needed_clearance), config.preferred_clearance, config.weight, config.turning,
-        config.reversing,
+        float(needed_clearance), config.preferred_clearance, CONTACT_COST, TURNING_COST,
+        REVERSING_COST,
     )  # fmt: skip
     surroundings = OutlineArrays(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
     return PathModel(nav_map.robot.drive == "omni", surroundings, weights)
@@ -132,7 +136,7 @@ class PathEnd:
         poses, tight = lattice_poses(self.nav_map, states), exits.near_root()
         away = poses[of] - exits.poses[which]
         turn = np.abs(wrap_angle(away[:, 2]))
-        least = exits.cost[which] + np.hypot(*away[:, :2].T) + self.config.turning * turn
+        least = exits.cost[which] + np.hypot(*away[:, :2].T) + TURNING_COST * turn
         cost, via = np.full(len(states), np.inf), np.full(len(states), -1)
         left = np.lexsort((least, of))
         while len(left):

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import finite_number, refuse_below
+
 from .floor_scores import FloorGrid, floor_scores
 from .grid import OUTSIDE, GridFrame, MapArrays, Point, min_line_scores, pack_shape, score_lines
 
@@ -48,6 +50,12 @@ class ReachConfig:
     states: int = 300_000
     """Random arm states that start the flooding [-]. An arm is flooded if its first axis is not
     vertical or its last joint does not turn fully."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0.005, "cell")
+        refuse_below(self, 3, "directions")
+        refuse_below(self, 1, "azimuths", "samples", "heights", "spins", "states")
+        finite_number("ReachConfig.threshold", self.threshold)
 
 
 @dataclass(frozen=True, eq=False)
