@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -12,7 +13,6 @@ import numpy as np
 from momapos.core import Clock, Stopwatch
 from momapos.model.records import ANYWHERE, RULED_OUT, ReachScorer
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
 from momapos.planning.grasps import hand_path
 
 from .max_opening_plan import by_samples
@@ -85,10 +85,10 @@ def _changes(
     if query.region != ANYWHERE and rejected & {status.value for status in RULED_OUT}:
         yield "without the restrictions of the base pose", lambda: replace(query, region=ANYWHERE)
     for name in objects_in_the_way(answer, query):
-        yield f"without {name}", lambda name=name: replace(query, scene=_without(query.scene, name))
+        yield f"without {name}", partial(_without, query, name)
     if query.keep_grasps is None:
         for name, load in others:
-            yield f"with {name}", lambda load=load: _with_robot(query, *load())
+            yield f"with {name}", partial(_with_robot, query, load)
 
 
 def objects_in_the_way(answer: PlacementResult, query: PlacementQuery) -> list[str]:
@@ -116,9 +116,13 @@ def _gap(bounds: Float[np.ndarray, "2 3"], points: Float[np.ndarray, "k 3"]) -> 
     return float(np.linalg.norm(beyond, axis=1).min())
 
 
-def _without(scene: Scene, name: str) -> Scene:
-    return replace(scene, objects=tuple(item for item in scene.objects if item.name != name))
+def _without(query: PlacementQuery, name: str) -> PlacementQuery:
+    objects = tuple(item for item in query.scene.objects if item.name != name)
+    return replace(query, scene=replace(query.scene, objects=objects))
 
 
-def _with_robot(query: PlacementQuery, robot: Robot, reach: ReachScorer) -> PlacementQuery:
+def _with_robot(
+    query: PlacementQuery, load: Callable[[], tuple[Robot, ReachScorer]]
+) -> PlacementQuery:
+    robot, reach = load()
     return replace(query, robot=robot, reach=reach)

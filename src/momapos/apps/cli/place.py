@@ -324,7 +324,8 @@ def _answer(
     query = _read_query(options, scene, config)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
-    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm, user_cache()), strict=True))
+    cache = user_cache()
+    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True))
 
     with busy(f"{arms[0][0].name}: planning", len(arms) * config.timeout):
         scene, task, answers = plan_by_hypothesis(
