@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import FileFormatError, whole_number
+from momapos.core import FileFormatError, InputError, whole_number
 from momapos.model.records import Frame
 
 if TYPE_CHECKING:
