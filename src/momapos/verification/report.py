@@ -53,7 +53,7 @@ class Limits:
         refuse_below(self, 1, "states", "poses")
 
 
-DEFAULT = Limits()
+DEFAULT: Limits = Limits()
 
 
 @dataclass(frozen=True)

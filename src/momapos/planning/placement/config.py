@@ -14,8 +14,6 @@ Method = Literal[
 ]  # fmt: skip
 OURS: tuple[Method, ...] = ("ours", "exhaustive")
 """Methods of the pipeline, which end with a grid. The others are baselines without one."""
-POSES_TOGETHER = 2
-"""Number of base poses whose arm paths are planned together (ours); the cheapest wins [-]."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,8 @@ class PlaceConfig:
     """Rounds of samples before the grid [-]."""
     grasps: int = 24
     """Maximum number of grasps tried at one base pose, best reached first [-]."""
+    together: int = 2
+    """Number of base poses whose arm paths are planned together (ours); the cheapest wins [-]."""
     improve: int = 16
     """Maximum number of improvement steps to cheaper base poses nearby (ours) [-]."""
     margin: float = 0.03
@@ -74,7 +74,7 @@ class PlaceConfig:
     """Minimum distance of the base to everything [m]."""
 
     def __post_init__(self) -> None:
-        refuse_below(self, 1, "count", "grasps")
+        refuse_below(self, 1, "count", "grasps", "together")
         refuse_below(self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin")
         refuse_below(self, 0, "margin_turn", "sweep_room", "robust_radius", "robust_turn")
         refuse_below(self, 0, "weight_driving", "weight_clearance")

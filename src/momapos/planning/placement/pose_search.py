@@ -13,7 +13,7 @@ from momapos.core.geometry import compose, latin_hypercube
 from momapos.model.records import PoseOutcome, PoseStatus
 
 from .area import PlacementGeometry, arm_radius, clears_sweep, sampling_box, task_frame
-from .config import POSES_TOGETHER, PlaceConfig
+from .config import PlaceConfig
 from .grasp_scores import GraspModeScorer
 from .nearer import cheaper_poses
 from .order import by_expected_cost
@@ -255,7 +255,7 @@ def _check_samples(
     known = costs.before_path(left.poses, left.travel)
     rest = _order(problem, left, known, config)
     while len(rest) and found.motion is None and not found.timed_out:
-        block = rest[known[rest] < waiting.bound][:POSES_TOGETHER]
+        block = rest[known[rest] < waiting.bound][: config.together]
         rest = rest[~np.isin(rest, block)]
         waiting.take(screen(problem, left, block, config.grasps, found), left.poses, known)
         last = not (known[rest] < waiting.bound).any()
