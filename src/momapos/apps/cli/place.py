@@ -204,7 +204,11 @@ def read_region(options: Options, scene: Scene) -> BaseRegion:
 
 
 def read_scene(
-    name: str, objects: Sequence[str], options: Options, outputs: Sequence[Path | None]
+    name: str,
+    objects: Sequence[str],
+    options: Options,
+    outputs: Sequence[Path | None],
+    figures: Sequence[Path | None] = (),
 ) -> Scene:
     """Load a scene with its joints set.
 
@@ -215,11 +219,14 @@ def read_scene(
         objects: Names of the objects of the tasks.
         options: Options of the command.
         outputs: Files that the command writes.
+        figures: Figures that it writes as well.
 
     Raises:
         MomaposError: A name is unknown, a file cannot be written or the scene is invalid.
     """
-    check_outputs(outputs)
+    check_outputs([*outputs, *figures])
+    for figure in figures:
+        check_figure_path(figure)
     find_named_robot(options.robot)
     path = find_scene(name)
     for one in objects:
@@ -301,10 +308,8 @@ def _answer(
     if to is not None and to != MAX:
         parse_quantity(to)
     config = options.read_config()
-    for figure in (options.plot, map_file):
-        check_figure_path(figure)
     name, _, joint = target.partition("/")
-    scene = read_scene(scene_name, [name], options, [options.out, options.plot, map_file])
+    scene = read_scene(scene_name, [name], options, [options.out], [options.plot, map_file])
 
     import json
 
