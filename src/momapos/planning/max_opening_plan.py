@@ -11,6 +11,7 @@ import numpy as np
 from momapos.core import Stopwatch
 from momapos.planning.grasps import slides
 from momapos.planning.placement import Method
+from momapos.verification import meets_floor_at
 
 from .config import PipelineConfig
 from .max_opening import farthest_answer, values_before, values_per_waypoint
@@ -85,12 +86,17 @@ def find_max_opening(
 
 
 def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:
-    """Return the whole degrees or centimeters between the part's value and its goal."""
+    """Return the whole degrees or centimeters between the part's value and its goal.
+
+    They end where the part meets the floor.
+    """
     task = query.task
     assert task.joint is not None
     assert task.to is not None
-    begin = query.scene.object(task.object).values()[task.joint]
-    return values_before(begin, task.to, slides=slides(query.scene, task))
+    target = query.scene.object(task.object)
+    contact = meets_floor_at(target, task.joint, task.to)
+    end = task.to if contact is None else contact
+    return values_before(target.values()[task.joint], end, slides=slides(query.scene, task))
 
 
 def _answer_to(

@@ -37,6 +37,7 @@ from .model_copies import model_files
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_names import FORMAT, MAX_BYTES, find_scene
+from .wall_files import read_walls, walls_to_json
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -47,7 +48,7 @@ MAX_OBJECTS = 2_000
 MIMIC_TOLERANCE = 1e-3
 """Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
 MAX_EDGE = 1e3  # maximum edge of a box [m]
-_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
+_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "walls", "start", "areas"}
 _OBJECT_KEYS = {
     "name", "category", "pose", "urdf", "scale", "joints", "closed", "box", "hypotheses",
     "confidence",
@@ -179,7 +180,7 @@ def _read_momapos(
         reader = _ObjectReader(item, where, path.parent, root, models)
         objects.append(reader.read())
         warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
-    return Scene(
+    scene = Scene(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
         objects=tuple(objects),
@@ -188,6 +189,7 @@ def _read_momapos(
         areas=read_areas(data.get("areas", {}), f"{path}: areas"),
         warnings=tuple(warnings),
     )
+    return scene.with_walls(read_walls(data.get("walls"), scene.floor_polygon, f"{path}: walls"))
 
 
 class _ObjectReader:
@@ -335,10 +337,14 @@ def save_scene(scene: Scene, path: str | Path) -> Scene:
     expect("scene", scene, Scene)
     path = as_path("path", path)
     folder = path.resolve().parent
-    objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
+    entries = [_object(item, folder) for item in scene.objects if item.wall is None]
+    objects = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
-    for key, value in room_members(scene).items():
+    members = room_members(scene)
+    if scene.walls:
+        members["walls"] = walls_to_json(scene.walls, scene.floor_polygon)
+    for key, value in members.items():
         text += f',\n "{key}": {json.dumps(value)}'
     write_text_atomic(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
     return replace(scene, path=path)
