@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MAX_DIP = 1e-3
 """A part that extends less below the floor slides along it, as a drawer of a base cabinet [m]."""
-TOUCH = 1e-4
+TOUCH = 1e-5
 """Depth at which a part that would extend deeper meets the floor [m]."""
 _FINE_STEPS = 33
 """Number of states between two states of a sweep, among which the contact is found [-]."""

@@ -31,13 +31,14 @@ from momapos.model.urdf import Articulated, box_urdf, read_urdf
 
 from . import bestman
 from .confidence import confidence_to_json, read_confidence
-from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
+from .floor_areas import MAX_DISTANCE, read_areas, read_floor, read_numbers, read_start
 from .hypotheses import hypotheses_to_json, read_hypotheses
 from .model_copies import model_files
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_names import FORMAT, MAX_BYTES, find_scene
-from .wall_files import read_walls, walls_to_json
+from .wall_files import WALL_KEYS, read_walls, walls_to_json
+from .walls import wall_name
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -180,16 +181,19 @@ def _read_momapos(
         reader = _ObjectReader(item, where, path.parent, root, models)
         objects.append(reader.read())
         warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
-    scene = Scene(
+    floor = read_floor(data.get("floor"), f"{path}: floor")
+    walls = read_walls(data.get("walls"), floor, f"{path}: walls")
+    for index, item in enumerate(data["walls"] if isinstance(data.get("walls"), list) else ()):
+        warnings += _unknown_keys(item, WALL_KEYS, f"{path}: walls: {wall_name(index)}")
+    return Scene(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
         objects=tuple(objects),
-        floor_polygon=_floor(data.get("floor"), path),
-        start=_start(data.get("start"), path),
+        floor_polygon=floor,
+        start=read_start(data.get("start"), f"{path}: start"),
         areas=read_areas(data.get("areas", {}), f"{path}: areas"),
         warnings=tuple(warnings),
-    )
-    return scene.with_walls(read_walls(data.get("walls"), scene.floor_polygon, f"{path}: walls"))
+    ).with_walls(walls)
 
 
 class _ObjectReader:
@@ -307,21 +311,6 @@ def _text(value: object, where: str) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
         raise SceneError(f"{where} must be a printable string of 1 to 1000 characters")
     return value
-
-
-def _floor(value: object, path: Path) -> Float[np.ndarray, "k 2"] | None:
-    return None if value is None else np.array(read_outline(value, f"{path}: floor"))
-
-
-def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
-    if value is None:
-        return None
-    if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
-        raise SceneError(f"{path}: start must be {{'x': ..., 'y': ..., 'yaw': ...}}")
-    start = read_numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
-    if np.abs(start).max() > MAX_DISTANCE:
-        raise SceneError(f"{path}: start is more than 10 km away")
-    return start
 
 
 def save_scene(scene: Scene, path: str | Path) -> Scene:

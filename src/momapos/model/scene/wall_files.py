@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import InputError, SceneError, unknown_name
+from momapos.core import InputError, SceneError
 
 from .floor_areas import read_numbers
 from .walls import HEIGHT, THICKNESS, Wall, check_crossing, wall_name, walls_around
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 ALONG_FLOOR = "floor"
 MAX_WALLS = 1_000
-WALL_KEYS = ("from", "to", "height", "thickness")
+WALL_KEYS = {"from", "to", "height", "thickness"}
 
 
 def read_walls(value: Any, floor: Float[np.ndarray, "k 2"] | None, where: str) -> tuple[Wall, ...]:
@@ -54,9 +54,6 @@ def read_walls(value: Any, floor: Float[np.ndarray, "k 2"] | None, where: str) -
 def _wall(item: Any, where: str) -> Wall:
     if not isinstance(item, dict):
         raise SceneError(f'{where} must be {{"from": [x, y], "to": [x, y]}}')
-    for key in item:
-        if key not in WALL_KEYS:
-            raise unknown_name("key", key, WALL_KEYS, where)
     (x, y), (u, v) = (
         read_numbers(item.get(k), 2, f"{where}: {k}").tolist() for k in ("from", "to")
     )
