@@ -222,11 +222,8 @@ def _above_floor(target: SceneObject, joint: Joint, verb: str, goal: float) -> f
         return goal
     unit = 0.01 if joint.kind == "prismatic" else math.radians(1.0)
     before = unit * (math.floor if contact > start else math.ceil)(contact / unit)
-    return (
-        before
-        if abs(before - start) > LIMIT_TOLERANCE and (before > start) == (contact > start)
-        else goal
-    )
+    moved = (before - start) * math.copysign(1.0, contact - start)
+    return before if moved > LIMIT_TOLERANCE else goal
 
 
 def _within_limits(where: str, joint: Joint, to: float | str) -> float:
