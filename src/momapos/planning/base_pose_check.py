@@ -11,7 +11,6 @@ import numpy as np
 from momapos.core import Stopwatch, finite_array
 from momapos.model.records import Attempt, PoseOutcome, PoseStatus
 from momapos.planning.arm_motion import Feasibility
-from momapos.planning.grasps import slides
 from momapos.planning.navigation import plan_path
 from momapos.planning.placement import (
     BASE_OUTCOMES,
@@ -21,7 +20,8 @@ from momapos.planning.placement import (
     base_pose_status,
 )
 
-from .max_opening import from_the_top, values_before
+from .max_opening import from_the_top
+from .max_opening_plan import values_short_of
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
 from .result import PlacementResult, plan_of
@@ -146,10 +146,7 @@ def _look(query: PlacementQuery, base: Float[np.ndarray, "3"], *, how_far: bool)
 def _farthest(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look | None:
     """Find the last value before the task's that works at a base pose."""
     task = query.task
-    assert task.joint is not None
-    assert task.to is not None
-    begin = query.scene.object(task.object).values()[task.joint]
-    values = values_before(begin, task.to, slides=slides(query.scene, task))
+    values = values_short_of(query)
 
     def evaluate(index: int) -> _Look | None:
         one = replace(task, to=float(values[index]))

@@ -11,6 +11,7 @@ import numpy as np
 from momapos.core import Stopwatch
 from momapos.planning.grasps import slides
 from momapos.planning.placement import Method
+from momapos.verification import meets_floor_at
 
 from .config import PipelineConfig
 from .max_opening import beyond, farthest_answer, values_before, values_per_waypoint
@@ -93,7 +94,7 @@ def find_max_opening(
     if best is None:
         return None, False
     limit = min(timeout, MAX_TIME_BEYOND * query.watch.total)
-    open_to = int(np.searchsorted(np.abs(values - values[0]), stopped))
+    open_to = int(np.searchsorted(np.abs(values - values[0]), stopped - 1e-9))
     known = _index_of(best, values)
     best = beyond(lambda i: evaluate(values[i], True), known, open_to) or best
     return best, _index_of(best, values) + 1 == open_to < len(values)
@@ -106,12 +107,17 @@ def _index_of(answer: PlacementResult, values: Float[np.ndarray, " k"]) -> int:
 
 
 def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:
-    """Return the whole degrees or centimeters between the part's value and its goal."""
+    """Return the whole degrees or centimeters between the part's value and its goal.
+
+    They end where the part meets the floor.
+    """
     task = query.task
     assert task.joint is not None
     assert task.to is not None
-    begin = query.scene.object(task.object).values()[task.joint]
-    return values_before(begin, task.to, slides=slides(query.scene, task))
+    target = query.scene.object(task.object)
+    contact = meets_floor_at(target, task.joint, task.to)
+    end = task.to if contact is None else contact
+    return values_before(target.values()[task.joint], end, slides=slides(query.scene, task))
 
 
 def _answer_to(

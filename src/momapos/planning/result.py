@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
 from momapos.planning.placement import OURS, Search, cost_terms
 
+from .answer_notes import notes_on
 from .query import PlacementQuery
 from .task_setup import PreparedTask
 
@@ -52,6 +53,15 @@ class PlacementResult:
         # By name: it replans, and so depends on this module.
         answer: PlacementResult = import_module("momapos.planning.tolerance").with_tolerance(self)
         return answer
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """Return notes: a part that meets the floor, an arm that leaves the floor's outline."""
+        return self.plan.notes or notes_on(self.plan, self.prepared)
+
+    def with_notes(self) -> PlacementResult:
+        """Return the answer with the notes in its plan, as `momapos place` writes it."""
+        return replace(self, plan=replace(self.plan, notes=self.notes))
 
     @property
     def slides(self) -> bool:

@@ -18,7 +18,9 @@ from momapos.model.scene import Scene
 
 from . import path_checks as paths
 from .exact_shapes import Shapes
+from .floor_contact import depths_below_floor, dips
 from .moved_part import split
+from .outline_note import outside_note
 from .part_sweep import part_sweep_check
 from .polygon import outside
 from .report import DEFAULT, Check, Limits, Report, at_most
@@ -58,11 +60,11 @@ class PlanVerifier:
         self, scene: Scene, robot: RobotDescription, task: Task, limits: Limits = DEFAULT
     ) -> None:
         self.limits = limits
+        self.scene = scene
         self.task = task
         self.robot_model = robot_collision_model(robot)
         self.part, self.fixed, own = split(scene, task)
         self.part_sweep = part_sweep_check(self.part, self.fixed, own, limits)
-        self.floor_polygon = scene.floor_polygon
         self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
         self._base_fixed = all_pairs(len(self._base), len(self.fixed))
@@ -99,7 +101,20 @@ class PlanVerifier:
         if placed is None:
             return Report(checks)
         depth = self._gripper_depth(placed)
-        return Report(checks, self._notes(placed.path, depth), depth)
+        return Report(checks, self._notes(placed, depth), depth)
+
+    def outside_note(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
+        """Return where and how far arm or part leave the floor's outline; None if they do not.
+
+        Args:
+            base_pose: x [m], y [m], yaw [rad] of the base link on the floor.
+            motion: A valid motion.
+        """
+        return self._outside(self._placed(base_pose, motion))
+
+    def _outside(self, placed: _Placed) -> str | None:
+        moving = [(self._arm, placed.Ts_arm), (self.part.shapes, placed.Ts_part)]
+        return outside_note(self.scene, moving)
 
     def _checks(
         self, base_pose: tuple[float, float, float], motion: Motion
@@ -176,6 +191,7 @@ class PlanVerifier:
         yield paths.reach_check(part, self.task.verb, motion, Ts_planned, limits)
         Ts_way, where = self._part_path(placed.Ts_part, path)
         yield self._part_check(Ts_way, where)
+        yield self._part_above_floor(Ts_way, where)
         yield self._base_check(placed.Ts_base, Ts_way, where)
         yield self._arm_check(placed.Ts_arm, placed.Ts_part, path)
         yield self._self_check(placed.Ts_base, placed.Ts_arm, path)
@@ -206,6 +222,18 @@ class PlanVerifier:
             sweep.pairs, where, already=sweep.already,
         )  # fmt: skip
         return found.check("moved part collision with the scene")
+
+    def _part_above_floor(
+        self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
+    ) -> Check:
+        """Check how much deeper below z = 0 the moved part gets than in the given scene."""
+        depths, limit = dips(self.part, Ts_way), self.limits.penetration
+        worst = float(depths.max())
+        detail = where(int(depths.argmax())) if worst > limit else ""
+        culprit = self.part.name if worst > limit else ""
+        return at_most(
+            "moved part below the floor", 1000 * worst, 1000 * limit, "mm deep", detail, culprit
+        )
 
     def _base_check(
         self,
@@ -257,17 +285,19 @@ class PlanVerifier:
         return float(depth.max(initial=0.0))
 
     def _on_floor(self, Ts_base: Float[np.ndarray, "1 b 4 4"]) -> Iterator[Check]:
-        if self.floor_polygon is None:
+        polygon = self.scene.floor_polygon
+        if polygon is None:
             return
         outlines = [self._base.outline(index) for index in range(len(self._base))]
         points = [x @ T[:2, :3].T + T[:2, 3] for x, T in zip(outlines, Ts_base[0], strict=True)]
         balls = np.repeat(self._base.ball, [len(x) for x in outlines])
-        gaps = outside(self.floor_polygon, np.concatenate([np.empty((0, 2)), *points])) + balls
+        gaps = outside(polygon, np.concatenate([np.empty((0, 2)), *points])) + balls
         worst = float(gaps.max(initial=0.0))
         limit = self.limits.floor_edge
         yield at_most("base outside the floor polygon", 1000 * worst, 1000 * limit, "mm")
 
-    def _notes(self, path: paths.DensePath, gripper_depth: float) -> tuple[str, ...]:
+    def _notes(self, placed: _Placed, gripper_depth: float) -> tuple[str, ...]:
+        path, outside = placed.path, self._outside(placed)
         held = len(path.q) - path.approach
         notes = [f"checked {held} manipulation states and {path.approach} approach states"]
         if gripper_depth > 0.0:
@@ -275,6 +305,8 @@ class PlanVerifier:
             notes.append(f"the gripper overlaps the held part by up to {deep}, which is allowed")
         if self.part.joint is None:
             notes.append("the task moves no joint: goal and grasp slip are not checked")
+        if outside is not None:
+            notes.append(outside)
         return tuple(notes)
 
 
@@ -331,16 +363,11 @@ def _above_floor(
     arm: Shapes, Ts_arm: Float[np.ndarray, "s a 4 4"], path: paths.DensePath, limits: Limits
 ) -> Check:
     """Check how far the arm extends below z = 0."""
-    extent = np.einsum("skj,kj->sk", np.abs(Ts_arm[..., 2, :3]), arm.half)
-    low = Ts_arm[..., 2, 3] - extent
-    worst, where, culprit = 0.0, "", ""
-    for state, index in np.argwhere(low < 0.0).tolist():
-        if -low[state, index] <= worst:
-            continue
-        T = Ts_arm[state, index]
-        bottom = float((arm.outline(index) @ T[2, :3]).min() + T[2, 3] - arm.ball[index])
-        if -bottom > worst:
-            worst, where, culprit = -bottom, path.where(state), arm.names[index]
+    depth = depths_below_floor(arm, Ts_arm)
+    worst, where, culprit = float(depth.max(initial=0.0)), "", ""
+    if worst > 0.0:
+        state, index = np.unravel_index(int(depth.argmax()), depth.shape)
+        where, culprit = path.where(int(state)), arm.names[index]
     return at_most(
         "arm below the floor", 1000 * worst, 1000 * limits.penetration, "mm deep", where, culprit
     )

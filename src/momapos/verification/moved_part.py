@@ -19,7 +19,7 @@ from .exact_shapes import Shapes, join, of_bodies, prepared
 from .link_bodies import LinkBodies, body_poses
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +108,25 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
     for item in scene.objects:
         bodies, shapes = _world_shapes(item)
         if item is target:
-            everything = frozenset(range(len(bodies)))
-            moved = everything if task.joint is None else bodies.moved_by(task.joint)
-            inside = of_bodies(shapes, moved)
+            inside = _moved_shapes(task, bodies, shapes)
             part = _part(target, task, bodies, shapes.take(inside))
             shapes = shapes.take(np.setdiff1d(np.arange(len(shapes)), inside))
         fixed.append(shapes)
         prefixes.append(f"{item.name}/")
         own.append(np.full(len(shapes), item is target))
     return part, join(fixed, prefixes), np.concatenate(own)
+
+
+def moved_part(item: SceneObject, task: Task) -> MovedPart:
+    """Return the part of an object that a task moves."""
+    bodies, shapes = _world_shapes(item)
+    return _part(item, task, bodies, shapes.take(_moved_shapes(task, bodies, shapes)))
+
+
+def _moved_shapes(task: Task, bodies: LinkBodies, shapes: Shapes) -> Int[np.ndarray, " m"]:
+    """Return the indices of the shapes that a task moves."""
+    everything = frozenset(range(len(bodies)))
+    return of_bodies(shapes, everything if task.joint is None else bodies.moved_by(task.joint))
 
 
 def _world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:

@@ -2,8 +2,8 @@
 
 Real scenes are imprecise: doors are flush with their neighbors, drawers touch their frames, an
 object leans on a front. So the scene as given is the reference, and the part must not overlap
-anything more deeply than there. Elements of the part's own object that touch the closed part are
-its bearing and are ignored.
+anything more deeply than there, nor extend deeper below the floor. Elements of the part's own
+object that touch the closed part are its bearing and are ignored.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from momapos.core.geometry import invert
 
 from .convex import overlap
 from .exact_shapes import Shapes
+from .floor_contact import floor_contact
 from .moved_part import MovedPart
 from .report import Limits
 from .sweep import all_pairs, deepest
@@ -60,9 +61,13 @@ class PartSweepCheck:
         )
         deep = np.flatnonzero(depth - self.already > limit)
         hits = [(self._first_state(p, Ts), p) for p in deep.tolist()]
+        state, p = min(hits, default=(count - 1, -1))
+        contact = floor_contact(self.part, float(values[state]), self.limits.step)
+        if contact is not None:
+            value, name = contact
+            return f"{name} meets the floor {self._at(value, goal)}"
         if not hits:
             return None
-        state, p = min(hits)
         i, j = self.pairs[p]
         names = f"{self.part.shapes.names[i]} hits {self.fixed.names[j]}"
         return f"{names} {self._at(float(values[state]), goal)}"

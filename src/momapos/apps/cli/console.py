@@ -106,6 +106,7 @@ def summary(
             *_tolerance(plan),
             *_cost(plan.cost),
             *_afterward(answer),
+            *(f"  note        {words}" for words in answer.notes),
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")

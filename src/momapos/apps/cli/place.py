@@ -393,7 +393,8 @@ def _deliver(answer: PlacementResult, options: Options, *, most: bool, tried: st
 
     if options.out is not None or options.json:
         # Executors need the time of each state.
-        answer = replace(answer, plan=with_times(answer.plan, answer.prepared.robot))
+        plan = answer.with_notes().plan
+        answer = replace(answer, plan=with_times(plan, answer.prepared.robot))
     if options.out is not None:
         write_plan(answer.plan, options.out)
     if options.json:

@@ -169,7 +169,7 @@ def _solve(
         answer = replace(answer, result=with_tolerance(answer.result))
     result = answer.result
     robot = result.prepared.robot
-    write_plan(with_times(result.plan, robot), out / PLAN)
+    write_plan(with_times(result.with_notes().plan, robot), out / PLAN)
     if result.plan.status != "solved" or not options.run:
         return answer, None
     chosen = next(k for k, one in enumerate(arms) if one.arm == robot.arm)

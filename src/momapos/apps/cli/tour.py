@@ -181,7 +181,8 @@ def _deliver(tour: Tour, options: Options) -> None:
 
     if options.out is not None or options.json:
         tour = replace(tour, steps=tuple(
-            replace(step, plan=with_times(step.plan, step.prepared.robot)) for step in tour.steps
+            replace(step, plan=with_times(step.with_notes().plan, step.prepared.robot))
+            for step in tour.steps
         ))  # fmt: skip
     plans = [step.plan for step in tour.steps]
     if options.out is not None:
@@ -212,6 +213,7 @@ def _summary(tour: Tour, options: Options) -> str:
                 f"{plan.navigation_cost:.2f} m{_stop_tolerance(here)}"
             )
         lines += [f"    {task_text(step)}; {words}" for words in step.holds[:1]]
+        lines += [f"    note: {words}" for words in step.notes]
     lines += [f"  assumed     {words}" for words in tour.assumed]
     lines += [f"  time        {1000 * tour.seconds:.0f} ms"]
     if tour.status != "solved":

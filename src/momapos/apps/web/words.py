@@ -42,6 +42,7 @@ def answer_text(answer: PlacementResult) -> str:
         lines += [f"- grasp: {escaped(words)}" for words in answer.holds]
         lines.append("- collision-free: base, arm and moving part along the whole motion")
         lines += tolerance_lines(plan)
+        lines += [f"- note: {escaped(words)}" for words in answer.notes]
     elif plan.feasible_to is not None and plan.feasible_from is not None:
         to = value_text(answer, plan.feasible_to)
         lines.append(f"- feasible to {to} from {pose_text(plan.feasible_from)}")

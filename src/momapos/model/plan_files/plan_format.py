@@ -100,6 +100,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "keep_out": _outlines(plan.region.keep_out),
         },
         "tolerance": None if plan.tolerance is None else asdict(plan.tolerance),
+        "notes": list(plan.notes),
         "method": plan.method,
         "seed": plan.seed,
         "versions": dict(plan.versions),
@@ -312,6 +313,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         if data.tolerance is None
         else Tolerance(**msgspec.structs.asdict(data.tolerance)),
         region=BaseRegion(**msgspec.structs.asdict(data.region)),
+        notes=data.notes,
     )
 
 

@@ -131,6 +131,7 @@ class Plan(msgspec.Struct):
     importance: PlanImportance | None = None
     tolerance: PlanTolerance | None = None
     region: PlanRegion = msgspec.field(default_factory=PlanRegion)
+    notes: tuple[str, ...] = ()
     timing: dict[str, float] = {}
     method: str = ""
     seed: int = 0

@@ -185,6 +185,8 @@ class PlacementPlan:
     """Base-pose robustness; None if not measured."""
     region: BaseRegion = ANYWHERE
     """Where the base was allowed to stand."""
+    notes: tuple[str, ...] = ()
+    """What the user should know about the answer, such as that the arm leaves the floor."""
 
     def __repr__(self) -> str:
         what = (

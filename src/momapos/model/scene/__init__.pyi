@@ -24,3 +24,4 @@ from .scene_names import builtin_names as builtin_names
 from .scene_names import builtin_size as builtin_size
 from .scene_names import find_scene as find_scene
 from .scene_names import refuse_unknown_object as refuse_unknown_object
+from .walls import Wall as Wall

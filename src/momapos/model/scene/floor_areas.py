@@ -1,4 +1,4 @@
-"""Areas of the floor: named in a scene, in a JSON file, or given by corners."""
+"""The floor of a room, its named areas, and the start on it."""
 
 from __future__ import annotations
 
@@ -54,6 +54,31 @@ def read_outline(value: Any, where: str) -> Outline:
     if abs(signed_area(points)) < 1e-6:
         raise SceneError(f"{where} encloses no area")
     return tuple((float(x), float(y)) for x, y in points)
+
+
+def read_floor(value: Any, where: str) -> Float[np.ndarray, "k 2"] | None:
+    """Read the outline of the floor; None if there is none.
+
+    Raises:
+        SceneError: It is no outline; the message starts with `where`.
+    """
+    return None if value is None else np.array(read_outline(value, where))
+
+
+def read_start(value: Any, where: str) -> Float[np.ndarray, "3"] | None:
+    """Read the initial pose of the robot: x [m], y [m], yaw [rad]; None if there is none.
+
+    Raises:
+        SceneError: It is no pose; the message starts with `where`.
+    """
+    if value is None:
+        return None
+    if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
+        raise SceneError(f"{where} must be {{'x': ..., 'y': ..., 'yaw': ...}}")
+    start = read_numbers([value[k] for k in ("x", "y", "yaw")], 3, where)
+    if np.abs(start).max() > MAX_DISTANCE:
+        raise SceneError(f"{where} is more than 10 km away")
+    return start
 
 
 def read_numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count"]:

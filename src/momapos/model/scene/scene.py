@@ -16,6 +16,8 @@ from momapos.core.geometry import apply, pose, pose_planar, upright_frame
 from momapos.model.records import Confidence, Hypothesis, Outline
 from momapos.model.urdf import Articulated, Boxes, box_urdf, read_urdf
 
+from .walls import Wall, wall_name, walls_around
+
 if TYPE_CHECKING:
     from jaxtyping import Float
 
@@ -45,6 +47,8 @@ class SceneObject:
     """Possible motions of parts by joint, if inferred from appearance."""
     confidence: Confidence | None = None
     """Confidence of a scan in the object; None if it was not scanned."""
+    wall: Wall | None = None
+    """The wall of the room that this box stands for; None for other objects."""
 
     @classmethod
     def box(
@@ -75,6 +79,12 @@ class SceneObject:
             )
         T = _planar_pose(xyz, yaw)
         return cls(name, category, T, Articulated(box_urdf(name, (x, y, z))))
+
+    @classmethod
+    def of_wall(cls, name: str, wall: Wall) -> SceneObject:
+        """Return the solid box of a wall."""
+        box = cls.box(name, wall.size, wall.center, yaw=wall.yaw, category="wall")
+        return replace(box, wall=wall)
 
     @classmethod
     def from_urdf(
@@ -189,6 +199,8 @@ class SceneObject:
     @cached_property
     def box_proxy(self) -> SceneObject:
         """The object as one rigid upright box, with the object's yaw."""
+        if self.wall is not None:
+            return self
         R = upright_frame(self.T_world_object[:3, :3])
         local = self.vertices @ R
         low, high = local.min(0), local.max(0)
@@ -268,6 +280,40 @@ class Scene:
             if item.name == name:
                 return item
         raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
+
+    @property
+    def walls(self) -> tuple[Wall, ...]:
+        """Return the walls of the room; boxes that only look like walls are none."""
+        return tuple(item.wall for item in self.objects if item.wall is not None)
+
+    @cached_property
+    def furniture(self) -> Scene:
+        """The scene without its walls."""
+        others = tuple(item for item in self.objects if item.wall is None)
+        return self if len(others) == len(self.objects) else replace(self, objects=others)
+
+    def with_walls(self, walls: Sequence[Wall] | None = None) -> Scene:
+        """Return the scene with other walls, as the last objects `wall_1`, `wall_2` and so on.
+
+        Args:
+            walls: The walls; by default those along all edges of the floor.
+
+        Raises:
+            SceneError: There is no floor to follow, or another object has the name of a wall.
+        """
+        if walls is None:
+            if self.floor_polygon is None:
+                raise SceneError(f"{self.path or self.name}: no floor polygon for walls to follow")
+            walls = walls_around(self.floor_polygon)
+        others = self.furniture.objects
+        solid = tuple(SceneObject.of_wall(wall_name(k), one) for k, one in enumerate(walls))
+        taken = sorted({item.name for item in others} & {item.name for item in solid})
+        if taken:
+            raise SceneError(
+                f"{self.path or self.name}: object {taken[0]!r} has the name of one of the walls; "
+                "rename it"
+            )
+        return replace(self, objects=others + solid)
 
     def with_box_proxies(self, keep: Collection[str]) -> Scene:
         """Return the room with all objects as boxes except the named ones.

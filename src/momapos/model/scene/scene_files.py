@@ -31,12 +31,14 @@ from momapos.model.urdf import Articulated, box_urdf, read_urdf
 
 from . import bestman
 from .confidence import confidence_to_json, read_confidence
-from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
+from .floor_areas import MAX_DISTANCE, read_areas, read_floor, read_numbers, read_start
 from .hypotheses import hypotheses_to_json, read_hypotheses
 from .model_copies import model_files
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_names import FORMAT, MAX_BYTES, find_scene
+from .wall_files import WALL_KEYS, read_walls, walls_to_json
+from .walls import wall_name
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -47,7 +49,7 @@ MAX_OBJECTS = 2_000
 MIMIC_TOLERANCE = 1e-3
 """Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
 MAX_EDGE = 1e3  # maximum edge of a box [m]
-_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
+_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "walls", "start", "areas"}
 _OBJECT_KEYS = {
     "name", "category", "pose", "urdf", "scale", "joints", "closed", "box", "hypotheses",
     "confidence",
@@ -179,15 +181,19 @@ def _read_momapos(
         reader = _ObjectReader(item, where, path.parent, root, models)
         objects.append(reader.read())
         warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
+    floor = read_floor(data.get("floor"), f"{path}: floor")
+    walls = read_walls(data.get("walls"), floor, f"{path}: walls")
+    for index, item in enumerate(data["walls"] if isinstance(data.get("walls"), list) else ()):
+        warnings += _unknown_keys(item, WALL_KEYS, f"{path}: walls: {wall_name(index)}")
     return Scene(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
         objects=tuple(objects),
-        floor_polygon=_floor(data.get("floor"), path),
-        start=_start(data.get("start"), path),
+        floor_polygon=floor,
+        start=read_start(data.get("start"), f"{path}: start"),
         areas=read_areas(data.get("areas", {}), f"{path}: areas"),
         warnings=tuple(warnings),
-    )
+    ).with_walls(walls)
 
 
 class _ObjectReader:
@@ -307,21 +313,6 @@ def _text(value: object, where: str) -> str:
     return value
 
 
-def _floor(value: object, path: Path) -> Float[np.ndarray, "k 2"] | None:
-    return None if value is None else np.array(read_outline(value, f"{path}: floor"))
-
-
-def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
-    if value is None:
-        return None
-    if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
-        raise SceneError(f"{path}: start must be {{'x': ..., 'y': ..., 'yaw': ...}}")
-    start = read_numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
-    if np.abs(start).max() > MAX_DISTANCE:
-        raise SceneError(f"{path}: start is more than 10 km away")
-    return start
-
-
 def save_scene(scene: Scene, path: str | Path) -> Scene:
     """Write a scene in the momapos format atomically.
 
@@ -335,10 +326,14 @@ def save_scene(scene: Scene, path: str | Path) -> Scene:
     expect("scene", scene, Scene)
     path = as_path("path", path)
     folder = path.resolve().parent
-    objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
+    entries = [_object(item, folder) for item in scene.objects if item.wall is None]
+    objects = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
-    for key, value in room_members(scene).items():
+    members = room_members(scene)
+    if scene.walls:
+        members["walls"] = walls_to_json(scene.walls, scene.floor_polygon)
+    for key, value in members.items():
         text += f',\n "{key}": {json.dumps(value)}'
     write_text_atomic(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
     return replace(scene, path=path)

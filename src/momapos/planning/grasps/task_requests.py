@@ -21,6 +21,7 @@ from momapos.core import (
 from momapos.model.records import Task, Verb
 from momapos.model.scene import Scene, SceneObject, joint_value
 from momapos.model.urdf import Articulated, Joint, opening_of
+from momapos.verification import meets_floor_at
 
 from .handle_shapes import is_handle_joint
 from .handles import handle_path, has_handle, opening_direction
@@ -56,8 +57,8 @@ def make_task(
         joint: The joint; optional if only one part has a handle. A mimic joint stands for its
             leader, whose limits then count.
         to: Value to reach, as a number [rad] or [m] or a text with a unit such as "90deg" or
-            "30cm"; a quarter turn or the whole slide by default. "max" opens the part as far as
-            possible; the plan contains the value.
+            "30cm"; a quarter turn or the whole slide by default, or less if the part meets the
+            floor. "max" opens the part as far as possible; the plan contains the value.
 
     Raises:
         TaskDoneError: The part is already where the task would move it.
@@ -78,15 +79,17 @@ def make_task(
             raise TaskError(f"{verb} moves a whole object; leave out joint and to")
         if target.model.joints:
             raise TaskError(f"{object_name!r} has joints; {verb} is for rigid objects")
+        if target.wall is not None:
+            raise TaskError(f"{object_name!r} is a wall of the room, which nothing can {verb}")
         return Task(verb, object_name)  # type: ignore[arg-type]
     named = target.joint(joint) if joint else _only_joint(target)
     record = named if named.mimic is None else target.joint(named.mimic.joint)
     start = target.values()[record.name]
     farthest = isinstance(to, str) and to.strip() == MAX
     if farthest:
-        goal = _limit(target, record, verb, start)
+        goal = _above_floor(target, record, verb, _limit(target, record, verb, start))
     elif to is None:
-        goal = _goal(target.model, record, verb, start)
+        goal = _above_floor(target, record, verb, _goal(target.model, record, verb, start))
     else:
         goal = _within_limits(f"{target.name}/{record.name}", record, to)
     _check_goal(target, record, verb, start, goal)
@@ -206,6 +209,21 @@ def _limit(target: SceneObject, joint: Joint, verb: str, start: float) -> float:
         )
     opening, most = opening_of(target.model, joint.name), _longest(joint)
     return opening.wide if abs(opening.wide - start) <= most else start + opening.sign * most
+
+
+def _above_floor(target: SceneObject, joint: Joint, verb: str, goal: float) -> float:
+    """Return the goal, or the last whole degree or centimeter before the part meets the floor.
+
+    A part that meets the floor at once keeps its goal, so that the answer says so.
+    """
+    start = target.values()[joint.name]
+    contact = meets_floor_at(target, joint.name, goal) if verb == "open" else None
+    if contact is None:
+        return goal
+    unit = 0.01 if joint.kind == "prismatic" else math.radians(1.0)
+    before = unit * (math.floor if contact > start else math.ceil)(contact / unit)
+    moved = (before - start) * math.copysign(1.0, contact - start)
+    return before if moved > LIMIT_TOLERANCE else goal
 
 
 def _within_limits(where: str, joint: Joint, to: float | str) -> float:

@@ -95,6 +95,8 @@ def rank(
 ) -> Importance:
     """Score every object of a scene relative to the target (MoMa-Pos, section III-A).
 
+    Walls of the room have no score; they are always modeled as what they are.
+
     Args:
         scene: The scene.
         target: Name of the task's object.
@@ -104,7 +106,7 @@ def rank(
 
     Raises:
         UnknownNameError: There is no such object; the message suggests the nearest name.
-        InputError: The seed is no integer from 0 to 2**32 - 1.
+        InputError: The seed is no integer from 0 to 2**32 - 1, or the target is a wall.
     """
     expect("scene", scene, Scene, "load_scene reads one")
     expect("target", target, str)
@@ -113,8 +115,9 @@ def rank(
     if path is not None:
         path = finite_array("path", path, (None, 3))
     seed = whole_number("seed", seed, 0, 2**32 - 1)
-    scene.object(target)
-    graph = build_graph(scene, config.graph)
+    if scene.object(target).wall is not None:
+        raise InputError(f"{target!r} is a wall of the room; no task is about it")
+    graph = build_graph(scene.furniture, config.graph)
     chosen = graph.index(target)
     scorer = config.scorer or "reach"
     scores = SCORERS[scorer](graph, chosen, config, seed, path)
