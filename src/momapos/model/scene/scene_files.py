@@ -6,7 +6,6 @@ a URDF, which is a scene of one object.
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -36,6 +35,7 @@ from .hypotheses import hypotheses_to_json, read_hypotheses
 from .model_copies import model_files
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
+from .scene_keys import BESTMAN_KEYS, SCENE_KEYS, ignored_keys
 from .scene_names import FORMAT, MAX_BYTES, find_scene
 
 if TYPE_CHECKING:
@@ -47,11 +47,6 @@ MAX_OBJECTS = 2_000
 MIMIC_TOLERANCE = 1e-3
 """Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
 MAX_EDGE = 1e3  # maximum edge of a box [m]
-_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
-_OBJECT_KEYS = {
-    "name", "category", "pose", "urdf", "scale", "joints", "closed", "box", "hypotheses",
-    "confidence",
-}  # fmt: skip
 
 
 def load_scene(
@@ -150,7 +145,9 @@ def _read_bestman(data: Sequence[Any], path: Path, root: Path | None, cache: Cac
     entries = bestman.read_entries(data, path)
     root = root or bestman.find_root(path)
     objects, warnings = bestman.read_objects(entries, root, _Models(root, cache))
-    return Scene(path.stem, objects, path, warnings=warnings)
+    ignored = ignored_keys(data, BESTMAN_KEYS, f"{path}")
+    warnings = (*map(str, ignored), *warnings)
+    return Scene(path.stem, objects, path, warnings=warnings, ignored_keys=ignored)
 
 
 def _read_momapos(
@@ -170,15 +167,13 @@ def _read_momapos(
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
     root = (root or path.parent).resolve()
-    models, warnings = _Models(root, cache), _unknown_keys(data, _SCENE_KEYS, f"{path}")
+    models, ignored = _Models(root, cache), ignored_keys(data, SCENE_KEYS, f"{path}")
     objects = []
     for index, item in enumerate(items):
         where = f"{path}: object {index}"
         if not isinstance(item, dict):
             raise FileFormatError(f"{where} must be a JSON object")
-        reader = _ObjectReader(item, where, path.parent, root, models)
-        objects.append(reader.read())
-        warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
+        objects.append(_ObjectReader(item, where, path.parent, root, models).read())
     return Scene(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
@@ -186,7 +181,8 @@ def _read_momapos(
         floor_polygon=_floor(data.get("floor"), path),
         start=_start(data.get("start"), path),
         areas=read_areas(data.get("areas", {}), f"{path}: areas"),
-        warnings=tuple(warnings),
+        warnings=tuple(map(str, ignored)),
+        ignored_keys=ignored,
     )
 
 
@@ -290,15 +286,6 @@ class _ObjectReader:
                     f"and is at {there[name]:g}; set {mimic.joint!r} instead"
                 )
         return {name: v for name, v in values.items() if model.joint(name).mimic is None}
-
-
-def _unknown_keys(item: Mapping[str, Any], known: set[str], where: str) -> list[str]:
-    warnings = []
-    for key in sorted(set(item) - known):
-        near = difflib.get_close_matches(key, known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        warnings.append(f"{where}: {key!r} is not known and was ignored{hint}")
-    return warnings
 
 
 def _text(value: object, where: str) -> str:
