@@ -106,7 +106,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
         target.joint(task.joint)
     fixed, prefixes, own = [], [], []
     for item in scene.objects:
-        bodies, shapes = _world_shapes(item)
+        bodies, shapes = world_shapes(item)
         if item is target:
             everything = frozenset(range(len(bodies)))
             moved = everything if task.joint is None else bodies.moved_by(task.joint)
@@ -119,7 +119,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
     return part, join(fixed, prefixes), np.concatenate(own)
 
 
-def _world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
+def world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
     """Return an object's bodies, and its shapes in world coordinates."""
     bodies, shapes = prepared(item.model)
     return bodies, shapes.moved_to(shapes.placed(_body_poses(item, bodies)[None])[0])
