@@ -1,4 +1,4 @@
-"""Survey where a robot can drive in a scene, before any task is known."""
+"""Survey where a robot can start and drive in a scene, before any task is known."""
 
 from __future__ import annotations
 
@@ -8,18 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import SceneError
-from momapos.core.geometry import inscribed_radius
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.grasps import in_front_of_parts, scene_boxes
+from momapos.planning.grasps import in_front_of_parts
 from momapos.planning.navigation import (
-    CELL,
-    CostMap,
-    base_height,
-    build_cost_map,
+    DrivableFloor,
     build_navigation_map,
     check_arm_at_home,
-    floor_plan,
+    drivable_floor,
 )
 
 from .task_setup import roomy_place
@@ -30,60 +26,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FloorSurvey:
-    """Where the base of a robot can drive from its start, by its inscribed circle.
-
-    The circle is smaller than the base, so the robot may get less far, but never farther.
-    """
+    """Where a robot can start and drive."""
 
     start: Float[np.ndarray, "3"] | None
-    """The scene's start, else a chosen one: x [m], y [m], yaw [rad]; None if there is no place."""
+    """The scene's start, else a chosen one: x [m], y [m], yaw [rad]; None if it fits nowhere."""
     problem: str
     """Why the robot cannot start; "" if it can."""
-    free: float
-    """Area in which the circle fits [m^2]."""
-    reachable: float
-    """Part of this area that the circle reaches from the start [m^2]."""
-    cells: Float[np.ndarray, "n 2"]
-    """Centers of the reachable cells [m]."""
+    floor: DrivableFloor | None
+    """None without a start."""
 
-    def nearest(self, points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, " m"]:
-        """Return the distance of points to the nearest reachable position [m]."""
+    def distances(self, points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, " m"]:
+        """Return the distance of points to the nearest position that the base reaches [m]."""
         from scipy.spatial import cKDTree
 
-        if not len(self.cells):
+        if self.floor is None:
             return np.full(len(points), np.inf)
-        return np.asarray(cKDTree(self.cells).query(points)[0])
+        return np.asarray(cKDTree(self.floor.cells).query(points)[0])
 
 
 def survey_floor(scene: Scene, robot: Robot) -> FloorSurvey:
-    """Survey where a robot can drive.
+    """Survey where a robot can start and drive.
 
     Args:
         scene: The scene; its start is checked. Without one, a start is chosen as for a task.
         robot: The robot, with its arm at home.
     """
-    start, problem = None, ""
+    start, problem = scene.start, ""
     try:
         nav_map = build_navigation_map(scene, robot)
-        if scene.start is None:
+        if start is None:
             start = roomy_place(scene, nav_map, in_front_of_parts(scene))
         else:
-            start = np.asarray(scene.start, float)
             check_arm_at_home(nav_map, start)
     except SceneError as error:
         problem = str(error)
     if start is None:
-        return FloorSurvey(None, problem, 0.0, 0.0, np.zeros((0, 2)))
-    plan = floor_plan(
-        scene_boxes(scene), height=base_height(robot), floor_polygon=scene.floor_polygon,
-        start=start[:2],
-    )  # fmt: skip
-    costs = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
-    cells = _reachable_cells(costs)
-    free = float(costs.free.sum()) * CELL**2
-    return FloorSurvey(start, problem, free, len(cells) * CELL**2, cells)
-
-
-def _reachable_cells(costs: CostMap) -> Float[np.ndarray, "n 2"]:
-    i, j = np.nonzero(np.isfinite(costs.distance))
-    return np.asarray(costs.origin + (np.column_stack([j, i]) + 0.5) * CELL)
+        return FloorSurvey(None, problem, None)
+    return FloorSurvey(start, problem, drivable_floor(scene, robot, start))

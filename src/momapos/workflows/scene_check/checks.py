@@ -38,7 +38,8 @@ def check_scene(scene: Scene, robot: Robot | None = None) -> SceneReport:
         expect("robot", robot, Robot, "load_robot reads one")
     findings, joints, floor = list(_file_findings(scene)), joint_reports(scene), None
     findings += shape_findings(scene)
-    findings += joint_findings(joints)
+    bare = {one.object for one in findings if one.kind is FindingKind.NO_SHAPE}
+    findings += joint_findings([one for one in joints if one.object not in bare])
     if robot is not None and scene.objects:
         floor, joints, more = drive_report(scene, robot, joints)
         findings += more

@@ -26,19 +26,19 @@ def drive_report(
     inscribed circle can drive to. So "within reach" is necessary for a task, not sufficient.
     """
     survey = survey_floor(scene, robot)
-    share = survey.reachable / survey.free if survey.free > 0 else 0.0
-    start = survey.start
+    start, drivable = survey.start, survey.floor
+    free = 0.0 if drivable is None else drivable.free_area
     floor = FloorReport(
         robot=robot.title,
         start=None if start is None else (float(start[0]), float(start[1]), float(start[2])),
         given=scene.start is not None,
         is_free=not survey.problem,
-        free_area=survey.free,
-        reachable_share=share,
+        free_area=free,
+        reachable_share=0.0 if drivable is None else drivable.reachable_area / free,
     )
     shown = [one for one in joints if one.handle_xyz is not None]
     points = np.array([one.handle_xyz for one in shown]).reshape(-1, 3)
-    distance = survey.nearest(points[:, :2]).tolist()
+    distance = survey.distances(points[:, :2]).tolist()
     reach = robot.outreach + float(np.linalg.norm(robot.footprint, axis=1).max())
     near = {
         (one.object, one.joint): replace(one, base_distance=d, base_reaches=d <= reach)

@@ -11,7 +11,7 @@ from .report import Finding, JointReport, SceneReport, Severity
 
 MAX_PER_KIND = 5
 """Findings of a kind that are listed as text; the others are counted [-]."""
-_ROW = "  {:<34} {:<24} {:<9} {:>7} {:<7} {}"
+_HEAD = ("joint", "closed to open", "now", "pull", "base to", "handle")
 
 
 def report_lines(report: SceneReport) -> list[str]:
@@ -60,18 +60,21 @@ def joint_lines(joints: Sequence[JointReport]) -> list[str]:
     """Return the joints as a table."""
     if not joints:
         return []
-    head = _ROW.format("joint", "closed, open", "now at", "pull", "base to", "handle").rstrip()
-    return [head, *(_joint_line(one) for one in joints)]
+    rows = [_HEAD, *map(_joint_row, joints)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
 
 
-def _joint_line(one: JointReport) -> str:
+def _joint_row(one: JointReport) -> tuple[str, ...]:
     pull = "" if one.pull is None else f"{one.pull:.0f} N"
     base = ""
     if one.base_distance is not None:
         base = f"{one.base_distance:.2f} m" if math.isfinite(one.base_distance) else "no path"
     text = f"{one.object}/{one.joint}"
-    row = _ROW.format(text, _range(one), _value(one, one.value), pull, base, _handle(one))
-    return row.rstrip()
+    return text, _range(one), _value(one, one.value), pull, base, _handle(one)
 
 
 def _range(one: JointReport) -> str:
@@ -79,7 +82,7 @@ def _range(one: JointReport) -> str:
         side = "up" if one.wide > 0 else "down"
         return f"{_value(one, one.closed)}, no limit {side}"
     both = ", both ways" if one.both_ways else ""
-    return f"{_value(one, one.closed)}, {_value(one, one.wide)}{both}"
+    return f"{_value(one, one.closed)} to {_value(one, one.wide)}{both}"
 
 
 def _value(one: JointReport, value: float) -> str:

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core.geometry import apply
 from momapos.model.scene import FLOOR_EDGE, Scene, SceneObject, size_hint, usual_edge
-from momapos.model.urdf import hull_space
+from momapos.model.urdf import hull_space, opening_of
 from momapos.verification import ObjectContact, object_contacts
 
 from .report import Finding, FindingKind, Severity
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 CONTACT_GAP = 0.02
 """Objects that are closer touch: the shared kitchens have gaps up to 1.4 cm between flush furniture
@@ -32,6 +33,8 @@ MAX_LOOSE_VOLUME = 0.02
 MIN_HULL, MIN_HULL_RATIO, MIN_FREE_SPACE = 0.005, 2.0, 0.005
 """Volume of hulls that are examined, their ratio to the solid part, and the free space in them from
 which they are reported; a hand fills 2 to 4 l [m^3], [-], [m^3]."""
+MIN_OPEN = 0.01
+"""A part is open if its joint is farther from the closed value [rad] or [m]."""
 _STRUCTURE = ("wall", "floor", "ceiling")
 """Categories of parts of the building, which meet and may have any size."""
 
@@ -144,30 +147,34 @@ def _overlaps(scene: Scene, contacts: Sequence[ObjectContact]) -> Iterator[Findi
         smaller = min(pair, key=lambda item: float(np.prod(np.ptp(item.bounds, axis=0))))
         yield Finding(
             FindingKind.OVERLAP, Severity.WARNING,
-            f"{one.labels[0]} and {one.labels[1]} overlap by {100 * one.depth:.1f} cm",
-            f"move {smaller.name!r} by that distance, or close what is open", smaller.name,
+            f"{one.labels[0]} and {one.labels[1]} overlap by {_centimeters(one.depth)}",
+            _apart(one, pair, smaller.name), smaller.name,
         )  # fmt: skip
+
+
+def _apart(one: ObjectContact, pair: tuple[SceneObject, SceneObject], smaller: str) -> str:
+    """Return how to part two objects: close what is open, else move the smaller one."""
+    for item, label in zip(pair, one.labels, strict=True):
+        link = label.removeprefix(f"{item.name}/")
+        for joint in item.model.joints:
+            opening, value = opening_of(item.model, joint), item.values()[joint]
+            if link in item.model.moved_by(joint) and abs(value - opening.closed) > MIN_OPEN:
+                return f"close {item.name}/{joint}, or move {smaller!r} by that distance"
+    return f"move {smaller!r} by that distance"
 
 
 def _below_floor(scene: Scene) -> Iterator[Finding]:
     for item in scene.objects:
         low, high = item.bounds[:, 2].tolist()
-        if low >= -MAX_SUNK or high <= MAX_SLAB or _is_structure(item) or not _has_shape(item):
+        is_slab = -MAX_SUNK <= high <= MAX_SLAB
+        if low >= -MAX_SUNK or is_slab or _is_structure(item) or not _has_shape(item):
             continue
+        how = f"reaches {_centimeters(-low)}" if high > 0 else f"is {_centimeters(-high)}"
         yield Finding(
             FindingKind.BELOW_FLOOR, Severity.WARNING,
-            f"{item.name!r} reaches {_centimeters(-low)} below the floor",
-            f"raise it by that; the floor is at z = 0 (pose z {_pose_z(item, -low)})", item.name,
+            f"{item.name!r} {how} below the floor, which is at z = 0",
+            f"raise it by {_centimeters(-low)} to pose z {_pose_z(item, -low)}", item.name,
         )  # fmt: skip
-    for item in scene.objects:
-        low, high = item.bounds[:, 2].tolist()
-        if high < -MAX_SUNK and not _is_structure(item) and _has_shape(item):
-            yield Finding(
-                FindingKind.BELOW_FLOOR, Severity.WARNING,
-                f"{item.name!r} is {_centimeters(-high)} below the floor",
-                f"raise it by {_centimeters(-low)} to stand on it (pose z {_pose_z(item, -low)})",
-                item.name,
-            )  # fmt: skip
 
 
 def _in_the_air(scene: Scene, contacts: Sequence[ObjectContact]) -> Iterator[Finding]:
@@ -182,26 +189,35 @@ def _in_the_air(scene: Scene, contacts: Sequence[ObjectContact]) -> Iterator[Fin
     bounds = np.array([item.bounds for item in scene.objects]).reshape(-1, 2, 3)
     held = bounds[:, 0, 2] <= CONTACT_GAP
     held |= [_is_structure(item) or not _has_shape(item) for item in scene.objects]
-    for k in np.setdiff1d(np.arange(count), group[held]).tolist():
+    floating = np.setdiff1d(np.arange(count), group[held]).tolist()
+    boxes = _hull_boxes(scene) if floating else np.zeros((0, 2, 3))
+    for k in floating:
         members = np.flatnonzero(group == k)
-        yield _floating(scene, bounds, members[np.argsort(bounds[members, 0, 2], kind="stable")])
+        yield _floating(scene, boxes, members[np.argsort(bounds[members, 0, 2], kind="stable")])
+
+
+def _hull_boxes(scene: Scene) -> Float[np.ndarray, "h 2 3"]:
+    """Return the bounding boxes of all hulls in the world [m]."""
+    points = [
+        apply(T, hull.vertices)
+        for item in scene.objects
+        for link, T in item.link_poses().items()
+        for hull in item.model.hulls[link]
+    ]
+    return np.array([(x.min(0), x.max(0)) for x in points]).reshape(-1, 2, 3)
 
 
 def _floating(
-    scene: Scene, bounds: Float[np.ndarray, "n 2 3"], members: Float[np.ndarray, " m"]
+    scene: Scene, boxes: Float[np.ndarray, "h 2 3"], members: Int[np.ndarray, " m"]
 ) -> Finding:
     """Return the finding on a group in the air, its lowest object first."""
-    lowest = int(members[0])
-    item, low = scene.objects[lowest], bounds[:, 0]
-    others = np.setdiff1d(np.arange(len(bounds)), members)
-    below = (low[others, :2] < bounds[lowest, 1, :2]).all(1)
-    below &= (bounds[others, 1, :2] > low[lowest, :2]).all(1)
-    below &= bounds[others, 1, 2] <= low[lowest, 2]
-    under = others[below]
-    top = int(under[np.argmax(bounds[under, 1, 2])]) if len(under) else None
-    gap = float(low[lowest, 2]) - (0.0 if top is None else float(bounds[top, 1, 2]))
-    on = "the floor" if top is None else repr(scene.objects[top].name)
-    loose = bool(np.prod(np.ptp(bounds[lowest], axis=0)) < MAX_LOOSE_VOLUME)
+    item = scene.objects[int(members[0])]
+    low, high = item.bounds
+    below = (boxes[:, 0, :2] < high[:2]).all(1) & (boxes[:, 1, :2] > low[:2]).all(1)
+    tops = boxes[below & (boxes[:, 1, 2] <= low[2]), 1, 2]
+    gap = float(low[2] - tops.max(initial=0.0))
+    on = "what is below it" if len(tops) else "the floor"
+    loose = bool(np.prod(high - low) < MAX_LOOSE_VOLUME)
     names = _some("", [scene.objects[m].name for m in members.tolist()])
     down = f"lower it by {_centimeters(gap)} onto {on} (pose z {_pose_z(item, -gap)})"
     return Finding(
@@ -220,7 +236,7 @@ def _meters(size: Float[np.ndarray, " k"]) -> str:
 
 
 def _centimeters(length: float) -> str:
-    return f"{100 * length:.1f} cm"
+    return f"{100 * length:.3g} cm"
 
 
 def _some(owner: str, names: Sequence[str], most: int = 3) -> str:
