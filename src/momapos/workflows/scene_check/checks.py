@@ -8,7 +8,6 @@ from momapos.core import expect
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 
-from .driving import drive_report
 from .joints import joint_findings, joint_reports
 from .report import Finding, FindingKind, SceneReport, Severity
 from .shapes import shape_findings
@@ -41,6 +40,8 @@ def check_scene(scene: Scene, robot: Robot | None = None) -> SceneReport:
     bare = {one.object for one in findings if one.kind is FindingKind.NO_SHAPE}
     findings += joint_findings([one for one in joints if one.object not in bare])
     if robot is not None and scene.objects:
+        from .driving import drive_report  # imports most of the planner
+
         floor, joints, more = drive_report(scene, robot, joints)
         findings += more
     return SceneReport(

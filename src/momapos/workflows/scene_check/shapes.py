@@ -179,21 +179,27 @@ def _below_floor(scene: Scene) -> Iterator[Finding]:
 
 def _in_the_air(scene: Scene, contacts: Sequence[ObjectContact]) -> Iterator[Finding]:
     """Yield the groups of touching objects of which none is on the floor or at a wall."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    n = len(scene.objects)
-    ends = np.array([(one.first, one.second) for one in contacts], int).reshape(-1, 2)
-    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (n, n))
-    count, group = connected_components(graph, directed=False)
+    group = _connected(len(scene.objects), contacts)
     bounds = np.array([item.bounds for item in scene.objects]).reshape(-1, 2, 3)
     held = bounds[:, 0, 2] <= CONTACT_GAP
     held |= [_is_structure(item) or not _has_shape(item) for item in scene.objects]
-    floating = np.setdiff1d(np.arange(count), group[held]).tolist()
+    floating = np.setdiff1d(group, group[held]).tolist()
     boxes = _hull_boxes(scene) if floating else np.zeros((0, 2, 3))
     for k in floating:
         members = np.flatnonzero(group == k)
         yield _floating(scene, boxes, members[np.argsort(bounds[members, 0, 2], kind="stable")])
+
+
+def _connected(n: int, contacts: Sequence[ObjectContact]) -> Int[np.ndarray, " n"]:
+    """Return the smallest index of the objects that each object touches, also through others."""
+    a, b = np.array([(one.first, one.second) for one in contacts], int).reshape(-1, 2).T
+    group, before = np.arange(n), np.zeros(0)
+    while not np.array_equal(group, before):
+        before, group = group, group.copy()
+        np.minimum.at(group, a, before[b])
+        np.minimum.at(group, b, before[a])
+        group = group[group]
+    return group
 
 
 def _hull_boxes(scene: Scene) -> Float[np.ndarray, "h 2 3"]:
