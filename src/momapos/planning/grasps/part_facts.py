@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import TaskError
+from momapos.core import TaskError, UrdfError
 from momapos.core.geometry import apply
 from momapos.model.scene import SceneObject
 from momapos.model.urdf import JointOpening, opening_of
@@ -39,11 +39,13 @@ class PartFacts:
     is_handle: bool
     """Whether the joint moves nothing but the handle of another part."""
     handle: Handle | None
-    """Where a hand holds the part; None for a mimic joint, and if the joint moves no geometry."""
+    """Where a hand holds the part; None for a mimic joint, and if there is a problem."""
     handle_world: Float[np.ndarray, "3"] | None
     """Its middle in the world [m]."""
     pull: float | None
     """Largest pull at the handle on the way from closed to open [N]; up to 90 degrees."""
+    problem: str = ""
+    """Why no handle could be looked for."""
 
 
 def part_facts_of(
@@ -62,8 +64,8 @@ def part_facts_of(
     alone = is_handle_joint(item.model, record)
     try:
         handle = find_handle(item.posed_model(joint), joint, opening.sign)
-    except TaskError:  # it moves no geometry
-        return PartFacts(opening, "", alone, None, None, None)
+    except (TaskError, UrdfError) as error:  # no geometry, or a mesh without readable faces
+        return PartFacts(opening, "", alone, None, None, None, str(error))
     center = apply(item.link_poses()[handle.carrier], handle.center[None])[0]
     part = CarriedPart(item.posed_model(joint), joint, handle.carrier)
     lever = float(lever_arms(part, handle.center[None])[0])

@@ -30,7 +30,6 @@ def check_scene(scene: Scene, robot: Robot | None = None) -> SceneReport:
 
     Raises:
         InputError: An argument is of the wrong type.
-        UrdfError: A mesh is unreadable.
     """
     expect("scene", scene, Scene, "load_scene reads one")
     if robot is not None:
@@ -57,9 +56,11 @@ def check_scene(scene: Scene, robot: Robot | None = None) -> SceneReport:
 def _file_findings(scene: Scene) -> Iterator[Finding]:
     """Yield the unknown keys of the file, and the assumptions of its reader."""
     for key in scene.ignored_keys:
-        where = f"{key.where}: {key.key!r:.80} is not known and was ignored"
-        yield Finding(FindingKind.UNKNOWN_KEY, Severity.WARNING, where, key.advice, key.object)
+        where = key.where.removeprefix(f"{scene.path}").removeprefix(": ")
+        text = f"{where}{': ' if where else ''}{key.key!r:.80} is not known and was ignored"
+        yield Finding(FindingKind.UNKNOWN_KEY, Severity.WARNING, text, key.advice, key.object)
     ignored = {str(key) for key in scene.ignored_keys}
     for text in scene.warnings:
         if text not in ignored:
-            yield Finding(FindingKind.READER, Severity.NOTE, text)
+            shown = text.removeprefix(f"{scene.path}: ")
+            yield Finding(FindingKind.READER, Severity.NOTE, shown)

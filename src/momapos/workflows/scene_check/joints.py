@@ -39,6 +39,7 @@ def _report(item: SceneObject, joint: str, facts: PartFacts) -> JointReport:
         has_handle=handle is not None and not handle.edge,
         handle_xyz=None if xyz is None else (float(xyz[0]), float(xyz[1]), float(xyz[2])),
         pull=facts.pull,
+        problem=facts.problem,
     )
 
 
@@ -53,9 +54,9 @@ def joint_findings(joints: Sequence[JointReport]) -> Iterator[Finding]:
                 FindingKind.JOINT, Severity.NOTE, f"{where} has a range of zero and cannot move",
                 "set its limits, or make it a fixed joint", one.object, one.joint,
             )  # fmt: skip
-        elif not one.handle:
+        elif one.problem:
             yield Finding(
-                FindingKind.JOINT, Severity.WARNING, f"{where} moves no geometry",
+                FindingKind.JOINT, Severity.WARNING, f"{where}: {one.problem.partition('; ')[0]}",
                 "give its child link a collision element", one.object, one.joint,
             )  # fmt: skip
         elif not one.has_handle and not one.is_handle:

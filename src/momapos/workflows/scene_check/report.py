@@ -84,7 +84,9 @@ class JointReport:
     handle_xyz: tuple[float, float, float] | None = None
     """Middle of the handle or edge in the world [m]."""
     pull: float | None = None
-    """Largest pull at the handle that opens the part [N]."""
+    """Largest pull at the handle that opens the part, up to 90 degrees [N]."""
+    problem: str = ""
+    """Why no handle could be looked for."""
     base_distance: float | None = None
     """Horizontal distance from the handle to the nearest place that the base can drive to [m];
     infinite if there is none, None if no robot was given."""

@@ -94,7 +94,7 @@ def _handle(one: JointReport) -> str:
     if one.follows:
         return f"follows {one.follows}"
     if not one.handle or one.handle_xyz is None:
-        return "moves no geometry"
+        return "none"
     at = ", ".join(f"{v:.2f}" for v in one.handle_xyz)
     own = "a handle of its own part: " if one.is_handle else ""
     return f"{own}{one.handle}, at ({at})"
@@ -117,7 +117,10 @@ def _floor_lines(report: SceneReport) -> list[str]:
 
 
 def report_to_dict(report: SceneReport) -> dict[str, Any]:
-    """Return a report as plain values [m], [rad], [N]; no value stands for infinity."""
+    """Return a report as plain values [m], [rad], [N]; None stands for infinity.
+
+    `opens_up` says whether a joint opens toward larger values, also where it has no limit.
+    """
 
     def plain(record: Any) -> dict[str, Any]:
         values = asdict(record)
@@ -131,7 +134,7 @@ def report_to_dict(report: SceneReport) -> dict[str, Any]:
         "objects": report.objects,
         "counts": {str(severity): n for severity, n in report.counts.items()},
         "findings": [plain(one) for one in report.findings],
-        "joints": [plain(one) for one in report.joints],
+        "joints": [{**plain(one), "opens_up": one.wide >= one.closed} for one in report.joints],
         "floor": None if report.floor is None else plain(report.floor),
     }
 

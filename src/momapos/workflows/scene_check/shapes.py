@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import UrdfError
 from momapos.core.geometry import apply
 from momapos.model.scene import FLOOR_EDGE, Scene, SceneObject, size_hint, usual_edge
 from momapos.model.urdf import hull_space, opening_of
@@ -118,7 +119,11 @@ def _hulls(item: SceneObject) -> Iterator[Finding]:
         for index, hull in enumerate(hulls):
             if float(np.prod(np.ptp(hull.vertices, axis=0))) < MIN_HULL:
                 continue
-            volume, free = hull_space(item.model, link, index)
+            try:
+                volume, free = hull_space(item.model, link, index)
+            except UrdfError as error:
+                yield Finding(FindingKind.HULL, Severity.NOTE, str(error), object=item.name)
+                continue
             ratio = volume / max(volume - free, 1e-9)
             if free > MIN_FREE_SPACE and ratio > MIN_HULL_RATIO:
                 found.append((free, ratio, link, index))
