@@ -44,37 +44,40 @@ def usual_edge(category: str, name: str, *, jointed: bool) -> tuple[float, float
     return _ARTICULATED if jointed else _RIGID
 
 
-def unit_factor(edge: float, usual: tuple[float, float]) -> tuple[str, float] | None:
-    """Return the unit in which a length was probably written, and the factor that corrects it.
+def unit_factors(edge: float, usual: tuple[float, float]) -> list[tuple[str, float]]:
+    """Return the units in which a length may have been written, and the factors that correct it.
 
     Args:
         edge: The length as read in meters.
         usual: Range of usual lengths [m].
 
     Returns:
-        The unit, and a factor below 1 if it was read as meters, above 1 if it was converted once
-        too often; None if the length is usual, or unusual in every unit.
+        Unit, and a factor below 1 if it was read as meters, above 1 if it was converted once too
+        often. The most probable comes first: that which leads nearest to the middle of the range,
+        inches last. Nothing if the length is usual, or unusual in every unit.
     """
     low, high = usual
     if low <= edge <= high:
-        return None
+        return []
     found = [
         (name, factor)
         for name, unit in UNITS
         for factor in (unit, 1 / unit)
         if low <= edge * factor <= high
     ]
-    middle = (low * high) ** 0.5  # of several units, the one that leads nearest to it by ratio
-    return min(found, key=lambda one: abs(math.log(edge * one[1] / middle)), default=None)
+    middle = (low * high) ** 0.5
+    return sorted(found, key=lambda f: (f[0] == "inches", abs(math.log(edge * f[1] / middle))))
 
 
 def size_hint(size: Sequence[float], usual: tuple[float, float]) -> str:
     """Return the question whether a size was written in another unit; "" if it is usual."""
-    found = unit_factor(max(size), usual)
-    if found is None:
+    found = unit_factors(max(size), usual)
+    if not found:
         return ""
-    unit, factor = found
-    right = " x ".join(f"{factor * v:.3g}" for v in size)
-    if factor < 1:
-        return f"lengths are meters; are these {unit} (factor {factor:g}: {right} m)?"
-    return f"were meters converted as {unit} once too often (factor {factor:g}: {right} m)?"
+    words = [
+        f"{unit} (factor {factor:.4g}: {' x '.join(f'{factor * v:.3g}' for v in size)} m)"
+        for unit, factor in found
+    ]
+    if found[0][1] < 1:
+        return f"lengths are meters; are these {' or '.join(words)}?"
+    return f"were meters converted as {' or '.join(words)} once too often?"

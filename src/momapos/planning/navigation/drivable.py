@@ -42,7 +42,8 @@ class DrivableFloor:
 def drivable_floor(scene: Scene, robot: Robot, start: Float[np.ndarray, "3"]) -> DrivableFloor:
     """Find where the inscribed circle of a robot's base can drive.
 
-    The circle is within the base, so the robot gets nowhere else. It may get less far.
+    The circle is within the base, so the robot gets nowhere else, and may get less far. Passages
+    that are wider than the circle by less than a cell may be missed, as when a path is planned.
 
     Args:
         scene: The room, with the hulls of its objects up to the height of the base.
