@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_format
 import math
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -99,6 +100,7 @@ def scene_show(
     start = facts["start"]
     place = "none" if start is None else f"({start[0]:.2f}, {start[1]:.2f}), yaw {start[2]:.2f} rad"
     print(f"  start: {place}")
+    _warn(loaded, listed=set(map(str, loaded.ignored_keys)))
     if plot is not None:
         print(f"  plot: {plot}")
     return SOLVED
@@ -229,6 +231,8 @@ def _print_json(data: dict[str, Any]) -> None:
     print(json_format.dumps(data, indent=1, allow_nan=False))
 
 
-def _warn(scene: Scene) -> None:
+def _warn(scene: Scene, listed: Collection[str] = ()) -> None:
+    """Print the warnings of a scene on stderr, without those that are listed already."""
     for text in scene.warnings:
-        print(f"note: {text}", file=sys.stderr)
+        if text not in listed:
+            print(f"note: {text}", file=sys.stderr)

@@ -37,6 +37,7 @@ from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_keys import BESTMAN_KEYS, SCENE_KEYS, ignored_keys
 from .scene_names import FORMAT, MAX_BYTES, find_scene
+from .usual_sizes import size_hint, usual_edge
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -228,9 +229,12 @@ class _ObjectReader:
         if "box" in self.item:
             size = read_numbers(self.item["box"], 3, f"{self.where}: box")
             if size.min() <= 0 or size.max() > MAX_EDGE:
+                category = str(self.item.get("category", ""))
+                usual = usual_edge(category, self.name, jointed=False)
+                hint = size_hint(size.tolist(), usual) if size.min() > 0 else ""
                 raise SceneError(
                     f"{self.where}: box edges must be between 0 and {MAX_EDGE:g} m, not "
-                    f"{', '.join(f'{v:g}' for v in size)}"
+                    f"{', '.join(f'{v:g}' for v in size)}" + (f"; {hint}" if hint else "")
                 )
             x, y, z = map(float, size)
             return Articulated(box_urdf(self.name, (x, y, z)))

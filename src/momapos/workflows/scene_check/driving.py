@@ -58,7 +58,7 @@ def _start(problem: str) -> Iterator[Finding]:
 
 
 def _drive(floor: FloorReport, joints: Sequence[JointReport]) -> Iterator[Finding]:
-    if floor.start is None:
+    if not floor.is_free:
         return
     if floor.reachable_share < MIN_REACHABLE_SHARE:
         yield Finding(

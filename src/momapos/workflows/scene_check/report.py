@@ -41,7 +41,7 @@ class FindingKind(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or worth knowing."""
+    """What is wrong or worth knowing about a scene, one item."""
 
     kind: FindingKind
     severity: Severity

@@ -187,7 +187,8 @@ def _in_the_air(scene: Scene, contacts: Sequence[ObjectContact]) -> Iterator[Fin
     group = _connected(len(scene.objects), contacts)
     bounds = np.array([item.bounds for item in scene.objects]).reshape(-1, 2, 3)
     held = bounds[:, 0, 2] <= CONTACT_GAP
-    held |= [_is_structure(item) or not _has_shape(item) for item in scene.objects]
+    fixed = [_is_structure(item) or not _has_shape(item) for item in scene.objects]
+    held |= np.array(fixed, bool)
     floating = np.setdiff1d(group, group[held]).tolist()
     boxes = _hull_boxes(scene) if floating else np.zeros((0, 2, 3))
     for k in floating:
