@@ -266,7 +266,7 @@ def _covered_polygons(polygons: PolygonArrays) -> np.ndarray:
 
 
 @kernel
-def _within(polygons, j, begin, end):
+def _within(polygons: PolygonArrays, j: int, begin: int, end: int) -> bool:
     """Return whether all corners of polygon j are inside the edges from begin to end."""
     for c in range(polygons.first[j], polygons.first[j + 1]):
         x, y = polygons.corner[c]

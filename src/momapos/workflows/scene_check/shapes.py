@@ -199,7 +199,7 @@ def _in_the_air(scene: Scene, contacts: Sequence[ObjectContact]) -> Iterator[Fin
 def _connected(n: int, contacts: Sequence[ObjectContact]) -> Int[np.ndarray, " n"]:
     """Return the smallest index of the objects that each object touches, also through others."""
     a, b = np.array([(one.first, one.second) for one in contacts], int).reshape(-1, 2).T
-    group, before = np.arange(n), np.zeros(0)
+    group, before = np.arange(n), np.full(n, -1)
     while not np.array_equal(group, before):
         before, group = group, group.copy()
         np.minimum.at(group, a, before[b])
