@@ -45,5 +45,7 @@ from .workflows import ScanAnswer as ScanAnswer
 from .workflows import ScanTask as ScanTask
 from .workflows import scan_to_scene as scan_to_scene
 from .workflows import solve_scan as solve_scan
+from .workflows.scene_check import SceneReport as SceneReport
+from .workflows.scene_check import check_scene as check_scene
 
 __version__: str

@@ -34,6 +34,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.urdf.joint_opening import opening_of
 from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.handles import find_handles
 from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.result import PlacementResult
@@ -149,6 +150,11 @@ def tap(lever: Box, axis: tuple[float, float, float], limits: tuple[float, float
     at = (0, 0, 1.04) if axis[2] else (-0.03, 0, 0.98)
     turn = joint("turn", "revolute", ("body", "lever"), at, axis, limits)
     return [link("body", counter, column), link("lever", lever), turn]
+
+
+def test_a_drawer_without_a_handle_has_only_its_edges(tmp_path: Path) -> None:
+    scene = furniture_room(tmp_path, [carcass(), tray(None), SLIDE])
+    assert all(h.edge for h in find_handles(scene.object("cupboard").model, "slide", 1.0))
 
 
 TAPS = {

@@ -3,6 +3,8 @@ from .base_pose_check import BasePoseChecks as BasePoseChecks
 from .base_pose_check import check_pose as check_pose
 from .base_pose_check import plan_at_pose as plan_at_pose
 from .config import PipelineConfig as PipelineConfig
+from .floor_survey import FloorSurvey as FloorSurvey
+from .floor_survey import survey_floor as survey_floor
 from .keyword_forms import check_base_pose as check_base_pose
 from .keyword_forms import iter_placements as iter_placements
 from .keyword_forms import placement_tolerance as placement_tolerance

@@ -12,6 +12,7 @@ from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.grasps import slides
+from momapos.verification import meets_floor_at
 
 from .config import PipelineConfig
 from .max_opening import values_per_waypoint
@@ -59,6 +60,7 @@ def add_max_opening(
     best, sure = find_max_opening(query, plan_to_value, values, within=waypoint, timeout=TIMEOUT)
     if best is None:
         return plan
-    return replace(
-        plan, feasible_to=best.plan.task.to, feasible_from=best.plan.base_pose, feasible_sure=sure
-    )
+    # The values end where the part meets the floor, or before the goal, which is infeasible.
+    target, to = scene.object(task.object), best.plan.task.to
+    sure |= to == values[-1] and meets_floor_at(target, task.joint, task.to or 0.0) is not None
+    return replace(plan, feasible_to=to, feasible_from=best.plan.base_pose, feasible_sure=sure)

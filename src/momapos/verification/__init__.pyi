@@ -1,3 +1,5 @@
+from .contact_pairs import ObjectContact as ObjectContact
+from .contact_pairs import object_contacts as object_contacts
 from .exact_check import PlanVerifier as PlanVerifier
 from .floor_contact import meets_floor_at as meets_floor_at
 from .plan_check import find_file as find_file

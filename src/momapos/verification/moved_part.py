@@ -106,7 +106,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
         target.joint(task.joint)
     fixed, prefixes, own = [], [], []
     for item in scene.objects:
-        bodies, shapes = _world_shapes(item)
+        bodies, shapes = world_shapes(item)
         if item is target:
             inside = _moved_shapes(task, bodies, shapes)
             part = _part(target, task, bodies, shapes.take(inside))
@@ -119,7 +119,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
 
 def moved_part(item: SceneObject, task: Task) -> MovedPart:
     """Return the part of an object that a task moves."""
-    bodies, shapes = _world_shapes(item)
+    bodies, shapes = world_shapes(item)
     return _part(item, task, bodies, shapes.take(_moved_shapes(task, bodies, shapes)))
 
 
@@ -129,7 +129,7 @@ def _moved_shapes(task: Task, bodies: LinkBodies, shapes: Shapes) -> Int[np.ndar
     return of_bodies(shapes, everything if task.joint is None else bodies.moved_by(task.joint))
 
 
-def _world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
+def world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
     """Return an object's bodies, and its shapes in world coordinates."""
     bodies, shapes = prepared(item.model)
     return bodies, shapes.moved_to(shapes.placed(_body_poses(item, bodies)[None])[0])

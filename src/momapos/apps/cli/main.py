@@ -24,9 +24,10 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "export": ("write plans and runs for ROS 2, MoveIt, Foxglove, spreadsheets", "export:export"),
     "rank": ("score which objects matter for a task", "rank:rank_objects"),
     "scene": (
-        "list, show, generate, convert and scan scenes",
+        "list, show, check, generate, convert and scan scenes",
         {
-            "list": "scene:scene_list", "show": "scene:scene_show", "new": "scene:scene_new",
+            "list": "scene:scene_list", "show": "scene:scene_show",
+            "check": "scene_check:scene_check", "new": "scene:scene_new",
             "convert": "scene:scene_convert", "scan": "scan_synthetic:scene_scan",
         },
     ),

@@ -1,10 +1,11 @@
-"""momapos scene: list, show, generate and convert scenes."""
+"""momapos scene: list, show, generate and convert scenes; `scene_check` checks them."""
 
 from __future__ import annotations
 
 import json as json_format
 import math
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +25,7 @@ from .options import (
     SceneArg,
     check_seed,
 )
+from .scene_check import check_in_short, findings_to_list, lines_in_short
 
 if TYPE_CHECKING:
     from momapos.model.scene import Scene, SceneObject
@@ -59,7 +61,7 @@ def scene_show(
     plot: OptionalFile = None,
     json: Flag = False,
 ) -> int:
-    """Show the objects of a scene, with sizes and joints.
+    """Show what is wrong in a scene in short, then its objects with sizes and joints.
 
     Args:
         scene: A built-in kitchen or a scene file (momapos, BestMan, URDF).
@@ -79,11 +81,13 @@ def scene_show(
 
         with busy(f"drawing {plot.name}"):
             draw_scene(loaded, plot)
-    facts = describe(loaded)
+    facts, report = describe(loaded), check_in_short(loaded)
     if json:
-        _print_json({**facts, "plot": None if plot is None else str(plot)})
+        findings = {"findings": findings_to_list(report)}
+        _print_json({**facts, **findings, "plot": None if plot is None else str(plot)})
         return SOLVED
     print(f"{loaded.name} ({loaded.path})")
+    print("\n".join(lines_in_short(report, scene)))
     for item in facts["objects"]:
         low, high = item["bounds"]
         size = " x ".join(f"{b - a:.2f}" for a, b in zip(low, high, strict=True))
@@ -96,7 +100,7 @@ def scene_show(
     start = facts["start"]
     place = "none" if start is None else f"({start[0]:.2f}, {start[1]:.2f}), yaw {start[2]:.2f} rad"
     print(f"  start: {place}")
-    _warn(loaded)
+    _warn(loaded, listed=set(map(str, loaded.ignored_keys)))
     if plot is not None:
         print(f"  plot: {plot}")
     return SOLVED
@@ -227,6 +231,8 @@ def _print_json(data: dict[str, Any]) -> None:
     print(json_format.dumps(data, indent=1, allow_nan=False))
 
 
-def _warn(scene: Scene) -> None:
+def _warn(scene: Scene, listed: Collection[str] = ()) -> None:
+    """Print the warnings of a scene on stderr, without those that are listed already."""
     for text in scene.warnings:
-        print(f"note: {text}", file=sys.stderr)
+        if text not in listed:
+            print(f"note: {text}", file=sys.stderr)

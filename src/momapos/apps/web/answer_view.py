@@ -20,7 +20,7 @@ from .playback import Story
 from .question import Question, RobotArms
 from .robot_view import home_values, joint_values
 from .state import PageState
-from .words import answer_text, escaped
+from .words import answer_text, check_text, escaped
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -65,8 +65,7 @@ class AnswerView:
             else:
                 state.robot.move(start, home_values(robot))
             state.robot.verdict("")
-            warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
-            state.show_text(f"{READY}{warnings}")
+            state.show_text(READY + ("" if shown.check is None else check_text(shown.check)))
 
     def show(self, answer: PlacementResult, arms: RobotArms) -> None:
         """Draw an answer.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from momapos.core import Cache, Clock
 from momapos.model.scene import Scene, load_scene
+from momapos.workflows.scene_check import check_scene
 
 from .answer_layers import AnswerLayers
 from .answer_view import READY, AnswerView
@@ -249,6 +250,7 @@ class Page:
         if fresh:
             self.state.show_text(f"Loading {escaped(choice.scene)} ...")
             shown.scene, shown.scene_name = self._load(choice.scene, clock), ""
+            shown.check = check_scene(shown.scene)
             self._start = None
         scene = shown.scene
         assert scene is not None

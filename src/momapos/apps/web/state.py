@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
+from momapos.workflows.scene_check import SceneReport
 
 from .panel import Panel
 from .playback import Playable
@@ -45,6 +46,8 @@ class Shown:
 
     scene_name: str = ""
     scene: Scene | None = None
+    check: SceneReport | None = None
+    """What is wrong in the scene."""
     robot_name: tuple[str, str] = ("", "")
     """Robot and arm."""
     arms: RobotArms | None = None

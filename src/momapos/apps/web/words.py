@@ -9,9 +9,18 @@ from momapos.apps.plots import task_text, value_text
 from momapos.model.records import PlacementPlan, Task
 from momapos.planning import PlacementResult
 from momapos.simulation import RunRecord
+from momapos.workflows.scene_check import (
+    FindingKind,
+    SceneReport,
+    Severity,
+    finding_lines,
+    summary,
+)
 
 from .probe import Finding, Probe
 
+MAX_FINDINGS = 2
+"""Findings on a scene that are listed, per kind [-]."""
 MAX_ROWS = 6
 """Rejection reasons, or collisions of an attempt, that are listed [-]."""
 STATUS = {"solved": "Solved", "infeasible": "No feasible base pose", "timeout": "Out of time"}
@@ -25,6 +34,19 @@ def escaped(text: str) -> str:
 def pose_text(pose: tuple[float, float, float]) -> str:
     """Format a base pose with its units."""
     return f"x {pose[0]:.3f} m, y {pose[1]:.3f} m, yaw {math.degrees(pose[2]):.1f}°"
+
+
+def check_text(report: SceneReport) -> str:
+    """List what is wrong in a scene, and what its reader assumed; "" if there is nothing."""
+    if not report.findings:
+        return ""
+    main = [
+        one
+        for one in report.findings
+        if one.severity is not Severity.NOTE or one.kind is FindingKind.READER
+    ]
+    lines = finding_lines(main, most=MAX_FINDINGS)
+    return f"\n\nScene: {summary(report)}" + "".join(f"\n- {escaped(x.strip())}" for x in lines)
 
 
 def answer_text(answer: PlacementResult) -> str:

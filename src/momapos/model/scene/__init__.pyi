@@ -20,8 +20,12 @@ from .scene import upright_boxes as upright_boxes
 from .scene_files import load_scene as load_scene
 from .scene_files import save_scene as save_scene
 from .scene_files import write_text_atomic as write_text_atomic
+from .scene_keys import IgnoredKey as IgnoredKey
 from .scene_names import builtin_names as builtin_names
 from .scene_names import builtin_size as builtin_size
 from .scene_names import find_scene as find_scene
 from .scene_names import refuse_unknown_object as refuse_unknown_object
+from .usual_sizes import FLOOR_EDGE as FLOOR_EDGE
+from .usual_sizes import size_hint as size_hint
+from .usual_sizes import usual_edge as usual_edge
 from .walls import Wall as Wall

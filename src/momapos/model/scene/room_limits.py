@@ -7,6 +7,7 @@ import numpy as np
 from momapos.core import SceneError
 
 from .scene import Scene
+from .usual_sizes import FLOOR_EDGE, size_hint, usual_edge
 
 MAX_ROOM = (50.0, 50.0, 10.0)
 """Maximum size of a room with its floor [m]: clearance uses a grid of 10 cm, driving one of
@@ -35,10 +36,10 @@ def check_room_size(scene: Scene) -> None:
     if (size > MAX_ROOM).any():
         far = corners - np.median(corners, axis=0)
         worst = int(np.abs(far / MAX_ROOM).max(1).argmax()) // 2
-        name = repr(scene.objects[worst].name) if worst < len(bounds) else "the floor"
         raise SceneError(
             f"{scene.path}: the room measures {' x '.join(f'{v:.4g}' for v in size)} m; at most "
-            f"{' x '.join(f'{v:g}' for v in MAX_ROOM)} m are supported; check {name}"
+            f"{' x '.join(f'{v:g}' for v in MAX_ROOM)} m are supported; check "
+            + _suspect(scene, worst)
         )
     elements = np.array([sum(map(len, item.model.hulls.values())) for item in scene.objects])
     filled = float(elements @ np.prod(np.ptp(bounds, axis=1) + 2 * FILL_MARGIN, axis=1))
@@ -48,3 +49,17 @@ def check_room_size(scene: Scene) -> None:
             f"{FILL_MARGIN:g} m around each; at most {MAX_FILLED_VOLUME:g} m^3 are supported; use "
             "fewer elements"
         )
+
+
+def _suspect(scene: Scene, index: int) -> str:
+    """Return the object at an index, or the floor, with a hint at the unit of its size."""
+    if index < len(scene.objects):
+        item = scene.objects[index]
+        name, size = repr(item.name), np.ptp(item.bounds, axis=0)
+        usual = usual_edge(item.category, item.name, jointed=bool(item.model.joints))
+    else:
+        assert scene.floor_polygon is not None
+        name, size, usual = "the floor", np.ptp(scene.floor_polygon, axis=0), FLOOR_EDGE
+    hint = size_hint(size.tolist(), usual)
+    measures = " x ".join(f"{v:.4g}" for v in size)
+    return f"{name}, which measures {measures} m; {hint}" if hint else name

@@ -16,6 +16,7 @@ from momapos.core.geometry import apply, pose, pose_planar, upright_frame
 from momapos.model.records import Confidence, Hypothesis, Outline
 from momapos.model.urdf import Articulated, Boxes, box_urdf, read_urdf
 
+from .scene_keys import IgnoredKey
 from .walls import Wall, wall_name, walls_around
 
 if TYPE_CHECKING:
@@ -249,7 +250,9 @@ class Scene:
     start: Float[np.ndarray, "3"] | None = None
     """Initial pose of the robot: x [m], y [m], yaw [rad]."""
     warnings: tuple[str, ...] = ()
-    """Assumptions of the reader."""
+    """Assumptions of the reader, and ignored keys."""
+    ignored_keys: tuple[IgnoredKey, ...] = ()
+    """Keys of the file that the reader does not know."""
     areas: Mapping[str, Outline] = field(default_factory=dict)
     """Named areas of the floor."""
     joints_set: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -6,7 +6,6 @@ a URDF, which is a scene of one object.
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -36,9 +35,10 @@ from .hypotheses import hypotheses_to_json, read_hypotheses
 from .model_copies import model_files
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
+from .scene_keys import BESTMAN_KEYS, SCENE_KEYS, ignored_keys
 from .scene_names import FORMAT, MAX_BYTES, find_scene
-from .wall_files import WALL_KEYS, read_walls, walls_to_json
-from .walls import wall_name
+from .usual_sizes import size_hint, usual_edge
+from .wall_files import read_walls, walls_to_json
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -49,11 +49,6 @@ MAX_OBJECTS = 2_000
 MIMIC_TOLERANCE = 1e-3
 """Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
 MAX_EDGE = 1e3  # maximum edge of a box [m]
-_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "walls", "start", "areas"}
-_OBJECT_KEYS = {
-    "name", "category", "pose", "urdf", "scale", "joints", "closed", "box", "hypotheses",
-    "confidence",
-}  # fmt: skip
 
 
 def load_scene(
@@ -152,7 +147,9 @@ def _read_bestman(data: Sequence[Any], path: Path, root: Path | None, cache: Cac
     entries = bestman.read_entries(data, path)
     root = root or bestman.find_root(path)
     objects, warnings = bestman.read_objects(entries, root, _Models(root, cache))
-    return Scene(path.stem, objects, path, warnings=warnings)
+    ignored = ignored_keys(data, BESTMAN_KEYS, f"{path}")
+    warnings = (*map(str, ignored), *warnings)
+    return Scene(path.stem, objects, path, warnings=warnings, ignored_keys=ignored)
 
 
 def _read_momapos(
@@ -172,19 +169,15 @@ def _read_momapos(
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
     root = (root or path.parent).resolve()
-    models, warnings = _Models(root, cache), _unknown_keys(data, _SCENE_KEYS, f"{path}")
+    models, ignored = _Models(root, cache), ignored_keys(data, SCENE_KEYS, f"{path}")
     objects = []
     for index, item in enumerate(items):
         where = f"{path}: object {index}"
         if not isinstance(item, dict):
             raise FileFormatError(f"{where} must be a JSON object")
-        reader = _ObjectReader(item, where, path.parent, root, models)
-        objects.append(reader.read())
-        warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
+        objects.append(_ObjectReader(item, where, path.parent, root, models).read())
     floor = read_floor(data.get("floor"), f"{path}: floor")
     walls = read_walls(data.get("walls"), floor, f"{path}: walls")
-    for index, item in enumerate(data["walls"] if isinstance(data.get("walls"), list) else ()):
-        warnings += _unknown_keys(item, WALL_KEYS, f"{path}: walls: {wall_name(index)}")
     return Scene(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
@@ -192,7 +185,8 @@ def _read_momapos(
         floor_polygon=floor,
         start=read_start(data.get("start"), f"{path}: start"),
         areas=read_areas(data.get("areas", {}), f"{path}: areas"),
-        warnings=tuple(warnings),
+        warnings=tuple(map(str, ignored)),
+        ignored_keys=ignored,
     ).with_walls(walls)
 
 
@@ -238,9 +232,12 @@ class _ObjectReader:
         if "box" in self.item:
             size = read_numbers(self.item["box"], 3, f"{self.where}: box")
             if size.min() <= 0 or size.max() > MAX_EDGE:
+                category = str(self.item.get("category", ""))
+                usual = usual_edge(category, self.name, jointed=False)
+                hint = size_hint(size.tolist(), usual) if size.min() > 0 else ""
                 raise SceneError(
                     f"{self.where}: box edges must be between 0 and {MAX_EDGE:g} m, not "
-                    f"{', '.join(f'{v:g}' for v in size)}"
+                    f"{', '.join(f'{v:g}' for v in size)}" + (f"; {hint}" if hint else "")
                 )
             x, y, z = map(float, size)
             return Articulated(box_urdf(self.name, (x, y, z)))
@@ -296,15 +293,6 @@ class _ObjectReader:
                     f"and is at {there[name]:g}; set {mimic.joint!r} instead"
                 )
         return {name: v for name, v in values.items() if model.joint(name).mimic is None}
-
-
-def _unknown_keys(item: Mapping[str, Any], known: set[str], where: str) -> list[str]:
-    warnings = []
-    for key in sorted(set(item) - known):
-        near = difflib.get_close_matches(key, known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        warnings.append(f"{where}: {key!r} is not known and was ignored{hint}")
-    return warnings
 
 
 def _text(value: object, where: str) -> str:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 ALONG_FLOOR = "floor"
 MAX_WALLS = 1_000
-WALL_KEYS = {"from", "to", "height", "thickness"}
 
 
 def read_walls(value: Any, floor: Float[np.ndarray, "k 2"] | None, where: str) -> tuple[Wall, ...]:

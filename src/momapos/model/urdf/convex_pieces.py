@@ -313,3 +313,17 @@ def _free_cells(
     cells = np.stack(np.meshgrid(*middle, indexing="ij"), -1)
     size = np.prod(np.stack(np.meshgrid(*map(np.diff, edges), indexing="ij"), -1), axis=-1)
     return _FreeCells(cells[free], size[free])
+
+
+def free_share(triangles: Float[np.ndarray, "t 3 3"]) -> tuple[float, float]:
+    """Measure the free space in the hull of a surface.
+
+    Returns:
+        Volume of the hull, and of the space in it that the surface does not hide [m^3]; closed
+        cavities are hidden.
+    """
+    if not _is_concave(triangles):
+        return _hull_planes(triangles).volume, 0.0
+    surface = close_rims(triangles) @ fit_box(triangles.reshape(-1, 3))[1]
+    piece = _piece(surface, _free_cells(surface, surface))
+    return piece.hull.volume, min(piece.void, piece.hull.volume)

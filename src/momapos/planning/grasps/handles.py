@@ -20,6 +20,7 @@ from .handle_core import MAX_HELD_DEPTH, HandleKind, core_of
 from .handle_records import Handle, HandleSource
 from .handle_shapes import (
     MIN_PROTRUSION,
+    PANEL_SHARE,
     CarriedPart,
     Element,
     clusters,
@@ -157,9 +158,20 @@ def handles_by_hulls(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
         return (replace(_of(HandleSource.SHAPE, list(own), part, sign, (), None), whole=True),)
     faces, in_plane = _side_faces(own, opens)
     aside = next(filter(None, (_on_face(named, part, sign, own, f, f) for f in faces)), [])
-    aside = [h for h in aside if not named or h.found is HandleSource.NAME]
+    aside = [h for h in aside if not (named or _is_panel(h, own)) or h.found is HandleSource.NAME]
     whole = [_of(HandleSource.NAME, g, part, sign, own, None) for g in clusters(named)[:1]]
     return (*aside, *whole, *handles) if in_plane else (*whole, *handles, *aside)
+
+
+def _is_panel(handle: Handle, own: tuple[Element, ...]) -> bool:
+    """Check whether a shape that protrudes aside is a panel itself, such as a drawer's front."""
+    largest = max(map(_face_area, own))
+    return any(_face_area(element) > PANEL_SHARE * largest for element in handle.elements)
+
+
+def _face_area(element: Element) -> float:
+    """Return the area of the largest face of the box around an element [m^2]."""
+    return float(np.prod(np.sort(np.ptp(element.convex.vertices, axis=0))[1:]))
 
 
 def _is_hand_sized(part: CarriedPart, own: tuple[Element, ...]) -> bool:
@@ -199,7 +211,7 @@ def _side_faces(
     own: tuple[Element, ...], opens: Float[np.ndarray, "3"]
 ) -> tuple[list[Float[np.ndarray, "3"]], bool]:
     """Return the outward normals of a part's other faces, and whether it slides in its plane."""
-    panel = max(own, key=lambda e: float(np.prod(np.sort(np.ptp(e.convex.vertices, axis=0))[1:])))
+    panel = max(own, key=_face_area)
     _, rotation, half = fit_box(panel.convex.vertices)
     order = np.argsort(half)
     axes = [rotation[:, k] for k in order if abs(rotation[:, k] @ opens) < MAX_SIDE_SLANT]

@@ -4,6 +4,8 @@ from .cost_map import CostMap as CostMap
 from .cost_map import base_height as base_height
 from .cost_map import build_cost_map as build_cost_map
 from .cost_map import floor_plan as floor_plan
+from .drivable import DrivableFloor as DrivableFloor
+from .drivable import drivable_floor as drivable_floor
 from .drive_record import DriveRecord as DriveRecord
 from .driving import DriveConfig as DriveConfig
 from .driving import drive as drive

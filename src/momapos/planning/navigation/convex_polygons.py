@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core.compiled import F1, F2, I1
+from momapos.core.compiled import F1, F2, I1, entry, kernel
 from momapos.core.geometry import all_inside, apply, edge_normals, invert, place_points, signed_area
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
@@ -242,18 +242,38 @@ def planning_outlines(
 
 def _covered(outlines: ConvexPolygons) -> Bool[np.ndarray, " o"]:
     """Find outlines inside another one of their layer; of equal ones, all but the first."""
-    covered = np.zeros(len(outlines), bool)
-    for i in range(len(outlines)):
-        box = outlines.bounds
-        inner = (box[:, :2] >= box[i, :2] - 1e-9).all(1) & (box[:, 2:] <= box[i, 2:] + 1e-9).all(1)
-        inner &= (outlines.layer == outlines.layer[i]) & ~covered
-        inner[i] = False
-        if covered[i] or not inner.any():
-            continue
-        edge = slice(outlines.first[i], outlines.first[i + 1])
-        beyond = (outlines.corner @ outlines.normal[edge].T > outlines.level[edge] + 1e-9).any(1)
-        covered |= inner & ~np.logical_or.reduceat(beyond, outlines.first[:-1])
+    covered: np.ndarray = _covered_polygons(outlines.arrays)
     return covered
+
+
+@entry
+def _covered_polygons(polygons: PolygonArrays) -> np.ndarray:
+    """Compare each outline with every other one of its layer whose bounds contain its own."""
+    first, layer, bounds = polygons.first, polygons.layer, polygons.bounds
+    covered = np.zeros(len(layer), np.bool_)
+    for i in range(len(layer)):
+        if covered[i]:
+            continue
+        for j in range(len(layer)):
+            if j == i or covered[j] or layer[j] != layer[i]:
+                continue
+            if bounds[j, 0] < bounds[i, 0] - 1e-9 or bounds[j, 1] < bounds[i, 1] - 1e-9:
+                continue
+            if bounds[j, 2] > bounds[i, 2] + 1e-9 or bounds[j, 3] > bounds[i, 3] + 1e-9:
+                continue
+            covered[j] = _within(polygons, j, first[i], first[i + 1])
+    return covered
+
+
+@kernel
+def _within(polygons: PolygonArrays, j: int, begin: int, end: int) -> bool:
+    """Return whether all corners of polygon j are inside the edges from begin to end."""
+    for c in range(polygons.first[j], polygons.first[j + 1]):
+        x, y = polygons.corner[c]
+        for e in range(begin, end):
+            if x * polygons.normal[e, 0] + y * polygons.normal[e, 1] > polygons.level[e] + 1e-9:
+                return False
+    return True
 
 
 def on_floor(

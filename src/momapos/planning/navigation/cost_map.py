@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -92,6 +93,17 @@ def floor_plan(
     """
     low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
     outlines = _outlines(boxes, np.flatnonzero(low_z < height))
+    return blocked_cells(outlines, floor_polygon=floor_polygon, margin=margin, start=start)
+
+
+def blocked_cells(
+    outlines: Sequence[Float[np.ndarray, "_ 2"]],
+    *,
+    floor_polygon: Float[np.ndarray, "k 2"] | None,
+    margin: float = MAP_MARGIN,
+    start: Float[np.ndarray, "2"] | None = None,
+) -> FloorPlan:
+    """Draw the outlines of obstacles into cells; see `floor_plan`."""
     points = np.concatenate(outlines) if outlines else np.zeros((1, 2))
     if floor_polygon is not None:
         points = floor_polygon

@@ -1,0 +1,79 @@
+"""Describe the part that a joint moves: its handle, and the pull that opens it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import TaskError, UrdfError
+from momapos.core.geometry import apply
+from momapos.model.scene import SceneObject
+from momapos.model.urdf import JointOpening, opening_of
+
+from .config import ResistanceConfig
+from .handle_records import Handle
+from .handle_shapes import CarriedPart, is_handle_joint
+from .handles import find_handle
+from .part_motion import lever_arms
+from .resistance import resistance_of
+from .task_requests import WIDE_OPEN
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_VALUES = 19
+"""Joint values at which the resistance is evaluated: every 5 degrees up to 90 [-]."""
+_MIN_LEVER = 1e-3
+"""Lever arm below which no pull at the handle is stated [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartFacts:
+    """What is known about the part that a joint moves."""
+
+    opening: JointOpening
+    follows: str
+    """The joint that a mimic joint follows; "" for other joints."""
+    is_handle: bool
+    """Whether the joint moves nothing but the handle of another part."""
+    handle: Handle | None
+    """Where a hand holds the part; None for a mimic joint, and if there is a problem."""
+    handle_world: Float[np.ndarray, "3"] | None
+    """Its middle in the world [m]."""
+    pull: float | None
+    """Largest pull at the handle on the way from closed to open [N]; up to 90 degrees."""
+    problem: str = ""
+    """Why no handle could be looked for."""
+
+
+def part_facts_of(
+    item: SceneObject, joint: str, config: ResistanceConfig | None = None
+) -> PartFacts:
+    """Describe the part that a joint of an object moves.
+
+    Args:
+        item: The object.
+        joint: One of its movable joints.
+        config: Assumed resistances.
+    """
+    record, opening = item.joint(joint), opening_of(item.model, joint)
+    if record.mimic is not None:
+        return PartFacts(opening, record.mimic.joint, False, None, None, None)
+    alone = is_handle_joint(item.model, record)
+    try:
+        handle = find_handle(item.posed_model(joint), joint, opening.sign)
+    except (TaskError, UrdfError) as error:  # no geometry, or a mesh without readable faces
+        return PartFacts(opening, "", alone, None, None, None, str(error))
+    center = apply(item.link_poses()[handle.carrier], handle.center[None])[0]
+    part = CarriedPart(item.posed_model(joint), joint, handle.carrier)
+    lever = float(lever_arms(part, handle.center[None])[0])
+    pull = None
+    if lever > _MIN_LEVER:
+        reach = abs(opening.wide - opening.closed)
+        reach = reach if record.kind == "prismatic" else min(reach, WIDE_OPEN)
+        values = opening.closed + opening.sign * np.linspace(0.0, reach, _VALUES)
+        torque = resistance_of(item, joint, values, lever, config or ResistanceConfig())
+        pull = torque / lever
+    return PartFacts(opening, "", alone, handle, center, pull)

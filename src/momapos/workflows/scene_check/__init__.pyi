@@ -1,0 +1,12 @@
+from .checks import check_scene as check_scene
+from .report import Finding as Finding
+from .report import FindingKind as FindingKind
+from .report import FloorReport as FloorReport
+from .report import JointReport as JointReport
+from .report import SceneReport as SceneReport
+from .report import Severity as Severity
+from .report_text import finding_lines as finding_lines
+from .report_text import joint_lines as joint_lines
+from .report_text import report_lines as report_lines
+from .report_text import report_to_dict as report_to_dict
+from .report_text import summary as summary

@@ -1,0 +1,57 @@
+"""Laws of the contacts between objects."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.verification import contact_pairs
+from momapos.verification.contact_pairs import object_contacts
+
+
+def boxes(rng: np.random.Generator, count: int) -> Scene:
+    return Scene(
+        "r",
+        tuple(
+            SceneObject.box(f"b{k}", rng.uniform(0.1, 0.5, 3), rng.uniform(0, 2, 3))
+            for k in range(count)
+        ),
+    )
+
+
+def test_the_depth_of_aligned_boxes_is_their_smallest_overlap() -> None:
+    scene = boxes(np.random.default_rng(1), 60)
+    found = {(one.first, one.second): one.depth for one in object_contacts(scene, 0.0)}
+    expected = {}
+    for i, j in combinations(range(60), 2):
+        a, b = scene.objects[i].bounds, scene.objects[j].bounds
+        depth = np.minimum(a[1] - b[0], b[1] - a[0]).min()
+        if depth > 1e-6:
+            expected[i, j] = depth
+    assert len(expected) > 20
+    assert found.keys() == expected.keys()
+    for pair, depth in expected.items():
+        assert found[pair] == pytest.approx(depth, abs=1e-5)
+
+
+def test_a_gap_is_a_negative_depth() -> None:
+    a = SceneObject.box("a", (1, 1, 1), (0, 0, 0.5))
+    b = SceneObject.box("b", (1, 1, 1), (1.01, 0, 0.5))
+    (one,) = object_contacts(Scene("r", (a, b)), 0.02)
+    assert one.depth == pytest.approx(-0.01, abs=1e-5)
+    assert one.labels == ("a/box", "b/box")
+    assert object_contacts(Scene("r", (a, b)), 0.005) == ()
+    assert object_contacts(Scene("r", ()), 0.02) == ()
+
+
+def test_contacts_do_not_depend_on_how_many_pairs_are_compared_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = load_scene("kitchen_small")
+    whole = object_contacts(scene, 0.02)
+    monkeypatch.setattr(contact_pairs, "MAX_PAIRS", 50)
+    assert object_contacts(scene, 0.02) == whole
