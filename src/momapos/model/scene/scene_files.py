@@ -30,6 +30,7 @@ from momapos.model.scene.formats import foreign_kind
 from momapos.model.urdf import Articulated, box_urdf, read_urdf
 
 from . import bestman
+from .code_models import box_edges, save_model
 from .confidence import confidence_to_json, read_confidence
 from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from .hypotheses import hypotheses_to_json, read_hypotheses
@@ -325,6 +326,8 @@ def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
 def save_scene(scene: Scene, path: str | Path) -> Scene:
     """Write a scene in the momapos format atomically.
 
+    Models that were made from meshes are written to `<stem>_files` next to it.
+
     Returns:
         The scene of that file, so that plans in it can be verified.
 
@@ -334,8 +337,7 @@ def save_scene(scene: Scene, path: str | Path) -> Scene:
     """
     expect("scene", scene, Scene)
     path = as_path("path", path)
-    folder = path.resolve().parent
-    objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
+    objects = ",\n".join(f"  {json.dumps(_object(item, path))}" for item in scene.objects)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
     for key, value in room_members(scene).items():
@@ -382,7 +384,8 @@ def write_text_atomic(path: Path, text: str) -> None:
         raise SceneError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
+def _object(item: SceneObject, path: Path) -> dict[str, Any]:
+    folder = path.resolve().parent
     T, urdf = item.T_world_object, item.model.urdf
     from scipy.spatial.transform import Rotation
 
@@ -393,7 +396,11 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
         **object_members(item),
     }
     if urdf.path is None:
-        return {**entry, "box": list(urdf.links[urdf.root].collisions[0].size)}
+        edges = box_edges(urdf)
+        if edges is not None:
+            return {**entry, "box": list(edges)}
+        file = save_model(item.name, urdf, folder / f"{path.stem}_files")
+        return {**entry, "urdf": f"{file.parent.name}/{file.name}", "joints": dict(item.joints)}
     for file in model_files(item.model):
         if not file.resolve().is_relative_to(folder):
             raise SceneError(

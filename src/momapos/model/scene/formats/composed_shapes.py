@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import pose
-from momapos.model.urdf import Geometry
-
-from .imported_room import Mesh
+from momapos.model.urdf import Geometry, Mesh
 
 if TYPE_CHECKING:
     from jaxtyping import Float
