@@ -1,7 +1,7 @@
 """Read scene files of several kinds, and write momapos scenes.
 
 The content determines the kind: a JSON object is a momapos scene, a JSON list a BestMan scene, XML
-a URDF, which is a scene of one object.
+a URDF, which is a scene of one object, and YAML a map of Nav2.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from momapos.core import (
     write_atomic,
 )
 from momapos.core.geometry import pose_wxyz
-from momapos.model.scene.formats import foreign_kind
+from momapos.model.scene.formats import foreign_kind, is_map
 from momapos.model.urdf import Articulated, box_urdf, read_urdf
 
 from . import bestman
@@ -34,6 +34,7 @@ from .code_models import box_edges, save_model
 from .confidence import confidence_to_json, read_confidence
 from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from .hypotheses import hypotheses_to_json, read_hypotheses
+from .map_room import read_map_scene, with_map
 from .model_copies import model_files
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
@@ -48,7 +49,7 @@ MAX_OBJECTS = 2_000
 MIMIC_TOLERANCE = 1e-3
 """Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
 MAX_EDGE = 1e3  # maximum edge of a box [m]
-_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
+_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas", "map"}
 _OBJECT_KEYS = {
     "name", "category", "pose", "urdf", "scale", "joints", "closed", "box", "hypotheses",
     "confidence",
@@ -61,8 +62,8 @@ def load_scene(
     """Load a scene.
 
     Args:
-        source: Name of a built-in kitchen, or a file: a momapos scene, a BestMan scene, or the
-            URDF of a single object, which is placed on the floor at the origin.
+        source: Name of a built-in kitchen, or a file: a momapos scene, a BestMan scene, the URDF of
+            a single object, which is placed on the floor at the origin, or a map of Nav2.
         root: Folder that no path in the scene may leave; by default the file's folder, for a
             BestMan scene the parent folder that contains `Asset`.
         cache: Stores expensive geometry.
@@ -77,6 +78,10 @@ def load_scene(
     if not text.strip():
         raise FileFormatError(f"{path}: is empty")
     start, kind = text.lstrip("\ufeff \t\r\n")[:1], foreign_kind(text)
+    if is_map(text):
+        scene = read_map_scene(path, root)
+        check_room_size(scene)
+        return scene
     if kind is not None:
         raise FileFormatError(
             f"{path}: is in the format {kind}; convert it first with "
@@ -90,7 +95,8 @@ def load_scene(
         scene = read(data, path, root, cache)
     else:
         raise FileFormatError(
-            f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
+            f"{path}: neither a scene (JSON: a momapos scene or a BestMan list), nor a URDF, nor a "
+            "map (YAML with image, resolution and origin)"
         )
     _check_unique_names(scene)
     check_room_size(scene)
@@ -180,7 +186,7 @@ def _read_momapos(
         reader = _ObjectReader(item, where, path.parent, root, models)
         objects.append(reader.read())
         warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
-    return Scene(
+    scene = Scene(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
         objects=tuple(objects),
@@ -189,6 +195,9 @@ def _read_momapos(
         areas=read_areas(data.get("areas", {}), f"{path}: areas"),
         warnings=tuple(warnings),
     )
+    if data.get("map") is None:
+        return scene
+    return with_map(scene, _text(data["map"], f"{path}: map"), root)
 
 
 class _ObjectReader:
