@@ -13,7 +13,14 @@ from scipy.spatial import ConvexHull
 from momapos.core import UrdfError, read_xml
 from momapos.core.geometry import apply
 from momapos.model.scene.library import COLORS
-from momapos.model.urdf import MAX_URDF_BYTES, Geometry, Mesh, mesh_bytes, mesh_triangles, parse_mesh
+from momapos.model.urdf import (
+    MAX_URDF_BYTES,
+    Geometry,
+    Mesh,
+    mesh_bytes,
+    mesh_triangles,
+    parse_mesh,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float

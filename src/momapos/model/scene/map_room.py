@@ -180,9 +180,7 @@ def _distance(region: Bool[np.ndarray, "rows columns"]) -> Float[np.ndarray, "ro
 # ------------------------------------------------------------------------------------ the furniture
 
 
-def _covered(
-    grid: MapGrid, objects: Sequence[SceneObject]
-) -> Bool[np.ndarray, "rows columns"]:
+def _covered(grid: MapGrid, objects: Sequence[SceneObject]) -> Bool[np.ndarray, "rows columns"]:
     """Return the cells that show objects of the scene."""
     covered = np.zeros(grid.free.shape, bool)
     for item in objects:
@@ -278,7 +276,9 @@ def _from_edge(
 ) -> Float[np.ndarray, " n"]:
     along = b - a
     length = float(along @ along)
-    share = np.clip((points - a) @ along / length, 0.0, 1.0) if length > 0 else np.zeros(len(points))
+    share = (
+        np.clip((points - a) @ along / length, 0.0, 1.0) if length > 0 else np.zeros(len(points))
+    )
     return np.asarray(np.linalg.norm(points - a - share[:, None] * along, axis=1))
 
 
@@ -341,7 +341,7 @@ def _grown(
                 strip = list(r)
                 edge = r[2 * axis + end]
                 strip[2 * axis], strip[2 * axis + 1] = (edge, edge + 1) if end else (edge - 1, edge)
-                inside = 0 <= strip[2 * axis] and strip[2 * axis + 1] <= size[axis]
+                inside = strip[2 * axis] >= 0 and strip[2 * axis + 1] <= size[axis]
                 if not inside or count(bad, *strip) or not count(wanted, *strip):
                     break
                 r[2 * axis + end] += step

@@ -53,9 +53,7 @@ def _checked(where: str, vertices: object, faces: object) -> Mesh:
     corners = _faces(where, faces)
     for what, rows in (("vertices", points), ("triangles", corners)):
         if not 1 <= len(rows) <= MAX_ELEMENTS:
-            raise InputError(
-                f"{where} has {len(rows)} {what}; it must have 1 to {MAX_ELEMENTS}"
-            )
+            raise InputError(f"{where} has {len(rows)} {what}; it must have 1 to {MAX_ELEMENTS}")
     far = float(np.abs(points).max())
     if far > MAX_COORDINATE:
         raise InputError(
@@ -69,7 +67,9 @@ def _checked(where: str, vertices: object, faces: object) -> Mesh:
             f"{len(points)} vertices, counted from 0"
         )
     used, index = np.unique(corners, return_inverse=True)
-    spread = np.linalg.svd(points[used] - points[used].mean(0), compute_uv=False, full_matrices=False)
+    spread = np.linalg.svd(
+        points[used] - points[used].mean(0), compute_uv=False, full_matrices=False
+    )
     if len(used) < 3 or spread[1] < 1e-6 * np.sqrt(len(used)):
         raise InputError(f"{where} has no extent: its vertices lie on one line")
     return Mesh(points[used], index.reshape(-1, 3).astype(np.int64))
