@@ -86,7 +86,7 @@ class PassageRule:
 
 
 def _words(passage: Passage | None) -> str:
-    return str(passage or "obstacles close it off from the start")
+    return str(passage or "obstacles close it off from the start, with the arm at home")
 
 
 @dataclass(frozen=True, eq=False)

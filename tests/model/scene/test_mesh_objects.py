@@ -14,15 +14,15 @@ from numpy.testing import assert_allclose
 from tests.shapes import unchecked
 
 from momapos.core.errors import MomaposError
+from momapos.model.plan_files.plan_format import write_plan
+from momapos.model.robots.robot import load_robot
 from momapos.model.scene.formats.mjcf_writer import write_mjcf
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.urdf.meshes import mesh_triangles
-from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.grasps.task_requests import make_task
-from momapos.model.robots.robot import load_robot
+from momapos.planning.keyword_forms import plan_base_placement
 from momapos.verification.plan_check import verify_files
-from momapos.model.plan_files.plan_format import write_plan
 
 WEDGE = [[0, 0, 0], [0.6, 0, 0], [0, 0.4, 0], [0, 0, 0.8]]
 FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]

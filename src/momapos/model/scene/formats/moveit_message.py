@@ -90,7 +90,7 @@ class _Frames:
                 raise scene.error(f"fixed_frame_transforms: {waiting[0][1]!r} is its own parent")
             for parent, child, T in ready:
                 known[child] = known[parent] @ T
-            waiting = [row for row in waiting if row[0] not in known]
+            waiting = [row for row in waiting if row[1] not in known]
         return cls(known)
 
     def pose(self, name: str) -> Float[np.ndarray, "4 4"]:
@@ -198,8 +198,9 @@ class _Reader:
                 f"dimensions of a {kind} must be {_SIZES[kind]} numbers > 0, not {size.tolist()}"
             )
         if kind == "prism":
-            rows = one.part("polygon").parts("points")
-            corners = [as_numbers(p.value, 3, p.where, "xyz") for p in rows]
+            polygon = one.part("polygon")
+            where = f"{polygon.where}: a point"
+            corners = [as_numbers(p, 3, where, "xyz") for p in polygon.values("points")]
             if len(corners) < 3:
                 raise one.error("the polygon of a prism must have at least 3 points")
             self.report.approximated["prisms as their convex hulls"] += 1

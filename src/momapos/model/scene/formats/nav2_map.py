@@ -185,7 +185,11 @@ def _pixels(
             values = np.array(image, np.float32)
     except UnidentifiedImageError as error:
         raise FileFormatError(f"{path}: not an image in PGM, PNG or BMP") from error
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+    except Image.DecompressionBombError as error:
+        raise FileFormatError(
+            f"{path}: the image has more than {MAX_PIXELS:,} pixels; crop it or use larger cells"
+        ) from error
+    except (OSError, ValueError, SyntaxError, EOFError) as error:
         raise FileFormatError(f"{path}: a damaged image ({error})") from error
     if deep:
         return values / 65535, None
