@@ -234,7 +234,7 @@ def fit_box(
     points: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
     """Fit a small oriented box around points: center, rotation (axes as columns), half edges."""
-    vertices, faces = _convex(points, None)
+    vertices, faces = _convex(points, "a set of points")
     return _fit_box(vertices, faces)[:3]
 
 

@@ -123,9 +123,7 @@ def _obj_faces(path: Path, count: int) -> Int[np.ndarray, "t 3"]:
 def mesh_digest(path: Path | Mesh) -> bytes:
     """Return a hash of the content of a mesh."""
     if isinstance(path, Mesh):
-        content = hashlib.sha256(np.ascontiguousarray(path.vertices))
-        content.update(np.ascontiguousarray(path.faces))
-        return content.digest()
+        return hashlib.sha256(path.vertices.tobytes() + path.faces.tobytes()).digest()
     return hashlib.sha256(mesh_bytes(path)).digest()
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -206,12 +206,10 @@ class _Reader:
             self.report.approximated["prisms as their convex hulls"] += 1
             return self._mesh(prism(np.array(corners)[:, :2], float(size[0]), one.error), T)
         self.report.approximated["cones as cylinders"] += kind == "cone"
-        shape: Literal["box", "sphere", "cylinder"] = "cylinder"
-        if kind == "box" or kind == "sphere":
-            shape = kind
-            return Geometry(shape, tuple(size.tolist()), T)
-        height, radius = size.tolist()
-        return Geometry(shape, (radius, height), T)
+        if kind in ("cylinder", "cone"):
+            height, radius = size.tolist()
+            return Geometry("cylinder", (radius, height), T)
+        return Geometry("box" if kind == "box" else "sphere", tuple(size.tolist()), T)
 
     def count_dropped(self, scene: Message, world: Message) -> None:
         """Count what has no place in our scenes."""
