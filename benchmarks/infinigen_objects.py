@@ -78,7 +78,8 @@ def write(file: Path, usual: Usual, home: Path) -> Path:
 def _joint(joint: Joint, urdf: Urdf) -> Joint:
     """Return a joint: that of a door unchanged, others fixed; children of the root are turned."""
     T = _TURNED @ joint.T_parent_joint if joint.parent == urdf.root else joint.T_parent_joint
-    names = [shape.mesh.stem for shape in urdf.links[joint.child].visuals if shape.mesh]
+    meshes = [shape.mesh for shape in urdf.links[joint.child].visuals]
+    names = [mesh.stem for mesh in meshes if isinstance(mesh, Path)]
     turns = joint.kind == "revolute" and any(DOOR in name for name in names)
     return replace(joint, T_parent_joint=T, kind="revolute" if turns else "fixed")
 
@@ -91,7 +92,7 @@ def _solid(urdf: Urdf) -> Urdf:
 
 def _painted(shape: Geometry, home: Path) -> Geometry:
     """Replace the texture of a mesh by colors in a material file."""
-    assert shape.mesh is not None
+    assert isinstance(shape.mesh, Path)
     mesh = trimesh.load(shape.mesh, force="mesh", process=False)
     visual = mesh.visual if isinstance(mesh.visual, ColorVisuals) else mesh.visual.to_color()
     shades = visual.vertex_colors[mesh.faces, :3].mean(axis=1)

@@ -42,3 +42,4 @@ from .units import MAX as MAX
 from .units import Quantity as Quantity
 from .units import parse_quantity as parse_quantity
 from .versions import version_of as version_of
+from .yaml_files import parse_yaml as parse_yaml

@@ -13,22 +13,80 @@ from momapos.model.records import ArmPathResult, Attempt, PoseOutcome, PoseStatu
 from momapos.model.scene import Scene
 from momapos.planning.navigation import (
     BasePath,
+    CostMap,
     NavigationMap,
+    Passage,
+    ReachableFloor,
     gaps,
     leads_straight,
     plan_path,
     with_object_moved,
 )
-from momapos.planning.placement import AttemptPose
+from momapos.planning.placement import AttemptPose, PlacementGeometry, reachable_rectangle
 
 from .query import PlacementQuery
 from .task_setup import roomy_place
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 _MAX_INFLUENCE = 0.3
 """A moved part farther than this from the robot's path does not affect it [m]."""
+
+
+@dataclass(eq=False)
+class PassageRule:
+    """Rules out base poses to which the robot's smallest cross-section cannot get.
+
+    Most base poses are next to wide passages; the fill is computed for others only.
+    """
+
+    query: PlacementQuery
+    start: Float[np.ndarray, "3"]
+    costs: CostMap
+    _passage: str = ""
+
+    def keeps(
+        self, poses: Float[np.ndarray, "n 3"], _travel: Float[np.ndarray, " n"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Return which base poses may be reached."""
+        kept = self.costs.is_plainly_reached(poses[:, :2])
+        if kept.all():
+            return kept
+        with self.query.watch.stage("path"):
+            kept[~kept] = self._floor.contains(poses[~kept, :2])
+            if not kept.all() and not self._passage:
+                self._passage = _words(self._floor.passage(poses[~kept, :2]))
+        return kept
+
+    def no_way(self, *geometries: PlacementGeometry) -> str:
+        """Return why no base pose that serves all of some motions can be reached; "" if one may."""
+        each = [reachable_rectangle(one) for one in geometries]
+        known = np.array([one for one in each if one is not None])
+        if len(known) < len(each):
+            return ""
+        corners = np.stack([known[:, 0].max(0), known[:, 1].min(0)])
+        if (corners[0] > corners[1]).any() or self.costs.is_rectangle_plainly_reached(corners):
+            return ""
+        with self.query.watch.stage("path"):
+            if self._floor.meets(corners):
+                return ""
+            self._passage = _words(self._floor.passage(self._floor.centers(corners)))
+        return str(self.otherwise)
+
+    @cached_property
+    def _floor(self) -> ReachableFloor:
+        x, y = self.start[:2].tolist()
+        return ReachableFloor(self.query.nav_map, (x, y))
+
+    @property
+    def otherwise(self) -> PoseOutcome:
+        """Return the outcome of the others, which names the narrowest passage."""
+        return PoseOutcome(PoseStatus.NO_PASSAGE, self._passage)
+
+
+def _words(passage: Passage | None) -> str:
+    return str(passage or "obstacles close it off from the start, with the arm at home")
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
 from .result import PlacementResult, plan_of
 from .sliding_grasp import SlidingHook, sliding_hooks
-from .task_setup import PreparedTask, driving_lengths, prepare, start_pose
+from .task_setup import PreparedTask, cost_map, prepare, start_pose
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -94,7 +94,7 @@ def plan_at_pose(
         )
         # Driving lengths have the resolution of a cell.
         stays = np.array_equal(first, base)
-        length = 0.0 if stays else float(driving_lengths(look.prepared, first)(base[None, :2])[0])
+        length = 0.0 if stays else float(cost_map(look.prepared, first).lengths(base[None, :2])[0])
     with watch.stage("path"):
         path = plan_path(query.nav_map, first, base) if np.isfinite(length) else None
     attempt = look.attempt

@@ -23,7 +23,13 @@ from momapos.planning.arm_motion import (
     plan_with_clearance,
 )
 from momapos.planning.grasps import FULL_DOF, GraspFilter, stays_in_place, task_motion
-from momapos.planning.placement import GraspModeScorer, PlaceConfig, Problem, two_grasp_scorer
+from momapos.planning.placement import (
+    GraspModeScorer,
+    PlaceConfig,
+    PlacementGeometry,
+    Problem,
+    two_grasp_scorer,
+)
 
 from .config import PipelineConfig
 from .task_setup import PreparedTask, prepare
@@ -76,6 +82,13 @@ class TwoGrasps:
         """Return the tool poses at the end of the second grasp, rounded to the micrometer."""
         Ts = np.round(self.second.motion.Ts_world_tool[:, -1], 6) + 0.0
         return frozenset(T.tobytes() for T in Ts)
+
+    @property
+    def pulling(self) -> PlacementGeometry:
+        """Return the scene and the first grasp as placement takes them."""
+        first = self.first.motion
+        Ts = np.ascontiguousarray(first.Ts_world_tool[:, first.waypoint_steps])
+        return replace(self.whole.geometry, Ts_world_tool=Ts)
 
     def problem(self, problem: Problem) -> Problem:
         """Return the search's problem, for two grasps."""

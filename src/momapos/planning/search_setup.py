@@ -17,13 +17,13 @@ from momapos.planning.navigation import clear_at_home
 from momapos.planning.placement import AttemptPose, PlaceConfig, Problem, Search, search_in_order
 from momapos.planning.reachability import ReachMap
 
-from .base_paths import BasePaths, OnwardPaths
+from .base_paths import BasePaths, OnwardPaths, PassageRule
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps, two_grasp_searches
 from .result import PlacementResult, plan_of
 from .robust import RobustChecks
 from .sliding_grasp import SlidingHook, sliding_hooks
-from .task_setup import PreparedTask, driving_lengths, prepare, start_pose
+from .task_setup import PreparedTask, cost_map, prepare, start_pose
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -47,6 +47,7 @@ class SearchSetup:
     feasible: Feasibility
     """The check of base poses that the problem's check is built on."""
     drives: BasePaths
+    passage: PassageRule
     robust: RobustChecks | None
     """The check of base-pose robustness, if the query requires it."""
 
@@ -101,7 +102,10 @@ class SearchSetup:
     def with_grasps(self, variant: SlidingHook | TwoGrasps) -> Problem:
         """Return the problem, solved with more than one grasp."""
         attempt = _accepted(variant, self.drives, self.robust)
-        return replace(variant.problem(self.problem), attempt=attempt)
+        problem = variant.problem(self.problem)
+        also = [variant.pulling] if isinstance(variant, TwoGrasps) else []
+        reason = problem.infeasible_reason or self.passage.no_way(problem.geometry, *also)
+        return replace(problem, attempt=attempt, infeasible_reason=reason)
 
     def result(self, found: Search) -> PlacementResult:
         """Return the answer that a search found."""
@@ -132,7 +136,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         infeasible_reason = prepared.infeasible_reason
     with watch.stage("drive"):
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
-        travel_cost = driving_lengths(prepared, start)
+        costs = cost_map(prepared, start)
 
     # Time for compiling and reading, once after installation, does not count.
     spent = sum(watch.seconds.get(stage, 0.0) for stage in _SEARCHING)
@@ -145,26 +149,27 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
     drives, moves = BasePaths(query, start), query.task.joint is not None
     required = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
     robust = RobustChecks(query) if required else None
+    passage = PassageRule(query, start, costs)
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
         grid_reach=_optimistic(query.reach),
         mode_scorers=prepared.mode_scorers,
-        travel_cost=travel_cost,
+        travel_cost=costs.lengths,
         attempt=_accepted(feasible, drives, robust),
         screen=feasible.screen,
         grasp_step=prepared.motion.grasp_step,
-        infeasible_reason=infeasible_reason,
+        infeasible_reason=infeasible_reason or passage.no_way(prepared.geometry),
         start=start,
         out_of_time=out_of_time,
         keep_poses=None if query.keep_poses is None else query.kept,
         home_is_free=partial(_home_is_free, query) if moves else None,
         departure=OnwardPaths(drives) if moves and _checks_departure(config.place) else None,
         region=query.region,
-        rules=() if robust is None else (robust.rule(prepared.geometry),),
+        rules=(passage,) if robust is None else (passage, robust.rule(prepared.geometry)),
         fit=None if robot.chain.size >= FULL_DOF else partial(fitted_bases, robot, prepared.motion),
     )
-    return SearchSetup(query, prepared, problem, feasible, drives, robust)
+    return SearchSetup(query, prepared, problem, feasible, drives, passage, robust)
 
 
 def _checks_departure(place: PlaceConfig) -> bool:

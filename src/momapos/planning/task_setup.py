@@ -12,7 +12,7 @@ import numpy as np
 from momapos.core import Stopwatch
 from momapos.core.geometry import inscribed_radius
 from momapos.model.collision import CollisionWorld, build_world
-from momapos.model.records import Motion, Task, TravelCost
+from momapos.model.records import Motion, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import Feasibility, collision_free_grasps
@@ -29,6 +29,7 @@ from momapos.planning.grasps import (
     with_other_handle,
 )
 from momapos.planning.navigation import (
+    CostMap,
     NavigationMap,
     base_height,
     build_cost_map,
@@ -218,7 +219,7 @@ def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) ->
     )
 
 
-def driving_lengths(prepared: PreparedTask, start: Float[np.ndarray, "3"]) -> TravelCost:
+def cost_map(prepared: PreparedTask, start: Float[np.ndarray, "3"]) -> CostMap:
     """Return the driving lengths from a start, with every object where it is before the task.
 
     Args:
@@ -229,7 +230,7 @@ def driving_lengths(prepared: PreparedTask, start: Float[np.ndarray, "3"]) -> Tr
     polygon = prepared.scene.floor_polygon
     height = base_height(robot)
     plan = floor_plan(obstacles, height=height, floor_polygon=polygon, start=start[:2])
-    return build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint)).lengths
+    return build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
 
 
 def start_pose(

@@ -184,7 +184,7 @@ def test_walls_may_meet(second: list[list[float]], tmp_path: Path) -> None:
 def test_an_unknown_key_of_a_wall_is_reported(tmp_path: Path) -> None:
     walls = [{"from": [0, 0], "to": [1, 1], "hight": 2}]
     (words,) = load_scene(write(tmp_path, walls=walls)).warnings
-    assert "walls: wall_1: 'hight' is not known and was ignored; did you mean 'height'?" in words
+    assert "walls: wall 0: 'hight' is not known and was ignored; did you mean 'height'?" in words
 
 
 def test_walls_may_cross_furniture(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def test_a_base_pose_that_is_unreachable_with_the_arm_at_home_is_rejected(
     ).plan
     assert plan.status == "infeasible"
     reasons = " ".join(plan.candidates.rejections)
-    assert "no base path" in reasons
+    assert "no way to drive there: obstacles close it off" in reasons
 
 
 def test_outlines_after_a_task_are_those_of_the_object_in_the_scene_after_it(

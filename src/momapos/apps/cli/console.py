@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.model.records import NO_STAND, RULED_OUT
+from momapos.model.records import NO_STAND, RULED_OUT, PoseStatus
 from momapos.planning.placement import OURS
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ MAX_REASONS = 8
 _DEFAULT_WEIGHTS = {
     "driving": 1.0, "room": None, "clearance": 0.0, "manipulability": 0.0, "effort": 0.0,
 }  # fmt: skip
+_NO_PASSAGE = PoseStatus.NO_PASSAGE.value.partition("{")[0]
+"""Start of the reason that no passage is wide enough."""
 _TERMS = {"room": "missing robustness"}
 """Printed names of cost terms, where they differ from those in the plan file."""
 
@@ -211,12 +213,23 @@ def _why_not(answer: PlacementResult) -> str:
                 "all feasible base poses violate a restriction (areas, facing, driving distance); "
                 "the reasons are below"
             )
-        return "no feasible base pose; the reasons are below"
+        return _no_way(plan.candidates.rejections) or (
+            "no feasible base pose; the reasons are below"
+        )
     most = "to" if plan.feasible_sure else "at least to"
     return (
         f"not to {_value(answer, task.to)}, but {most} {_value(answer, smaller)} "
         f"from {_pose(plan.feasible_from)}"
     )
+
+
+def _no_way(rejections: Mapping[str, int]) -> str:
+    """Return which passage is too narrow, if that leaves no base pose to check the arm at."""
+    found = [word for word in rejections if word.startswith(_NO_PASSAGE)]
+    others = {status.value for status in NO_STAND}
+    if not found or not set(rejections) <= others.union(found):
+        return ""
+    return max(found, key=lambda word: rejections[word])
 
 
 def _only_kept_out(rejections: Mapping[str, int]) -> bool:

@@ -13,7 +13,14 @@ from scipy.spatial import ConvexHull
 from momapos.core import UrdfError, read_xml
 from momapos.core.geometry import apply
 from momapos.model.scene.library import COLORS
-from momapos.model.urdf import MAX_URDF_BYTES, Geometry, mesh_bytes, parse_mesh
+from momapos.model.urdf import (
+    MAX_URDF_BYTES,
+    Geometry,
+    Mesh,
+    mesh_bytes,
+    mesh_triangles,
+    parse_mesh,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -92,7 +99,9 @@ def _primitive(shape: Geometry) -> Float[np.ndarray, "n 3 3"]:
 # ------------------------------------------------------------------------------------------ meshes
 
 
-def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
+def _mesh(path: Path | Mesh) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
+    if isinstance(path, Mesh):
+        return [(mesh_triangles(path), None)]
     data = mesh_bytes(path)
     if path.suffix.lower() == ".obj":
         found = _obj(path, data.decode(errors="replace"))

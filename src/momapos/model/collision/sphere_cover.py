@@ -73,7 +73,7 @@ def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarra
 
 
 def _cover_shape(shape: Geometry, stick_out: float) -> _SphereCover:
-    if shape.mesh is None:
+    if not isinstance(shape.mesh, Path):
         return _compute_cover(shape, stick_out)
     # Cached, since the same mesh is covered for each arm, and each time the robot is loaded.
     T = shape.T_link_geometry

@@ -22,6 +22,7 @@ class PoseStatus(Enum):
     OFF_FLOOR = "base off the floor"
     BEYOND_ARM = "beyond the arm's reach"
     NO_ROUTE = "no base path"
+    NO_PASSAGE = "no way to drive there: {detail}"
     NO_ROUTE_AT_HOME = "no base path with the arm at home"
     OUT_OF_REACH = "out of reach"
     TOO_FEW_JOINTS = "too few arm joints to follow the motion"
@@ -46,6 +47,7 @@ RULED_OUT = (
 """The base fits there, but the query's region excludes it."""
 NO_STAND = (
     PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR, PoseStatus.BEYOND_ARM, PoseStatus.NO_ROUTE,
+    PoseStatus.NO_PASSAGE,
 )  # fmt: skip
 """The base does not fit or cannot get there, or the task is too far away."""
 NO_PATH = (

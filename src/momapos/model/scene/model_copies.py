@@ -21,7 +21,7 @@ def model_files(model: Articulated) -> tuple[Path, ...]:
     if model.urdf.path is None:
         return ()
     shapes = (s for link in model.urdf.links.values() for s in (*link.collisions, *link.visuals))
-    meshes = {shape.mesh: None for shape in shapes if shape.mesh is not None}
+    meshes = {shape.mesh: None for shape in shapes if isinstance(shape.mesh, Path)}
     return (model.urdf.path, *meshes)
 
 
@@ -126,7 +126,7 @@ def _moved(model: Articulated, places: Mapping[Path, Path]) -> Articulated:
         return model
 
     def shape(geometry: Geometry) -> Geometry:
-        if geometry.mesh is None:
+        if not isinstance(geometry.mesh, Path):
             return geometry
         return replace(geometry, mesh=places[geometry.mesh])
 

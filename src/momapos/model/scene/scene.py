@@ -14,7 +14,14 @@ import numpy as np
 from momapos.core import SceneError, as_path, finite_array, finite_number, unknown_name
 from momapos.core.geometry import apply, pose, pose_planar, upright_frame
 from momapos.model.records import Confidence, Hypothesis, Outline
-from momapos.model.urdf import Articulated, Boxes, box_urdf, read_urdf
+from momapos.model.urdf import (
+    Articulated,
+    Boxes,
+    box_urdf,
+    mesh_model,
+    read_urdf,
+    trimesh_parts,
+)
 
 from .scene_keys import IgnoredKey
 from .walls import Wall, wall_name, walls_around
@@ -86,6 +93,66 @@ class SceneObject:
         """Return the solid box of a wall."""
         box = cls.box(name, wall.size, wall.center, yaw=wall.yaw, category="wall")
         return replace(box, wall=wall)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        name: str,
+        vertices: object,
+        faces: object,
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        category: str = "",
+    ) -> SceneObject:
+        """Return a rigid object from the triangles of its surface.
+
+        Its collision shape is the convex hull of the mesh. An object of several hulls is made by
+        `from_trimesh` from a scene, or as several objects.
+
+        Args:
+            name: Unique name in its scene.
+            vertices: Corners (v, 3) in the object's frame, z up [m].
+            faces: Triangles (f, 3) as indices of vertices, from 0.
+            xyz: Origin of its frame in the world [m].
+            yaw: Rotation about the world's z [rad].
+            category: For example "table".
+
+        Raises:
+            InputError: The vertices or faces are no mesh.
+            UrdfError: The mesh has no volume and no area.
+        """
+        model = Articulated(mesh_model(name, [(vertices, faces)]))
+        return cls(name, category, _planar_pose(xyz, yaw), model)
+
+    @classmethod
+    def from_trimesh(
+        cls,
+        name: str,
+        mesh: object,
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        category: str = "",
+    ) -> SceneObject:
+        """Return a rigid object from a `trimesh.Trimesh` or a `trimesh.Scene`.
+
+        Each placed mesh of a scene gets a convex hull of its own.
+
+        Args:
+            name: Unique name in its scene.
+            mesh: The mesh or scene in the object's frame, z up. If it declares units, it is
+                converted to meters.
+            xyz: Origin of its frame in the world [m].
+            yaw: Rotation about the world's z [rad].
+            category: For example "table".
+
+        Raises:
+            InputError: The mesh is none, or its vertices, faces or units are invalid.
+            UrdfError: A mesh has no volume and no area.
+        """
+        model = Articulated(mesh_model(name, trimesh_parts(name, mesh)))
+        return cls(name, category, _planar_pose(xyz, yaw), model)
 
     @classmethod
     def from_urdf(

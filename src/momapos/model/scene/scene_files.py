@@ -1,7 +1,7 @@
 """Read scene files of several kinds, and write momapos scenes.
 
 The content determines the kind: a JSON object is a momapos scene, a JSON list a BestMan scene, XML
-a URDF, which is a scene of one object.
+a URDF, which is a scene of one object, and YAML a map of Nav2.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ from momapos.core import (
     write_atomic,
 )
 from momapos.core.geometry import pose_wxyz
-from momapos.model.scene.formats import foreign_kind
+from momapos.model.scene.formats import foreign_kind, is_map
 from momapos.model.urdf import Articulated, box_urdf, read_urdf
 
 from . import bestman
+from .code_models import box_edges, save_model
 from .confidence import confidence_to_json, read_confidence
 from .floor_areas import MAX_DISTANCE, read_areas, read_floor, read_numbers, read_start
 from .hypotheses import hypotheses_to_json, read_hypotheses
+from .map_room import read_map_scene, with_map
 from .model_copies import model_files
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
@@ -57,8 +59,8 @@ def load_scene(
     """Load a scene.
 
     Args:
-        source: Name of a built-in kitchen, or a file: a momapos scene, a BestMan scene, or the
-            URDF of a single object, which is placed on the floor at the origin.
+        source: Name of a built-in kitchen, or a file: a momapos scene, a BestMan scene, the URDF of
+            a single object, which is placed on the floor at the origin, or a map of Nav2.
         root: Folder that no path in the scene may leave; by default the file's folder, for a
             BestMan scene the parent folder that contains `Asset`.
         cache: Stores expensive geometry.
@@ -73,6 +75,10 @@ def load_scene(
     if not text.strip():
         raise FileFormatError(f"{path}: is empty")
     start, kind = text.lstrip("\ufeff \t\r\n")[:1], foreign_kind(text)
+    if is_map(text):
+        scene = read_map_scene(path, root)
+        check_room_size(scene)
+        return scene
     if kind is not None:
         raise FileFormatError(
             f"{path}: is in the format {kind}; convert it first with "
@@ -86,7 +92,8 @@ def load_scene(
         scene = read(data, path, root, cache)
     else:
         raise FileFormatError(
-            f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
+            f"{path}: neither a scene (JSON: a momapos scene or a BestMan list), nor a URDF, nor a "
+            "map (YAML with image, resolution and origin)"
         )
     _check_unique_names(scene)
     check_room_size(scene)
@@ -178,7 +185,7 @@ def _read_momapos(
         objects.append(_ObjectReader(item, where, path.parent, root, models).read())
     floor = read_floor(data.get("floor"), f"{path}: floor")
     walls = read_walls(data.get("walls"), floor, f"{path}: walls")
-    return Scene(
+    scene = Scene(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
         objects=tuple(objects),
@@ -188,6 +195,9 @@ def _read_momapos(
         warnings=tuple(map(str, ignored)),
         ignored_keys=ignored,
     ).with_walls(walls)
+    if data.get("map") is None:
+        return scene
+    return with_map(scene, _text(data["map"], f"{path}: map"), root)
 
 
 class _ObjectReader:
@@ -304,6 +314,8 @@ def _text(value: object, where: str) -> str:
 def save_scene(scene: Scene, path: str | Path) -> Scene:
     """Write a scene in the momapos format atomically.
 
+    Models that were made from meshes are written to `<stem>_files` next to it.
+
     Returns:
         The scene of that file, so that plans in it can be verified.
 
@@ -313,8 +325,7 @@ def save_scene(scene: Scene, path: str | Path) -> Scene:
     """
     expect("scene", scene, Scene)
     path = as_path("path", path)
-    folder = path.resolve().parent
-    entries = [_object(item, folder) for item in scene.objects if item.wall is None]
+    entries = [_object(item, path) for item in scene.objects if item.wall is None]
     objects = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
@@ -365,7 +376,8 @@ def write_text_atomic(path: Path, text: str) -> None:
         raise SceneError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
+def _object(item: SceneObject, path: Path) -> dict[str, Any]:
+    folder = path.resolve().parent
     T, urdf = item.T_world_object, item.model.urdf
     from scipy.spatial.transform import Rotation
 
@@ -376,7 +388,11 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
         **object_members(item),
     }
     if urdf.path is None:
-        return {**entry, "box": list(urdf.links[urdf.root].collisions[0].size)}
+        edges = box_edges(urdf)
+        if edges is not None:
+            return {**entry, "box": list(edges)}
+        file = save_model(item.name, urdf, folder / f"{path.stem}_files")
+        return {**entry, "urdf": f"{file.parent.name}/{file.name}", "joints": dict(item.joints)}
     for file in model_files(item.model):
         if not file.resolve().is_relative_to(folder):
             raise SceneError(

@@ -43,6 +43,7 @@ SCENE_KEYS: Keys = {
     "name": None,
     "floor": None,
     "walls": dict.fromkeys(("from", "to", "height", "thickness")),
+    "map": None,
     "start": {"x": None, "y": None, "yaw": None},
     "areas": Named(None),
     "objects": _OBJECT,
@@ -104,7 +105,8 @@ def _unknown(data: Any, keys: Keys, where: str, owner: str) -> Iterator[IgnoredK
     if isinstance(data, list):
         for index, item in enumerate(data):
             named = _name_of(item) if not owner else ""
-            at = f"{where} {index}" if owner else f"{where}: object {index}"
+            what = "wall" if where.endswith(": walls") else "object"
+            at = f"{where} {index}" if owner else f"{where}: {what} {index}"
             yield from _unknown(item, keys, f"{at} ({named!r})" if named else at, owner or named)
         return
     if not isinstance(data, dict):

@@ -1,5 +1,7 @@
 from .articulated import Articulated as Articulated
 from .articulated import joint_motion as joint_motion
+from .code_meshes import mesh_model as mesh_model
+from .code_meshes import trimesh_parts as trimesh_parts
 from .coupling import check_coupled as check_coupled
 from .coupling import leader_of as leader_of
 from .hull_void import hull_space as hull_space
@@ -28,6 +30,7 @@ from .urdf_records import Geometry as Geometry
 from .urdf_records import Joint as Joint
 from .urdf_records import JointKind as JointKind
 from .urdf_records import Link as Link
+from .urdf_records import Mesh as Mesh
 from .urdf_records import Mimic as Mimic
 from .urdf_records import Urdf as Urdf
 from .urdf_tree import MAX_LINKS as MAX_LINKS

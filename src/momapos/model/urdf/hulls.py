@@ -135,13 +135,14 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
     if geometry.kind == "box" and min(geometry.size) > MIN_BOX_EDGE:
         vertices, faces = _unique_rows(np.round(points, 7)), _BOX_FACES.copy()
     else:
-        vertices, faces = _convex(points, geometry.mesh)
+        file = geometry.mesh if isinstance(geometry.mesh, Path) else None
+        vertices, faces = _convex(points, str(file or link))
     return Hull(apply(geometry.T_link_geometry, vertices), faces, geometry.name or link)
 
 
 def hull_around(points: Float[np.ndarray, "n 3"], name: str) -> Hull:
     """Return the convex hull of points; flat sets get a thickness of 1 mm."""
-    return Hull(*_convex(points, None), name)
+    return Hull(*_convex(points, name), name)
 
 
 def _primitive_points(geometry: Geometry) -> Float[np.ndarray, "n 3"]:
@@ -163,7 +164,7 @@ def _primitive_points(geometry: Geometry) -> Float[np.ndarray, "n 3"]:
     return np.array(trimesh.creation.icosphere(2, geometry.size[0] * 1.02).vertices)
 
 
-def _convex(points: Float[np.ndarray, "n 3"], path: Path | None) -> tuple[np.ndarray, np.ndarray]:
+def _convex(points: Float[np.ndarray, "n 3"], where: str) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and outward faces of the convex hull; see `hull_around`."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -176,7 +177,7 @@ def _convex(points: Float[np.ndarray, "n 3"], path: Path | None) -> tuple[np.nda
         try:
             hull = ConvexHull(_thicken(points), qhull_options="QJ")
         except QhullError as error:
-            raise UrdfError(f"{path}: the mesh has no volume") from error
+            raise UrdfError(f"{where}: the mesh has no volume") from error
     index = np.full(len(hull.points), -1)
     index[hull.vertices] = np.arange(len(hull.vertices))
     vertices, faces = hull.points[hull.vertices], index[hull.simplices]
@@ -233,7 +234,7 @@ def fit_box(
     points: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
     """Fit a small oriented box around points: center, rotation (axes as columns), half edges."""
-    vertices, faces = _convex(points, None)
+    vertices, faces = _convex(points, "a set of points")
     return _fit_box(vertices, faces)[:3]
 
 

@@ -24,6 +24,8 @@ import numpy as np
 
 from momapos.core import UrdfError, read_bytes_bounded
 
+from .urdf_records import Mesh
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
@@ -38,12 +40,14 @@ MAX_COORDINATE = 1e7
 """Largest coordinate in a mesh file, in its own unit."""
 
 
-def mesh_points(path: Path) -> Float[np.ndarray, "n 3"]:
-    """Read the vertices of a mesh.
+def mesh_points(path: Path | Mesh) -> Float[np.ndarray, "n 3"]:
+    """Return the vertices of a mesh file, or of a mesh in memory.
 
     Raises:
         UrdfError: The mesh is unreadable, too large, empty, or contains NaN.
     """
+    if isinstance(path, Mesh):
+        return path.vertices
     try:
         return _points(path, os.stat(path).st_mtime_ns)
     except OSError as error:
@@ -79,13 +83,15 @@ def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
         raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
 
 
-def mesh_triangles(path: Path) -> Float[np.ndarray, "t 3 3"]:
-    """Read the triangles of a mesh; polygons become fans.
+def mesh_triangles(path: Path | Mesh) -> Float[np.ndarray, "t 3 3"]:
+    """Return the triangles of a mesh file, or of a mesh in memory; polygons become fans.
 
     Raises:
         UrdfError: As for `mesh_points`, or a face uses a vertex that does not exist.
     """
     points = mesh_points(path)
+    if isinstance(path, Mesh):
+        return np.asarray(points[path.faces])
     if path.suffix.lower() == ".obj":
         faces = _obj_faces(path, len(points))
     else:
@@ -114,8 +120,10 @@ def _obj_faces(path: Path, count: int) -> Int[np.ndarray, "t 3"]:
     return np.array(faces, np.int64).reshape(-1, 3)
 
 
-def mesh_digest(path: Path) -> bytes:
-    """Return a hash of the content of a mesh file."""
+def mesh_digest(path: Path | Mesh) -> bytes:
+    """Return a hash of the content of a mesh."""
+    if isinstance(path, Mesh):
+        return hashlib.sha256(path.vertices.tobytes() + path.faces.tobytes()).digest()
     return hashlib.sha256(mesh_bytes(path)).digest()
 
 

@@ -22,7 +22,7 @@ from momapos.core import Cache, UrdfError, read_text_bounded
 from .coupling import follow
 from .mesh_files import MeshFinder
 from .model_cache import once
-from .urdf_records import Geometry, Joint, JointKind, Link, Mimic, Urdf
+from .urdf_records import Geometry, Joint, JointKind, Link, Mesh, Mimic, Urdf
 from .urdf_tree import MAX_LINKS, MAX_URDF_BYTES, fix_root_joints, mimics, needed, read_tree
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ __all__ = [
     "Joint",
     "JointKind",
     "Link",
+    "Mesh",
     "Mimic",
     "Urdf",
     "box_urdf",

@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh in memory."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """[m]"""
+    faces: Int[np.ndarray, "f 3"]
+    """Vertex indices, from 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +36,8 @@ class Geometry:
     """Pose in the link frame; cylinders lie along z."""
     name: str = ""
     """Name of the `collision` or `visual` element, often empty."""
-    mesh: Path | None = None
+    mesh: Path | Mesh | None = None
+    """File of a mesh, or the mesh itself if it was made in code."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from .global_path import leads_straight as leads_straight
 from .global_path import plan_path as plan_path
 from .localization import NoiseConfig as NoiseConfig
 from .outline_gaps import gaps as gaps
+from .reachable_floor import Passage as Passage
+from .reachable_floor import ReachableFloor as ReachableFloor
 from .start import check_arm_at_home as check_arm_at_home
 from .start import check_base as check_base
 from .start import clear_at_home as clear_at_home

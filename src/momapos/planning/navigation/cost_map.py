@@ -29,6 +29,10 @@ _MAX_EXTENSION = 10.0
 """Largest extension of the map toward a start outside it [m]."""
 
 
+_NEAR = 0.25
+"""Largest distance of a base pose next to furniture from a place with more clearance [m]."""
+
+
 @dataclass(frozen=True, eq=False)
 class CostMap:
     """Geodesic distance from the start to every cell, for a disc inscribed in the base."""
@@ -38,6 +42,8 @@ class CostMap:
     distance: Float[np.ndarray, "rows columns"]
     """Driving length to the center of each cell [m], infinite without a path."""
     free: Bool[np.ndarray, "rows columns"]
+    wide: Bool[np.ndarray, "rows columns"]
+    """Cells where the disc fits with a cell to spare, so that the grid does not decide."""
 
     def lengths(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """Return the driving lengths to positions [m], infinite without a path.
@@ -54,6 +60,26 @@ class CostMap:
         # Positions off the map are clipped to its border.
         value = self._bordered[np.clip(i + 1, 0, rows + 1), np.clip(j + 1, 0, columns + 1)]
         return (value + np.sqrt(dx * dx + dy * dy)).min(axis=0)
+
+    def is_plainly_reached(self, xy: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Return which positions are next to cells that wide passages connect to the start."""
+        rows, columns = self.distance.shape
+        j, i = np.floor((xy - self.origin) / CELL).astype(int).T
+        near = self._near_wide[np.clip(i, 0, rows - 1), np.clip(j, 0, columns - 1)]
+        return np.asarray(near)
+
+    def is_rectangle_plainly_reached(self, corners: Float[np.ndarray, "2 2"]) -> bool:
+        """Return whether some position in a rectangle is plainly reached."""
+        rows, columns = self.distance.shape
+        low, high = np.floor((corners - self.origin) / CELL).astype(int)
+        low, high = np.clip([low, high + 1], 0, [columns, rows])
+        return bool(self._near_wide[low[1] : high[1], low[0] : high[0]].any())
+
+    @cached_property
+    def _near_wide(self) -> Bool[np.ndarray, "rows columns"]:
+        sources = np.flatnonzero(self.wide & (self.distance <= self.distance.min() + _NEAR))
+        reached = np.isfinite(path_lengths(self.wide, sources, CELL))
+        return clearance(reached, cap=_NEAR / CELL + 1.0) * CELL <= _NEAR
 
     @cached_property
     def _bordered(self) -> Float[np.ndarray, "rows_and_2 columns_and_2"]:
@@ -156,10 +182,11 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
         radius: Radius of the base's inscribed circle [m].
     """
     rows, columns = plan.blocked.shape
-    free = clearance(plan.blocked, cap=radius / CELL + 1.0) * CELL > radius
+    clear = clearance(plan.blocked, cap=radius / CELL + 2.0) * CELL
+    free, wide = clear > radius, clear > radius + CELL
     j, i = np.clip(((start - plan.origin) / CELL).astype(int), 0, [columns - 1, rows - 1])
     free[i, j] = True
     distance = path_lengths(free, np.array([i * columns + j]), CELL)
     edge = plan.origin + np.array([columns, rows]) * CELL
     beyond = float(np.linalg.norm(start - np.clip(start, plan.origin, edge)))
-    return CostMap(plan.origin, distance + beyond, free)
+    return CostMap(plan.origin, distance + beyond, free, wide)

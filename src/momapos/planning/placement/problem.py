@@ -27,7 +27,7 @@ from momapos.model.records import (
 from .area import PlacementGeometry
 from .fitting import FitPoses
 from .grasp_scores import GraspModeScorer
-from .region import BasePoseRule
+from .region import PoseRule
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -171,7 +171,7 @@ class Problem:
     checked."""
     region: BaseRegion = ANYWHERE
     """Where the base may stand."""
-    rules: tuple[BasePoseRule, ...] = ()
+    rules: tuple[PoseRule, ...] = ()
     """Further conditions on base poses."""
     fit: FitPoses | None = None
     """Moves base poses to feasible ones nearby, for arms of few joints."""

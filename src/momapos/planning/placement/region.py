@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,8 +16,23 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 
-class BasePoseRule(NamedTuple):
+class PoseRule(Protocol):
     """One condition on base poses."""
+
+    def keeps(
+        self, poses: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"], /
+    ) -> Bool[np.ndarray, " n"]:
+        """Return which base poses satisfy it, given the driving length to each [m]."""
+        ...
+
+    @property
+    def otherwise(self) -> PoseOutcome:
+        """Return the outcome of the others."""
+        ...
+
+
+class BasePoseRule(NamedTuple):
+    """One condition on base poses, see `PoseRule`."""
 
     keeps: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
     """Return which base poses satisfy it, given the driving length to each [m]."""

@@ -13,7 +13,7 @@ from .area import BaseStatus, base_pose_status
 from .fitting import fitted
 from .grasp_scores import GraspModeScorer, GraspModeScores
 from .problem import Problem, Search
-from .region import rules
+from .region import PoseRule, rules
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -85,7 +85,8 @@ def cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> Sh
     travel = problem.travel_cost(poses[row, :2])
     left = Shortlist(poses[row], row, travel, outcomes, np.zeros(len(poses), bool))
     left.keep(np.isfinite(travel), PoseOutcome(PoseStatus.NO_ROUTE))
-    for rule in (*rules(problem.region, problem.geometry), *problem.rules):
+    every: tuple[PoseRule, ...] = (*rules(problem.region, problem.geometry), *problem.rules)
+    for rule in every:
         left.keep(rule.keeps(left.poses, left.travel), rule.otherwise)
     if problem.keep_poses is not None:
         left.keep(problem.keep_poses(left.poses), PoseOutcome(PoseStatus.FILTERED))

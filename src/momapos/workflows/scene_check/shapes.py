@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -131,7 +132,7 @@ def _hulls(item: SceneObject) -> Iterator[Finding]:
         return
     free, ratio, link, index = max(found)
     mesh = item.model.urdf.links[link].collisions[index].mesh
-    name = "its mesh" if mesh is None else mesh.name
+    name = mesh.name if isinstance(mesh, Path) else "its mesh"
     text = (
         f"{item.name}/{link}: the convex hull of collision element {index} ({name}) is "
         f"{min(ratio, 100.0):.1f} times as large as the mesh and fills {1000 * free:.0f} l of "

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core import unknown_name
-from momapos.model.urdf import Urdf
+from momapos.model.urdf import Mesh, Urdf
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Float
 
 DECIMALS = 6
 """Decimals of the vertices of a written mesh [m]."""
@@ -28,16 +28,6 @@ class JointResistance:
     """[Nms/rad] or [Ns/m]"""
     friction: float
     """[Nm] or [N]"""
-
-
-@dataclass(frozen=True, eq=False)
-class Mesh:
-    """Triangle mesh."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    """[m]"""
-    faces: Int[np.ndarray, "f 3"]
-    """Vertex indices, from 0."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,10 @@ from momapos.model.scene.bestman import category_of
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import VERSION, load_scene
 from momapos.model.scene.scene_names import FORMAT
+from momapos.model.urdf import Mesh
 
-from .imported_room import DECIMALS, ImportedRoom, Mesh, Names, RoomObject
-from .urdf_writer import urdf_text
+from .imported_room import DECIMALS, ImportedRoom, Names, RoomObject
+from .urdf_writer import obj_text, urdf_text
 
 _MEMBERS = ("category", "hypotheses", "confidence")
 """Extras of an object that its entry contains."""
@@ -79,7 +80,7 @@ def _naming(source: Path, folder: Path) -> Iterator[None]:
 def _write_files(room: ImportedRoom, folder: Path) -> str:
     """Write URDF and mesh files, and return the text of the scene file for their folder."""
     for file, mesh in room.meshes.items():
-        (folder / file).write_text(_obj_text(mesh), encoding="ascii")
+        (folder / file).write_text(obj_text(_rounded(mesh)), encoding="ascii")
     files = Names()
     entries = []
     for item in room.objects:
@@ -106,8 +107,5 @@ def _entry(item: RoomObject, urdf: str) -> dict[str, Any]:
     }
 
 
-def _obj_text(mesh: Mesh) -> str:
-    points = np.round(mesh.vertices, DECIMALS) + 0.0
-    lines = [f"v {x:.{DECIMALS}f} {y:.{DECIMALS}f} {z:.{DECIMALS}f}" for x, y, z in points.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-    return "\n".join([*lines, ""])
+def _rounded(mesh: Mesh) -> Mesh:
+    return Mesh(np.round(mesh.vertices, DECIMALS), mesh.faces)

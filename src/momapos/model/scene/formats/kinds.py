@@ -12,7 +12,7 @@ from momapos.core import open_regular
 if TYPE_CHECKING:
     from .imported_room import ImportedRoom
 
-Kind = Literal["MJCF", "MoveIt", "SDF", "USD"]
+Kind = Literal["MJCF", "MoveIt", "MoveIt message", "SDF", "USD"]
 _ROOTS: dict[str, Kind] = {"mujoco": "MJCF", "sdf": "SDF"}
 """Formats by their XML root element."""
 _FIRST = re.compile(
@@ -20,6 +20,11 @@ _FIRST = re.compile(
 )
 _PLANNING_SCENE = re.compile(r"[^\n]*\n\s*(\*\s|\.\s*\Z)")
 """A name, followed by an object or the end."""
+_MESSAGE = re.compile(
+    r"^(world|collision_objects|fixed_frame_transforms|allowed_collision_matrix|robot_model_name)"
+    r"\s*:(\s|$)", re.M,
+)  # fmt: skip
+"""A field of a planning scene's message, at the start of a line."""
 _USD = ("#usda", "PXR-USDC")
 _DETECTION_BYTES = 1 << 16
 """Number of bytes that determine the format [bytes]."""
@@ -33,7 +38,10 @@ def foreign_kind(text: str) -> Kind | None:
     first = _FIRST.match(text)
     if first is not None:
         return _ROOTS.get(first[1])
-    return "MoveIt" if _PLANNING_SCENE.match(text) else None
+    if _PLANNING_SCENE.match(text):
+        return "MoveIt"
+    plain = not text.lstrip().startswith(("{", "[", "<"))
+    return "MoveIt message" if plain and _MESSAGE.search(text) else None
 
 
 def kind_of_file(path: Path) -> Kind | None:
@@ -63,11 +71,12 @@ def read_room(kind: Kind, path: Path, root: Path | None) -> ImportedRoom:
 
 def _reader(kind: Kind) -> Callable[[Path, Path], ImportedRoom]:
     """Return the reader of a format, imported on demand."""
-    from . import mjcf, moveit, sdf, usd
+    from . import mjcf, moveit, moveit_message, sdf, usd
 
     readers: dict[Kind, Callable[[Path, Path], ImportedRoom]] = {
         "MJCF": mjcf.read_room,
         "MoveIt": moveit.read_room,
+        "MoveIt message": moveit_message.read_room,
         "SDF": sdf.read_room,
         "USD": usd.read_room,
     }

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core.geometry import pose_wxyz
-from momapos.model.urdf import Geometry
+from momapos.model.urdf import Geometry, Mesh
 
 from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
-from .imported_room import Mesh
 
 if TYPE_CHECKING:
     from jaxtyping import Float

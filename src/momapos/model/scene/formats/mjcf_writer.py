@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import object_members, room_members, write_text_atomic
-from momapos.model.urdf import Geometry, Joint, hull_of, joint_motion, mesh_triangles
+from momapos.model.urdf import Geometry, Joint, Mesh, hull_of, joint_motion, mesh_triangles
 
-from .imported_room import Mesh, Names
+from .imported_room import Names
 from .mjcf_files import OWN_TEXT
 from .urdf_writer import numbers
 
@@ -64,7 +64,7 @@ class _Writer:
         self.world = SubElement(self.tree, "worldbody")
         SubElement(self.world, "geom", name="floor", type="plane", size="0 0 0.05")
         self.couplings = SubElement(self.tree, "equality")
-        self.meshes: dict[tuple[Path, tuple[float, ...]], str] = {}
+        self.meshes: dict[tuple[Path | Mesh, tuple[float, ...]], str] = {}
         self.objects: dict[str, dict[str, Any]] = {}
         """Members of the scene file by object."""
         self.names = Names()

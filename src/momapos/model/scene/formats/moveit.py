@@ -15,10 +15,10 @@ import numpy as np
 from momapos.core import FileFormatError, read_text_bounded
 from momapos.core.geometry import pose_wxyz
 from momapos.model.scene.scene_names import MAX_BYTES
-from momapos.model.urdf import Geometry, Link, Urdf
+from momapos.model.urdf import Geometry, Link, Mesh, Urdf
 
 from .composed_shapes import MIN_FLOOR_NORMAL_Z
-from .imported_room import ImportedRoom, ImportReport, Mesh, Names, RoomObject
+from .imported_room import ImportedRoom, ImportReport, Names, RoomObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float

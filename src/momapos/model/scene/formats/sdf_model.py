@@ -13,10 +13,10 @@ import numpy as np
 
 from momapos.core import FileFormatError
 from momapos.core.geometry import invert, pose, pose_rpy, rotation_of
-from momapos.model.urdf import Geometry, Joint, JointKind, Link, Urdf, mesh_triangles
+from momapos.model.urdf import Geometry, Joint, JointKind, Link, Mesh, Urdf, mesh_triangles
 
 from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
-from .imported_room import ImportReport, JointResistance, Mesh, Names, RoomObject
+from .imported_room import ImportReport, JointResistance, Names, RoomObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -1,15 +1,16 @@
-"""Write records of links and joints as a URDF."""
+"""Write records of links and joints as a URDF, and their meshes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from momapos.model.urdf import Geometry, Joint, Urdf
+from momapos.model.urdf import Geometry, Joint, Mesh, Urdf
 
 from .imported_room import JointResistance
 
@@ -17,11 +18,19 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
+def obj_text(mesh: Mesh) -> str:
+    """Return a mesh as an OBJ file with all digits, so that it round-trips."""
+    points, faces = (mesh.vertices + 0.0).tolist(), (mesh.faces + 1).tolist()
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points]
+    lines += [f"f {a} {b} {c}" for a, b, c in faces]
+    return "\n".join([*lines, ""])
+
+
 def urdf_text(urdf: Urdf, resistance: Mapping[str, JointResistance]) -> str:
     """Return records as a URDF.
 
     Args:
-        urdf: The records; mesh names are kept.
+        urdf: The records; names of mesh files are kept.
         resistance: Resistance of joints by name, for `<dynamics>`.
     """
     robot = Element("robot", name=urdf.name)
@@ -42,7 +51,7 @@ def _shape(element: Element, shape: Geometry) -> None:
     _origin(element, shape.T_link_geometry)
     geometry = SubElement(SubElement(element, "geometry"), shape.kind)
     if shape.kind == "mesh":
-        assert shape.mesh is not None
+        assert isinstance(shape.mesh, Path)
         geometry.set("filename", shape.mesh.as_posix())
         geometry.set("scale", numbers(shape.size))
     elif shape.kind == "box":

@@ -9,10 +9,10 @@ import numpy as np
 
 from momapos.core import FileFormatError
 from momapos.core.geometry import invert, pose, pose_rpy
-from momapos.model.urdf import MAX_POINTS, Geometry
+from momapos.model.urdf import MAX_POINTS, Geometry, Mesh
 
 from .composed_shapes import capsule, ellipsoid
-from .imported_room import ImportReport, Mesh
+from .imported_room import ImportReport
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

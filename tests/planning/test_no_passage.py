@@ -1,0 +1,76 @@
+"""A goal behind a passage that is too narrow is refused before arms are checked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room
+
+from momapos.apps.cli.main import main
+from momapos.model.records.outcomes import PoseStatus
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import save_scene
+from momapos.planning.arm_motion.feasibility import Feasibility
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.placement.config import PlaceConfig
+
+FLOOR = np.array([[-2.0, -4.0], [2.0, -4.0], [2.0, 0.1], [-2.0, 0.1]])
+
+
+def room(folder: Path, width: float, *, cut: float = -2.2) -> Scene:
+    """Return a cabinet behind a wall with a doorway."""
+    walls = tuple(
+        SceneObject.box(name, (2.0, 0.1, 2.0), (side * (width / 2 + 1.0), cut, 1.0))
+        for name, side in (("left", -1), ("right", 1))
+    )
+    scene = cabinet_room(folder)
+    return replace(scene, objects=(*scene.objects, *walls), floor_polygon=FLOOR)
+
+
+@pytest.mark.parametrize("cut", [-2.2, -2.5])
+def test_arms_are_not_checked_behind_a_narrow_door(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: float
+) -> None:
+    screened: list[int] = []
+
+    def spied(_self: Feasibility, bases: np.ndarray, *_rest: object) -> None:
+        screened.append(len(bases))
+
+    monkeypatch.setattr(Feasibility, "screen", spied)
+    scene, robot = room(tmp_path, 0.65, cut=cut), load_robot("husky_ur5e")
+    task, start = make_task(scene, "open", "cabinet", "hinge"), np.array([0.0, -3.2, 0.0])
+    plan = plan_base_placement(scene, robot, task, Everywhere(), start=start).plan
+    assert plan.status == "infeasible"
+    assert not screened
+    words = [word for word in plan.candidates.rejections if word.startswith("no way to drive")]
+    assert words == [
+        "no way to drive there: 65 cm between left and right, and the robot needs 69 cm"
+    ] or words == ["no way to drive there: 65 cm between right and left, and the robot needs 69 cm"]
+
+
+def test_poses_on_the_near_side_of_a_narrow_door_are_still_tried(tmp_path: Path) -> None:
+    """The door stands so close to the cabinet that poses on both sides are within reach."""
+    scene, robot = room(tmp_path, 0.6, cut=-1.2), load_robot("husky_ur5e")
+    task, start = make_task(scene, "open", "cabinet", "hinge"), np.array([0.0, -3.2, 0.0])
+    config = PipelineConfig(place=PlaceConfig(count=256, rounds=1, grid=False))
+    result = plan_base_placement(scene, robot, task, Everywhere(), start=start, config=config)
+    outcomes = np.concatenate(result.search.outcomes)
+    poses = np.concatenate(result.search.poses)
+    blocked = np.array([one.status is PoseStatus.NO_PASSAGE for one in outcomes])
+    assert (poses[blocked, 1] > -1.2).all()
+    others = {one.status for one in outcomes[~blocked & (poses[:, 1] < -1.6)]}
+    assert others - {PoseStatus.BEYOND_ARM, PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR}
+
+
+def test_the_command_names_the_passage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_scene(room(tmp_path, 0.5), tmp_path / "room.json")
+    words = ["place", "open", str(tmp_path / "room.json"), "cabinet/hinge", "--robot", "fetch"]
+    assert main([*words, "--start=0,-3.2,0"]) == 3
+    printed = capsys.readouterr().out
+    assert "infeasible  no way to drive there: 50 cm between" in printed
