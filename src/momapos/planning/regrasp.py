@@ -13,6 +13,7 @@ from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
 from momapos.model.collision import motion_checker
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
+from momapos.model.scene import stays_in_place
 from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
     RESOLUTION,
@@ -22,7 +23,7 @@ from momapos.planning.arm_motion import (
     near_home,
     plan_with_clearance,
 )
-from momapos.planning.grasps import FULL_DOF, GraspFilter, stays_in_place, task_motion
+from momapos.planning.grasps import FULL_DOF, GraspFilter, task_motion
 from momapos.planning.placement import GraspModeScorer, PlaceConfig, Problem, two_grasp_scorer
 
 from .config import PipelineConfig

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from momapos.model import SpeedConfig
+from momapos.model.scene import ResistanceConfig
 
 HoldMethod = Literal["weld", "contact"]
 
@@ -58,38 +59,11 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True)
-class FurnitureConfig:
-    """Mass and resistance of doors and drawers.
+class FurnitureConfig(ResistanceConfig):
+    """Mass and resistance of doors and drawers where file, scene and plan give none."""
 
-    The order of magnitude follows forces that people and robots measured at household doors and
-    drawers (Jain and Kemp, Autonomous Robots 35, 2013): the largest force occurs at the start, and
-    refrigerators need more than cabinets.
-    """
-
-    density: float = 300.0
-    """Density of moving parts with their contents, over the volume of their hulls [kg/m^3]."""
-    least_mass: float = 0.5
-    """Minimum mass of a part [kg]."""
-    most_mass: float = 25.0
-    """Maximum mass of a part [kg]; limits the mass of a hollow drawer with a solid hull."""
-    hinge_friction: float = 0.4
-    """Dry friction of hinges [Nm]."""
-    hinge_damping: float = 0.5
-    """Damping of hinges [Nms/rad]."""
-    slide_friction: float = 4.0
-    """Dry friction of slides [N]."""
-    slide_damping: float = 8.0
-    """Damping of slides [Ns/m]."""
-    seal_force: float = 30.0
-    """Force at the free edge that opens a door with a seal [N]."""
-    latch_force: float = 6.0
-    """Force at the free edge that opens any other door or drawer, with a catch or spring [N]."""
-    seal_range: float = 0.01
-    """Travel of the free edge over which that force decays [m]."""
-    sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
-    """Words in the category or name of objects whose doors have a seal."""
     spread: float = 0.0
-    """Relative spread of masses, friction and opening forces around the values above [-]."""
+    """Relative spread of masses, friction and opening forces around their values [-]."""
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ def draw_worlds(
         resistance = draw_resistance_error(resistance, errors, rng)
         axis = np.array([0.0, 0.0, 1.0]) if joint is None else joint.axis
         deviation = draw_deviation(axis, errors, rng)
-    seal = seal_of(item, joint, resistance.pull, setting.config.furniture.seal_range)
+    seal = seal_of(item, joint, resistance.pull, setting.config.furniture)
     world = setting.build(there, resistance, deviation, begin)
     if deviation is not None and joint is not None and item.values()[joint.name] == seal.closed:
         first = world if begin is None else setting.build(there, resistance, deviation)

@@ -68,6 +68,10 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "arm": plan.robot_arm,
         },
         "task": _task_to_dict(plan.task),
+        "resistance": {
+            name: {joint: one.members() for joint, one in known.items()}
+            for name, known in plan.resistance.items()
+        },
         "status": plan.status,
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
@@ -312,6 +316,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         robot_arm=robot.arm,
         scene_joints=data.scene_joints,
         scene_hypotheses=data.scene_hypotheses,
+        resistance=data.resistance,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
         feasible_sure=data.feasible_sure,

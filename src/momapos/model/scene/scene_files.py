@@ -34,6 +34,7 @@ from .confidence import confidence_to_json, read_confidence
 from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from .hypotheses import hypotheses_to_json, read_hypotheses
 from .model_copies import model_files
+from .resistance_members import read_resistance
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_names import FORMAT, MAX_BYTES, find_scene
@@ -50,7 +51,7 @@ MAX_EDGE = 1e3  # maximum edge of a box [m]
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
 _OBJECT_KEYS = {
     "name", "category", "pose", "urdf", "scale", "joints", "closed", "box", "hypotheses",
-    "confidence",
+    "confidence", "resistance",
 }  # fmt: skip
 
 
@@ -211,7 +212,9 @@ class _ObjectReader:
             model = model.changed(closed=closed)
         found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
         sure = read_confidence(self.item.get("confidence"), names, self.where)
-        return SceneObject(self.name, category, self.pose(), model, joints, found, sure)
+        followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
+        known = read_resistance(self.item.get("resistance", {}), followers, self.where)
+        return SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         pose = self.item.get("pose")
@@ -361,6 +364,8 @@ def object_members(item: SceneObject) -> dict[str, Any]:
     members: dict[str, Any] = {"category": item.category}
     if item.model.closed:
         members["closed"] = dict(item.model.closed)
+    if item.resistance:
+        members["resistance"] = {name: one.members() for name, one in item.resistance.items()}
     if item.confidence is not None:
         members["confidence"] = confidence_to_json(item.confidence)
     if item.hypotheses:

@@ -3,7 +3,6 @@ from .config import MotionConfig as MotionConfig
 from .hand_boxes import hand_of as hand_of
 from .handle_records import Handle as Handle
 from .motion_record import TaskMotion as TaskMotion
-from .resistance import stays_in_place as stays_in_place
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
 from .task_boxes import scene_boxes as scene_boxes

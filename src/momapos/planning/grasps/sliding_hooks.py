@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from momapos.core.geometry import invert, rotation_about
 from momapos.model.records import Hold
 from momapos.model.robots import Grip, Robot
-from momapos.model.scene import SceneObject
+from momapos.model.scene import SceneObject, stays_in_place
 
 from .config import GraspConfig
 from .hand_boxes import Hand, hand_of
@@ -29,7 +29,6 @@ from .handle_shapes import Element
 from .motion_record import TaskMotion
 from .part_grasps import FAMILIES, Family, elements_near_handle
 from .pinch_grasps import stands_clear
-from .resistance import stays_in_place
 from .turning_grasps import Turning
 
 if TYPE_CHECKING:
