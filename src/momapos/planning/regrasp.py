@@ -13,7 +13,7 @@ from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
 from momapos.model.collision import motion_checker
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
-from momapos.model.scene import stays_in_place
+from momapos.model.scene import resistance_along, stays_in_place
 from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
     RESOLUTION,
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 AJAR_ANGLES = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
 """Angles to which a door is pulled before it is pushed; the first that works is used [rad]."""
+_PUSHED_VALUES = 16
+"""Joint values at which the weight of a pushed part is evaluated [-]."""
 
 
 @dataclass(frozen=True)
@@ -240,8 +242,8 @@ def _two_grasps(
         watch: Counts the stages.
 
     Returns:
-        None if the part slides, closes, opens less far, does not stay where the hand lets go, or
-        if the hand has no free grasp.
+        None if the part slides, closes, opens less far, does not stay where the hand lets go, falls
+        open from there, or if the hand has no free grasp.
     """
     scene, robot, task = whole.scene, whole.robot, whole.task
     if task.verb != "open" or task.joint is None or task.to is None:
@@ -255,6 +257,9 @@ def _two_grasps(
     resistance = config.motion.grasps.resistance
     if not (on_the_way and turns and stays_in_place(item, task.joint, value, resistance)):
         return None
+    pushed = np.linspace(value, task.to, _PUSHED_VALUES)
+    if resistance_along(item, task.joint, pushed, 1.0, resistance).along.min() < 0.0:
+        return None  # the part would fall open, away from the hand
     pull, opened = (
         Task("open", task.object, task.joint, value),
         scene.with_joint(task.object, task.joint, value),

@@ -248,7 +248,7 @@ def _content(path: Path) -> bytes:
 def _decode(content: bytes, kind: type[Any], path: Path) -> Any:
     try:
         return msgspec.json.decode(content, type=kind)
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, InputError) as error:
         raise FileFormatError(f"{path}: not a usable plan: {error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FileFormatError(

@@ -94,7 +94,7 @@ def resistance_along(
     away = values - opening_of(item.model, joint).closed
     arm = np.maximum(lever if known.lever is None else known.lever, 1e-6)
     share = np.maximum(0.0, 1.0 - np.abs(away) * arm / known.seal_travel)
-    opens = away * towards >= 0.0
+    opens = (away * towards >= 0.0) & (np.abs(away) < np.abs(away[-1]))
     return MotionResistance(
         values=values,
         seal=np.where(opens, known.seal_force * arm * share, 0.0),

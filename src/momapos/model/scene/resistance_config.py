@@ -40,5 +40,6 @@ class ResistanceConfig:
     """Words in the names of a joint and its link, else of the object, whose doors have a seal."""
     unsealed: tuple[str, ...] = (
         "cabinet", "cupboard", "counter", "shelf", "table", "hood", "stand", "cart", "wardrobe",
+        "knob", "dial", "button", "switch", "lever",
     )  # fmt: skip
-    """Words that name a thing without a seal if they follow those: an oven cabinet."""
+    """Words that name what has no seal, also if they follow one of those: an oven cabinet."""

@@ -217,9 +217,7 @@ def _with_meshes(
         )
 
     links = {
-        name: replace(
-            link, collisions=found(link.collisions), visuals=found(link.visuals, visuals)
-        )
+        name: replace(link, collisions=found(link.collisions), visuals=found(link.visuals, visuals))
         for name, link in urdf.links.items()
     }
     return replace(urdf, path=path, links=links)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.model.robots import Robot
+from momapos.model.robots import Grip, Robot
 from momapos.model.scene import MotionResistance
 from momapos.model.urdf import Articulated, opens_both_ways
 
@@ -189,24 +189,30 @@ def _strong(
     grasps = grasps.only(np.isin(grasps.code, [FAMILIES.index(Family(f)) for f in config.families]))
     if not len(grasps.code):
         return grasps, f"{robot.name} holds {handle.name} by other grasps than those allowed"
+    if robot.grips is Grip.HOOK and resistance.along.min() < 0.0:
+        where = _value_words(resistance, int(np.argmax(resistance.along < 0.0)), model, joint)
+        return grasps.only(np.zeros(len(grasps.code), bool)), (
+            f"{robot.name} hooks {handle.name}, and no hook holds back a part that falls open, as "
+            f"this one does {where}"
+        )
     part = CarriedPart(model, joint, handle.carrier)
     need = resistance.largest / np.maximum(lever_arms(part, grasps.point), MIN_LEVER)
     strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():
         return grasps.only(strong), ""
     best = int(np.argmax(grasps.capacity / need))
+    where = _value_words(resistance, resistance.worst, model, joint)
+    back = " to hold it back" if resistance.held_back else ""
     return grasps.only(strong), (
         f"{robot.name} holds {handle.name} with {grasps.capacity[best]:.0f} N at most, and "
-        f"{config.grasp_margin * need[best]:.0f} N are needed {_worst_value(resistance, model, joint)}"
+        f"{config.grasp_margin * need[best]:.0f} N are needed {where}{back}"
     )
 
 
-def _worst_value(resistance: MotionResistance, model: Articulated, joint: str) -> str:
-    """Return where a part needs the largest force, in words."""
-    value = float(resistance.values[resistance.worst])
-    slides = model.joint(joint).kind == "prismatic"
-    at = f"at {100 * value:.0f} cm" if slides else f"at {np.degrees(value):.0f} deg"
-    return f"{at} to hold it back" if resistance.held_back else at
+def _value_words(resistance: MotionResistance, index: int, model: Articulated, joint: str) -> str:
+    """Return a value of a motion in words."""
+    value, slides = float(resistance.values[index]), model.joint(joint).kind == "prismatic"
+    return f"at {100 * value:.0f} cm" if slides else f"at {np.degrees(value):.0f} deg"
 
 
 def _ordered(
