@@ -254,10 +254,12 @@ def _two_grasps(
     start = item.values()[task.joint]
     on_the_way = opening.sign * start < opening.sign * value < opening.sign * task.to
     turns = item.model.joint(task.joint).kind != "prismatic"
-    resistance = config.motion.grasps.resistance
-    if not (on_the_way and turns and stays_in_place(item, task.joint, value, resistance)):
+    if not (on_the_way and turns):
         return None
     pushed = np.linspace(value, task.to, _PUSHED_VALUES)
+    resistance = config.motion.grasps.resistance
+    if not stays_in_place(item, task.joint, pushed[:1], resistance)[0]:
+        return None
     if resistance_along(item, task.joint, pushed, 1.0, resistance).along.min() < 0.0:
         return None  # the part would fall open, away from the hand
     pull, opened = (

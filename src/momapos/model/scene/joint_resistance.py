@@ -17,7 +17,7 @@ from .resistance_config import ResistanceConfig
 from .scene import SceneObject
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 GRAVITY = 9.81
 _PARTS = 1024
@@ -123,11 +123,13 @@ def weight_at(
     return -GRAVITY * (after - before) / (2 * _STEP)
 
 
-def stays_in_place(item: SceneObject, joint: str, value: float, config: ResistanceConfig) -> bool:
-    """Check that friction holds a released part in place."""
+def stays_in_place(
+    item: SceneObject, joint: str, values: Float[np.ndarray, " v"], config: ResistanceConfig
+) -> Bool[np.ndarray, " v"]:
+    """Check at joint values [rad] or [m] that friction holds a released part in place."""
     friction = known_resistance(item, joint, config).friction
     assert friction is not None
-    return abs(float(weight_at(item, joint, np.array([value]), config)[0])) < friction
+    return np.abs(weight_at(item, joint, values, config)) < friction
 
 
 def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) -> JointResistance:

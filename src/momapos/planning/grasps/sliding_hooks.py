@@ -185,9 +185,8 @@ def _rests(motion: TaskMotion, target: SceneObject, config: GraspConfig) -> Int[
     joint, released = motion.task.joint, 1 if motion.release_step is None else 2
     assert joint is not None
     between = np.arange(2, len(motion.waypoint_steps) - released)
-    values = motion.object_q[motion.waypoint_steps[between]].tolist()
-    stay = [stays_in_place(target, joint, value, config.resistance) for value in values]
-    return between[np.array(stay, bool)]
+    values = motion.object_q[motion.waypoint_steps[between]]
+    return between[stays_in_place(target, joint, values, config.resistance)]
 
 
 PathCheck: TypeAlias = "Callable[[Float[np.ndarray, '4 4'], Float[np.ndarray, '4 4']], bool]"
