@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -144,7 +144,7 @@ def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) ->
     else:
         friction, damping = config.hinge_friction, config.hinge_damping
     sealed = record.kind != "prismatic" and has_seal(item, joint, config)
-    assumed = {
+    assumed: dict[str, Any] = {
         "seal_force": config.seal_force if sealed else config.latch_force,
         "seal_travel": config.seal_travel, "friction": friction, "damping": damping,
         "balanced": False,
