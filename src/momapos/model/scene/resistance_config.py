@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from momapos.core import refuse_below
+
 
 @dataclass(frozen=True)
 class ResistanceConfig:
@@ -43,3 +45,10 @@ class ResistanceConfig:
         "knob", "dial", "button", "switch", "lever",
     )  # fmt: skip
     """Words that name what has no seal, also if they follow one of those: an oven cabinet."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 1e-6, "seal_travel")
+        refuse_below(
+            self, 0, "density", "least_mass", "most_mass", "hinge_friction", "hinge_damping",
+            "slide_friction", "slide_damping", "seal_force", "latch_force",
+        )  # fmt: skip
