@@ -100,6 +100,8 @@ def calls(given: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str
                                             given["reach"], config=given["config"]), task),
         "BaseRegion": (m.BaseRegion, {"keep_in": (), "keep_out": (), "facing": 1.0,
                                       "most_driving": 1.0}),
+        "JointResistance": (m.JointResistance, {"seal_force": 20.0, "friction": 2.0, "mass": 6.0,
+                                                "balanced": True}),
         "Scene": (lambda **a: m.Scene(**{"name": "room", "objects": (), **a}).objects, {}),
         "SceneObject": (m.SceneObject.box, {"name": "box", "size": (1.0, 1.0, 1.0),
                                             "xyz": (0.0, 0.0, 0.0), "yaw": 0.0}),

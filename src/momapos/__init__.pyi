@@ -6,6 +6,7 @@ from .model.plan_files import read_plan as read_plan
 from .model.plan_files import write_plan as write_plan
 from .model.records import Attempt as Attempt
 from .model.records import BaseRegion as BaseRegion
+from .model.records import JointResistance as JointResistance
 from .model.records import Motion as Motion
 from .model.records import PlacementPlan as PlacementPlan
 from .model.records import Task as Task

@@ -125,10 +125,10 @@ def test_the_grip_force_acts_at_the_pads_of_sliding_and_rotating_fingers(
     assert turns == pytest.approx(2 * 0.05, rel=0.15)  # two pads with centers 5 cm from the axes
 
 
-def test_a_seal_pulls_at_the_free_edge_wherever_the_door_is_grasped(tmp_path: Path) -> None:
+def test_without_a_plan_a_seal_pulls_at_the_free_edge_of_the_door(tmp_path: Path) -> None:
     case = gripping(tmp_path)
     item = case.scene.object("cupboard")
-    seal = seal_of(item, item.model.joint("hinge"), 30.0, 0.01)
+    seal = seal_of(item, item.model.joint("hinge"), 30.0, FurnitureConfig())
     points = [h.vertices for h in item.model.hulls["door"]]
     width = float(np.linalg.norm(np.concatenate(points)[:, :2], axis=1).max())
     assert seal.pull == pytest.approx(30.0 * width, rel=0.02)

@@ -13,6 +13,7 @@ from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
 from momapos.model.collision import motion_checker
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
+from momapos.model.scene import resistance_along, stays_in_place
 from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
     RESOLUTION,
@@ -22,7 +23,7 @@ from momapos.planning.arm_motion import (
     near_home,
     plan_with_clearance,
 )
-from momapos.planning.grasps import FULL_DOF, GraspFilter, stays_in_place, task_motion
+from momapos.planning.grasps import FULL_DOF, GraspFilter, task_motion
 from momapos.planning.placement import (
     GraspModeScorer,
     PlaceConfig,
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 AJAR_ANGLES = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
 """Angles to which a door is pulled before it is pushed; the first that works is used [rad]."""
+_PUSHED_VALUES = 16
+"""Joint values at which the weight of a pushed part is evaluated [-]."""
 
 
 @dataclass(frozen=True)
@@ -252,8 +255,8 @@ def _two_grasps(
         watch: Counts the stages.
 
     Returns:
-        None if the part slides, closes, opens less far, does not stay where the hand lets go, or
-        if the hand has no free grasp.
+        None if the part slides, closes, opens less far, does not stay where the hand lets go, falls
+        open from there, or if the hand has no free grasp.
     """
     scene, robot, task = whole.scene, whole.robot, whole.task
     if task.verb != "open" or task.joint is None or task.to is None:
@@ -264,9 +267,14 @@ def _two_grasps(
     start = item.values()[task.joint]
     on_the_way = opening.sign * start < opening.sign * value < opening.sign * task.to
     turns = item.model.joint(task.joint).kind != "prismatic"
-    resistance = config.motion.grasps.resistance
-    if not (on_the_way and turns and stays_in_place(item, task.joint, value, resistance)):
+    if not (on_the_way and turns):
         return None
+    pushed = np.linspace(value, task.to, _PUSHED_VALUES)
+    resistance = config.motion.grasps.resistance
+    if not stays_in_place(item, task.joint, pushed[:1], resistance)[0]:
+        return None
+    if resistance_along(item, task.joint, pushed, 1.0, resistance).along.min() < 0.0:
+        return None  # the part would fall open, away from the hand
     pull, opened = (
         Task("open", task.object, task.joint, value),
         scene.with_joint(task.object, task.joint, value),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import require, version_of
-from momapos.model.records import CostTerm, PlacementPlan, Tolerance
+from momapos.model.records import CostTerm, JointResistance, PlacementPlan, Tolerance
 from momapos.model.robots import Robot
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
@@ -171,6 +171,7 @@ def plan_of(
         robot_amended=robot.amended,
         scene_joints=query.scene.joints_set,
         scene_hypotheses=query.scene.hypotheses_set,
+        resistance=_resistance(prepared),
         joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
         base_path=None if path is None else path.poses,
@@ -184,6 +185,14 @@ def plan_of(
         region=query.region,
         versions={name: version_of(name) for name in DEPENDS_ON},
     )
+
+
+def _resistance(prepared: PreparedTask) -> dict[str, dict[str, JointResistance]]:
+    """Return the resistance of the moved part, by object and joint; empty for rigid objects."""
+    motion = prepared.motion
+    if motion.task.joint is None or motion.resistance is None:
+        return {}
+    return {motion.task.object: {motion.task.joint: motion.resistance}}
 
 
 def _cost(query: PlacementQuery, prepared: PreparedTask, found: Search) -> Mapping[str, CostTerm]:

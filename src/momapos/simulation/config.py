@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.core import refuse_below
 from momapos.model import SpeedConfig
+from momapos.model.scene import ResistanceConfig
 
 HoldMethod = Literal["weld", "contact"]
 
@@ -57,8 +58,6 @@ class Stage(StrEnum):
     RETREAT = "retreat"
 
 
-SEAL_RANGE = 0.01
-"""Travel of the free edge over which the force of a seal or latch decays [m]."""
 ARMATURE = 0.1
 """Motor inertia reflected through the gear [kg m^2]; ten times as many kg for slides."""
 BANDWIDTH = 60.0
@@ -160,44 +159,15 @@ OBSERVED_DISTANCE = 0.03
 
 
 @dataclass(frozen=True)
-class FurnitureConfig:
-    """Mass and resistance of doors and drawers.
+class FurnitureConfig(ResistanceConfig):
+    """Mass and resistance of doors and drawers where file, scene and plan give none."""
 
-    The order of magnitude follows forces that people and robots measured at household doors and
-    drawers (Jain and Kemp, Autonomous Robots 35, 2013): the largest force occurs at the start, and
-    refrigerators need more than cabinets.
-    """
-
-    density: float = 300.0
-    """Density of moving parts with their contents, over the volume of their hulls [kg/m^3]."""
-    least_mass: float = 0.5
-    """Minimum mass of a part [kg]."""
-    most_mass: float = 25.0
-    """Maximum mass of a part [kg]; limits the mass of a hollow drawer with a solid hull."""
-    hinge_friction: float = 0.4
-    """Dry friction of hinges [Nm]."""
-    hinge_damping: float = 0.5
-    """Damping of hinges [Nms/rad]."""
-    slide_friction: float = 4.0
-    """Dry friction of slides [N]."""
-    slide_damping: float = 8.0
-    """Damping of slides [Ns/m]."""
-    seal_force: float = 30.0
-    """Force at the free edge that opens a door with a seal [N]."""
-    latch_force: float = 6.0
-    """Force at the free edge that opens any other door or drawer, with a catch or spring [N]."""
-    sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
-    """Words in the category or name of objects whose doors have a seal."""
     spread: float = 0.0
-    """Relative spread of masses, friction and opening forces around the values above [-]."""
+    """Relative spread of masses, friction and opening forces around their values [-]."""
 
     def __post_init__(self) -> None:
-        refuse_below(self, 0, "density", "hinge_friction", "slide_friction")
-        refuse_below(
-            self, 0, "seal_force", "latch_force", "hinge_damping", "slide_damping", "spread"
-        )
-        refuse_below(self, 0.001, "least_mass")
-        refuse_below(self, self.least_mass, "most_mass")
+        super().__post_init__()
+        refuse_below(self, 0, "spread")
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -12,8 +12,14 @@ import numpy as np
 
 from momapos.core.geometry import apply, invert, pose
 from momapos.model.records import Hold, Motion, Task
-from momapos.model.scene import Scene, SceneObject
-from momapos.model.urdf import Geometry, Hull, Joint, opening_of
+from momapos.model.scene import (
+    Scene,
+    SceneObject,
+    known_resistance,
+    object_mass,
+    part_masses,
+)
+from momapos.model.urdf import Geometry, Hull, Joint, opening_of, opens_both_ways
 
 from .config import WELD_TIME, ExecutionConfig, FurnitureConfig
 from .dynamics import hull_volume, volume
@@ -25,6 +31,12 @@ if TYPE_CHECKING:
 PART = "part"
 """Name of the moved body, and of its joint."""
 HANDLE_WORD = "handle"
+CATCH_PLAY = 0.1
+"""Share of its travel within which the catch of a swing door pulls less than fully [-]."""
+MIN_OBJECT_MASS = 0.05
+"""Minimum mass of a movable object without a mass in its file [kg]."""
+MIN_BODY_MASS = 1e-3
+"""Minimum mass of a body; the engine needs one [kg]."""
 MAX_HAND_DISTANCE = 0.1
 """Distance from the tool at the grasp within which elements touch the hand [m]."""
 
@@ -40,32 +52,27 @@ class PartResistance:
     damping: float
     """Damping of its joint [Nms/rad] or [Ns/m]; 0 for movable objects."""
     pull: float
-    """Force at the free edge that opens the closed part [N]; 0 for movable objects."""
+    """Force at the handle or free edge that opens the closed part [N]; 0 for movable objects."""
 
 
 def draw_resistance(
     item: SceneObject, joint: Joint | None, config: FurnitureConfig, rng: np.random.Generator
 ) -> PartResistance:
-    """Draw the resistance of a part."""
+    """Draw the resistance of a part around its known or assumed values."""
     factor = 1.0 + config.spread * rng.uniform(-1.0, 1.0, 4)
-    links = item.model.links if joint is None else item.model.moved_by(joint.name)
-    size = sum(volume(s) for link in links for s in item.model.urdf.links[link].collisions)
-    mass = config.density * size * factor[0]
     if joint is None:
-        return PartResistance(float(np.clip(mass, 0.05, config.most_mass)), 0.0, 0.0, 0.0)
-    slides = joint.kind == "prismatic"
-    words = f"{item.category} {item.name}".lower()
-    sealed = not slides and any(word in words for word in config.sealed)
-    values = (
-        (config.slide_friction, config.slide_damping)
-        if slides
-        else (config.hinge_friction, config.hinge_damping)
-    )
+        mass, _ = object_mass(item.model, replace(config, least_mass=MIN_OBJECT_MASS))
+        return PartResistance(float(mass * factor[0]), 0.0, 0.0, 0.0)
+    known = known_resistance(item, joint.name, config)
+    assert known.mass is not None
+    assert known.friction is not None
+    assert known.damping is not None
+    assert known.seal_force is not None
     return PartResistance(
-        mass=float(np.clip(mass, config.least_mass, config.most_mass)),
-        friction=float(values[0] * factor[1]),
-        damping=float(values[1] * factor[2]),
-        pull=float((config.seal_force if sealed else config.latch_force) * factor[3]),
+        mass=float(known.mass * factor[0]),
+        friction=float(known.friction * factor[1]),
+        damping=float(known.damping * factor[2]),
+        pull=float(known.seal_force * factor[3]),
     )
 
 
@@ -93,27 +100,36 @@ class Seal:
     """Torque or force at the closed joint [Nm] or [N]."""
     reach: float
     """Travel over which it decays [rad] or [m]."""
+    two_sided: bool = False
+    """Whether the part opens in both directions, such as a swing door."""
 
     def force(self, value: float) -> float:
         """Return the torque or force at a value of the joint [Nm] or [N]."""
-        share = 1.0 - abs(value - self.closed) / self.reach
-        return -self.outward * self.pull * max(0.0, share)
+        away = (value - self.closed) / self.reach
+        share = max(0.0, 1.0 - abs(away))
+        toward = np.clip(away / CATCH_PLAY, -1.0, 1.0) if self.two_sided else self.outward
+        return float(-toward * self.pull * share)
 
 
-def seal_of(item: SceneObject, joint: Joint | None, pull: float, way: float) -> Seal:
-    """Return the seal of a part, from the pull at its free edge.
+def seal_of(item: SceneObject, joint: Joint | None, pull: float, config: FurnitureConfig) -> Seal:
+    """Return the seal of a part.
+
+    The pull and its travel are known at the handle if a plan or the scene gives its lever;
+    otherwise they are those of the free edge.
 
     Args:
         item: The object.
         joint: Joint of the part; None for movable objects, which have no seal.
-        pull: Force at the free edge [N].
-        way: Travel of the free edge over which it decays [m].
+        pull: Force that opens the closed part [N].
+        config: Assumed values.
     """
     if joint is None:
         return Seal(0.0, 0.0, 0.0, 1.0)
-    opening = opening_of(item.model, joint.name)
-    lever = 1.0 if joint.kind == "prismatic" else _width(item, joint)
-    return Seal(opening.closed, opening.sign, pull * lever, way / lever)
+    opening, known = opening_of(item.model, joint.name), known_resistance(item, joint.name, config)
+    assert known.seal_travel is not None
+    lever = known.lever or (1.0 if joint.kind == "prismatic" else _width(item, joint))
+    both = opens_both_ways(item.model, joint.name)
+    return Seal(opening.closed, opening.sign, pull * lever, known.seal_travel / lever, both)
 
 
 def _width(item: SceneObject, joint: Joint) -> float:
@@ -208,6 +224,7 @@ def add_part(
         return
     groups, bodies = item.model.rigid_groups(task.joint), dict[str, Any]()
     held = held or item.model.joint(task.joint).child
+    balanced = bool(known_resistance(item, task.joint, config.furniture).balanced)
     for carrier in dict.fromkeys(groups.values()):
         joint = next(j for j in item.model.joints.values() if j.child == carrier)
         above = groups.get(joint.parent)
@@ -215,6 +232,7 @@ def add_part(
         T = poses[carrier] if above is None else invert(poses[above]) @ poses[carrier]
         body = onto.add_body(name=PART if carrier == held else f"{PART}/{carrier}")
         bodies[carrier] = place_body(body, T)
+        body.gravcomp = float(balanced)
         leads = joint.name == task.joint
         added = _add_joint(body, joint, item.values()[joint.name], deviation if leads else None)
         added.name = PART if leads else f"{PART}/{joint.name}"
@@ -224,6 +242,40 @@ def add_part(
         else:
             _couple(spec, joint)
         shapes.add(spec, body, carrier, [link for link, on in groups.items() if on == carrier])
+
+
+def set_masses(
+    spec: Any, model: Any, item: SceneObject, task: Task, mass: float, config: FurnitureConfig
+) -> None:
+    """Give the bodies of a part the masses and centers of mass that planning assumes.
+
+    Their inertias keep the distribution of the shapes.
+
+    Args:
+        spec: The world; see `add_part`.
+        model: The same, compiled.
+        item: The task's object.
+        task: The task.
+        mass: Mass of the whole part [kg].
+        config: Assumed values.
+    """
+    links = tuple(link for link in item.model.links if link in moved_links(item, task))
+    masses, poses = part_masses(item.model, links, config, mass), item.link_poses()
+    if task.joint is None:
+        groups = dict.fromkeys(links, item.model.urdf.root)
+    else:
+        groups = item.model.rigid_groups(task.joint)
+    for carrier in dict.fromkeys(groups.values()):
+        on, back = [link for link in links if groups[link] == carrier], invert(poses[carrier])
+        weights = np.array([masses[link][0] for link in on])
+        centers = np.array([apply(back @ poses[n], masses[n][1][None])[0] for n in on])
+        body = spec.body(f"{PART}/{carrier}") or spec.body(PART)
+        shapes = model.body(body.name)
+        body.explicitinertial = True
+        body.mass = max(float(weights.sum()), MIN_BODY_MASS)
+        body.inertia = shapes.inertia * body.mass / shapes.mass
+        body.iquat = shapes.iquat
+        body.ipos = weights @ centers / weights.sum() if weights.sum() > 0 else shapes.ipos
 
 
 def is_part(name: str) -> bool:

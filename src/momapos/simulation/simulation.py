@@ -21,7 +21,15 @@ from .dynamics import Dynamics
 from .geoms import HAND, ROBOT, Kind, matrix_quat
 from .simulated_hand import Finger, SimulatedHand
 from .simulated_robot import BASE_JOINTS, TOOL_POINT, add_robot, body_of, tune
-from .simulated_room import PART, Deviation, PartResistance, add_part, add_room, is_part
+from .simulated_room import (
+    PART,
+    Deviation,
+    PartResistance,
+    add_part,
+    add_room,
+    is_part,
+    set_masses,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -73,10 +81,11 @@ class Simulation:
     def weight_on_part(self) -> float:
         """Torque or force of gravity on the part's joint at its present value, positive toward
         larger values [Nm] or [N]."""
-        bias = float(self.data.qfrc_bias[self.part_v])
+        weight = self.data.qfrc_gravcomp - self.data.qfrc_bias
+        found = float(weight[self.part_v])
         for follower, _, ratio in _couplings(self.model):
-            bias += ratio * float(self.data.qfrc_bias[self.model.joint(follower).dofadr[0]])
-        return -bias
+            found += ratio * float(weight[self.model.joint(follower).dofadr[0]])
+        return found
 
     @property
     def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
@@ -196,6 +205,7 @@ def build_simulation(
             # A deviating joint would move the part through its frame: exclude all fixed bodies.
             pairs = product(_part_bodies(model), _standing(model))
             apart = list(dict.fromkeys([*touching, *pairs]))
+        set_masses(spec, model, item, task, resistance.mass, config.furniture)
         for one, other in apart:
             spec.add_exclude(bodyname1=one, bodyname2=other)
         model = spec.compile()

@@ -10,7 +10,7 @@ from momapos.model.records import Motion, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 
-from .config import SEAL_RANGE, ExecutionConfig
+from .config import ExecutionConfig
 from .dynamics import Dynamics
 from .model_errors import draw_deviation, draw_resistance_error, mirrored
 from .run_record import Pose
@@ -119,7 +119,7 @@ def draw_worlds(
         resistance = draw_resistance_error(resistance, errors, rng)
         axis = np.array([0.0, 0.0, 1.0]) if joint is None else joint.axis
         deviation = draw_deviation(axis, errors, rng)
-    seal = seal_of(item, joint, resistance.pull, SEAL_RANGE)
+    seal = seal_of(item, joint, resistance.pull, setting.config.furniture)
     world = setting.build(there, resistance, deviation, begin)
     if deviation is not None and joint is not None and item.values()[joint.name] == seal.closed:
         first = world if begin is None else setting.build(there, resistance, deviation)

@@ -109,6 +109,7 @@ def run_plan(
     """
     if plan.status != "solved" or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
+    scene = scene.with_resistance(plan.resistance)
     # A replanned motion must open the part exactly as far as planned.
     plan = replace(plan, task=replace(plan.task, farthest=False))
     there = None

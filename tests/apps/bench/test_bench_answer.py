@@ -24,9 +24,10 @@ from momapos.apps.bench.folder import all_rows
 from momapos.apps.bench.job import answer_job
 from momapos.apps.cli.main import main
 from momapos.core.errors import SceneError
+from momapos.model.scene import joint_resistance
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import find_scene
-from momapos.planning.grasps import handle_shapes, handles, part_grasps, resistance
+from momapos.planning.grasps import handle_shapes, handles, part_grasps
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
 
@@ -68,7 +69,7 @@ def test_cached_data_of_a_task_is_computed_before_the_measurement(
     """Otherwise it would count only for the first method."""
     caches = [
         one
-        for module in (handle_shapes, handles, part_grasps, resistance)
+        for module in (handle_shapes, handles, part_grasps, joint_resistance)
         for one in vars(module).values()
         if hasattr(one, "cache_info")
     ]

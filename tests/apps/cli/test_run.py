@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from momapos.planning.navigation.footprint_map import NavigationMap
 from momapos.planning.placement.config import PlaceConfig
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
 from momapos.simulation.run_record import RunRecord, read_run
+from momapos.simulation.simulated_room import PartResistance, draw_resistance
 from momapos.simulation.true_worlds import moved
 from momapos.verification.exact_check import PlanVerifier
 from momapos.workflows.replanning import MIN_POSE_DISTANCE, NO_POSE_LEFT, YAW_WEIGHT, Drive
@@ -154,6 +156,33 @@ def test_the_drawn_furniture_does_not_depend_on_the_drive(
     assert one is not None
     assert other is not None
     assert one.resistance == other.resistance
+
+
+def test_a_run_draws_from_the_resistances_of_its_plan(
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They may differ from what scene and simulation assume, as after --set."""
+    assert plan.resistance["fridge"]["door_hinge"].seal_force == 30.0
+    changed = replace(plan.resistance["fridge"]["door_hinge"], seal_force=17.0, mass=3.0)
+    drawn: list[PartResistance] = []
+
+    class Drawn(Exception):
+        pass
+
+    def draw(*args: Any) -> PartResistance:
+        drawn.append(draw_resistance(*args))
+        raise Drawn
+
+    monkeypatch.setattr("momapos.simulation.worlds.draw_resistance", draw)
+    other = replace(plan, resistance={"fridge": {"door_hinge": changed}})
+    for one, pull in ((other, 17.0), (replace(plan, resistance={}), 30.0)):
+        with pytest.raises(Drawn):
+            run_plan(
+                one, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG,
+                driver=lambda _, start, goal, __: ended(start, goal, goal),
+            )  # fmt: skip
+        assert drawn[-1].pull == pull
+    assert (drawn[0].mass, drawn[0].friction) == (3.0, changed.friction)
 
 
 def test_a_motion_for_one_base_pose_passes_the_exact_check(

@@ -10,12 +10,13 @@ import pytest
 
 from momapos.core.geometry.transforms import invert, pose
 from momapos.model.robots.robot import Grip, Robot
+from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.config import GraspConfig, MotionConfig, ResistanceConfig
+from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.part_grasps import Family
 from momapos.planning.grasps.pinch_grasps import HELD_CLEARANCE_SHARE, Contact, lifting_capacity

@@ -66,6 +66,10 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "arm": plan.robot_arm,
         },
         "task": _task_to_dict(plan.task),
+        "resistance": {
+            name: {joint: one.members() for joint, one in known.items()}
+            for name, known in plan.resistance.items()
+        },
         "status": plan.status,
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
@@ -237,7 +241,7 @@ def _content(path: Path) -> bytes:
 def _decode(content: bytes, kind: type[Any], path: Path) -> Any:
     try:
         return msgspec.json.decode(content, type=kind)
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, InputError) as error:
         raise FileFormatError(f"{path}: not a usable plan: {error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FileFormatError(
@@ -305,6 +309,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         robot_arm=robot.arm,
         scene_joints=data.scene_joints,
         scene_hypotheses=data.scene_hypotheses,
+        resistance=data.resistance,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
         feasible_sure=data.feasible_sure,

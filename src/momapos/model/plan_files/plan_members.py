@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from momapos.model.records import Status, Verb
+from momapos.model.records import JointResistance, Status, Verb
 
 
 class PlanRobot(msgspec.Struct):
@@ -114,6 +114,7 @@ class Plan(msgspec.Struct):
     joints: list[str]
     scene_joints: dict[str, dict[str, float]] = {}
     scene_hypotheses: dict[str, dict[str, int]] = {}
+    resistance: dict[str, dict[str, JointResistance]] = {}
     feasible_to: float | None = None
     feasible_from: PlanPose | None = None
     feasible_sure: bool = False

@@ -21,6 +21,7 @@ from .protocols import Detector as Detector
 from .protocols import ReachScorer as ReachScorer
 from .protocols import Segmenter as Segmenter
 from .protocols import TravelCost as TravelCost
+from .resistances import JointResistance as JointResistance
 from .scans import UNKNOWN as UNKNOWN
 from .scans import Cloud as Cloud
 from .scans import Confidence as Confidence

@@ -14,6 +14,7 @@ import numpy as np
 from momapos.core import compare_by_content
 
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
+from .resistances import JointResistance
 from .tasks import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
@@ -173,6 +174,8 @@ class PlacementPlan:
     scene_hypotheses: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Index of the motion hypothesis used, by object and joint, from 0 as in the scene file; by
     default the first, which is the most probable."""
+    resistance: Mapping[str, Mapping[str, JointResistance]] = field(default_factory=dict)
+    """Resistance of the moved part that the plan assumes, by object and joint; empty if unknown."""
     feasible_to: float | None = None
     """If the requested value is infeasible, the farthest feasible value found [rad] or [m]."""
     feasible_from: tuple[float, float, float] | None = None

@@ -1,4 +1,11 @@
 from .floor_areas import find_area as find_area
+from .joint_resistance import GRAVITY as GRAVITY
+from .joint_resistance import MotionResistance as MotionResistance
+from .joint_resistance import known_resistance as known_resistance
+from .joint_resistance import object_mass as object_mass
+from .joint_resistance import part_masses as part_masses
+from .joint_resistance import resistance_along as resistance_along
+from .joint_resistance import stays_in_place as stays_in_place
 from .joint_values import joint_value as joint_value
 from .joint_values import set_joints as set_joints
 from .kitchens import LAYOUTS as LAYOUTS
@@ -14,6 +21,7 @@ from .other_motion import save_with_part_motion as save_with_part_motion
 from .other_motion import scene_with_hypothesis as scene_with_hypothesis
 from .other_motion import scene_with_part_motion as scene_with_part_motion
 from .other_motion import with_part_motion as with_part_motion
+from .resistance_config import ResistanceConfig as ResistanceConfig
 from .scene import Scene as Scene
 from .scene import SceneObject as SceneObject
 from .scene import upright_boxes as upright_boxes

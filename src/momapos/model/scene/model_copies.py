@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from momapos.core import SceneError, read_bytes_bounded
-from momapos.model.urdf import MAX_MESH_BYTES, Articulated, Geometry, Link, mesh_points
+from momapos.model.urdf import MAX_MESH_BYTES, Articulated, Geometry, mesh_points
 
 from .scene import Scene
 
@@ -131,7 +131,11 @@ def _moved(model: Articulated, places: Mapping[Path, Path]) -> Articulated:
         return replace(geometry, mesh=places[geometry.mesh])
 
     links = {
-        name: Link(name, tuple(map(shape, link.collisions)), tuple(map(shape, link.visuals)))
+        name: replace(
+            link,
+            collisions=tuple(map(shape, link.collisions)),
+            visuals=tuple(map(shape, link.visuals)),
+        )
         for name, link in model.urdf.links.items()
     }
     return Articulated(replace(model.urdf, path=places[model.urdf.path], links=links))

@@ -13,7 +13,7 @@ import numpy as np
 
 from momapos.core import SceneError, as_path, finite_array, finite_number, unknown_name
 from momapos.core.geometry import apply, pose, pose_planar, upright_frame
-from momapos.model.records import Confidence, Hypothesis, Outline
+from momapos.model.records import Confidence, Hypothesis, JointResistance, Outline
 from momapos.model.urdf import (
     Articulated,
     Boxes,
@@ -55,6 +55,8 @@ class SceneObject:
     """Possible motions of parts by joint, if inferred from appearance."""
     confidence: Confidence | None = None
     """Confidence of a scan in the object; None if it was not scanned."""
+    resistance: Mapping[str, JointResistance] = field(default_factory=dict)
+    """Known resistance of joints; the rest is assumed."""
     wall: Wall | None = None
     """The wall of the room that this box stands for; None for other objects."""
 
@@ -411,6 +413,22 @@ class Scene:
             objects=tuple(changed if o is target else o for o in self.objects),
             joints_set={**self.joints_set, name: {**self.joints_set.get(name, {}), joint: value}},
         )
+
+    def with_resistance(self, known: Mapping[str, Mapping[str, JointResistance]]) -> Scene:
+        """Return the scene with other known resistances, by object and joint.
+
+        Raises:
+            UnknownNameError: An object or joint does not exist.
+        """
+        scene = self
+        for name, joints in known.items():
+            item = scene.object(name)
+            for joint in joints:
+                item.joint(joint)
+            changed = replace(item, resistance={**item.resistance, **joints})
+            objects = tuple(changed if o is item else o for o in scene.objects)
+            scene = replace(scene, objects=objects)
+        return scene
 
     def with_joints(self, values: Mapping[str, Mapping[str, float]]) -> Scene:
         """Return the scene with other joint values, by object and joint.

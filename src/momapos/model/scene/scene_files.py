@@ -35,6 +35,7 @@ from .floor_areas import MAX_DISTANCE, read_areas, read_floor, read_numbers, rea
 from .hypotheses import hypotheses_to_json, read_hypotheses
 from .map_room import read_map_scene, with_map
 from .model_copies import model_files
+from .resistance_members import read_resistance
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_keys import BESTMAN_KEYS, SCENE_KEYS, ignored_keys
@@ -221,7 +222,9 @@ class _ObjectReader:
             model = model.changed(closed=closed)
         found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
         sure = read_confidence(self.item.get("confidence"), names, self.where)
-        return SceneObject(self.name, category, self.pose(), model, joints, found, sure)
+        followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
+        known = read_resistance(self.item.get("resistance", {}), followers, self.where)
+        return SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         pose = self.item.get("pose")
@@ -355,6 +358,8 @@ def object_members(item: SceneObject) -> dict[str, Any]:
     members: dict[str, Any] = {"category": item.category}
     if item.model.closed:
         members["closed"] = dict(item.model.closed)
+    if item.resistance:
+        members["resistance"] = {name: one.members() for name, one in item.resistance.items()}
     if item.confidence is not None:
         members["confidence"] = confidence_to_json(item.confidence)
     if item.hypotheses:

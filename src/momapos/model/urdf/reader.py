@@ -23,7 +23,15 @@ from .coupling import follow
 from .mesh_files import MeshFinder
 from .model_cache import once
 from .urdf_records import Geometry, Joint, JointKind, Link, Mesh, Mimic, Urdf
-from .urdf_tree import MAX_LINKS, MAX_URDF_BYTES, fix_root_joints, mimics, needed, read_tree
+from .urdf_tree import (
+    MAX_LINKS,
+    MAX_URDF_BYTES,
+    fix_root_joints,
+    inertials,
+    mimics,
+    needed,
+    read_tree,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -92,9 +100,11 @@ def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
     """Return a checked URDF without mesh files, and the names of these in order."""
     tree = read_tree(text, path)
     rigid, follows = fix_root_joints(tree), mimics(tree, path, scale)
+    masses = inertials(tree, path, scale)
     robot = _with_yourdfpy(tree, path)
     reader = _Reader(path, scale)
     links = {link.name: reader.link(link) for link in robot.links}
+    links |= {n: replace(links[n], mass=m, center=at) for n, (m, at) in masses.items()}
     if len(links) != len(robot.links):
         raise UrdfError(f"{path}: two links share a name; link names must be unique")
     joints = [reader.joint(joint) for joint in robot.joints]
@@ -208,7 +218,7 @@ def _with_meshes(
         )
 
     links = {
-        name: Link(name, found(link.collisions), found(link.visuals, visuals))
+        name: replace(link, collisions=found(link.collisions), visuals=found(link.visuals, visuals))
         for name, link in urdf.links.items()
     }
     return replace(urdf, path=path, links=links)

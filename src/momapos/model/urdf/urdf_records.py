@@ -47,6 +47,10 @@ class Link:
     name: str
     collisions: tuple[Geometry, ...]
     visuals: tuple[Geometry, ...]
+    mass: float = 0.0
+    """Mass according to the file [kg]; 0 if it gives none."""
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Center of that mass in the link frame [m]."""
 
 
 @dataclass(frozen=True)

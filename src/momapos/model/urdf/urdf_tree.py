@@ -18,6 +18,8 @@ MAX_SHAPES = 2_000
 """Largest number of collision elements, and of visual ones; detailed furniture has 150 [-]."""
 MAX_SIZE = 1e4
 """Largest edge, radius, length or distance [m]."""
+MAX_MASS = 1e6
+"""Largest mass of a link [kg]."""
 MAX_DEPTH = 50
 _COUNTS = {
     "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
@@ -172,6 +174,35 @@ def fix_root_joints(tree: Element) -> tuple[str, ...]:
     for joint in fixed:
         joint.set("type", "fixed")
     return tuple(joint.get("name", "") for joint in fixed)
+
+
+def inertials(
+    tree: Element, path: Path, scale: float
+) -> dict[str, tuple[float, tuple[float, float, float]]]:
+    """Return mass [kg] and scaled center of mass [m] of the links that have a mass.
+
+    Zero and negative masses count as none.
+
+    Raises:
+        UrdfError: A mass is not a finite number of at most 1e6 kg.
+    """
+    found = {}
+    for link in tree.findall("link"):
+        mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
+        text = None if mass is None else mass.get("value")
+        if text is None:
+            continue
+        value = _float(text)
+        if not abs(value) <= MAX_MASS:
+            raise UrdfError(
+                f"{path}: link {link.get('name')!r}: value={text!r:.80} in <mass> must be a finite "
+                f"number of at most {MAX_MASS:g}"
+            )
+        xyz = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
+        x, y, z = (scale * float(word) for word in xyz.replace(",", " ").split())
+        if value > 0:
+            found[link.get("name", "")] = value, (x, y, z)
+    return found
 
 
 def _link(joint: Element, end: str) -> str:

@@ -5,7 +5,6 @@ from .handle_records import Handle as Handle
 from .motion_record import TaskMotion as TaskMotion
 from .part_facts import PartFacts as PartFacts
 from .part_facts import part_facts_of as part_facts_of
-from .resistance import stays_in_place as stays_in_place
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
 from .task_boxes import scene_boxes as scene_boxes

@@ -6,39 +6,9 @@ from dataclasses import dataclass, field
 from typing import Literal, Optional
 
 from momapos.core import InputError, refuse_below
+from momapos.model.scene import ResistanceConfig
 
 GraspFamily = Literal["pinch", "hook", "push", "suction"]
-
-
-@dataclass(frozen=True)
-class ResistanceConfig:
-    """Assumed mass and resistance of doors and drawers without such data; see docs/simulation.md.
-
-    Grasps must transmit these. The simulation has its own values.
-    """
-
-    density: float = 300.0
-    """Density of moving parts with contents, over the volume of their hulls [kg/m^3]."""
-    least_mass: float = 0.5
-    """Minimum mass of a part [kg]."""
-    most_mass: float = 25.0
-    """Maximum mass of a part [kg]."""
-    hinge_friction: float = 0.4
-    """Dry friction of hinges [Nm]."""
-    slide_friction: float = 4.0
-    """Dry friction of slides [N]."""
-    seal_force: float = 30.0
-    """Pull at the handle that opens a door with a seal [N]."""
-    latch_force: float = 6.0
-    """Pull at the handle that opens any other door or drawer [N]."""
-    sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
-    """Words in the category or name of objects whose doors have a seal."""
-
-    def __post_init__(self) -> None:
-        refuse_below(self, 0, "density", "hinge_friction", "slide_friction")
-        refuse_below(self, 0, "seal_force", "latch_force")
-        refuse_below(self, 0.001, "least_mass")
-        refuse_below(self, self.least_mass, "most_mass")
 
 
 HANDLE_POINTS = (0.0, 0.6, -0.6)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.model.robots import Robot
+from momapos.model.robots import Grip, Robot
+from momapos.model.scene import MotionResistance
 from momapos.model.urdf import Articulated, opens_both_ways
 
 from .config import GraspConfig
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 _LINE_STRIDE = 1_000_000
 """Offset between the line numbers of two handles; exceeds the number of lines of one [-]."""
+MIN_LEVER = 1e-3
+"""Smallest lever of a grasp that counts [m]."""
 _MAX_RATIO = 2.5
 """Ratio of transmitted to needed force above which grasps count as equally firm [-]."""
 
@@ -107,7 +110,7 @@ def select_part_grasps(
     model: Articulated,
     joint: str,
     sign: float,
-    torque: float,
+    resistance: MotionResistance,
     *,
     closes: bool,
     config: GraspConfig,
@@ -121,7 +124,7 @@ def select_part_grasps(
         robot: The robot.
         model, joint: The part.
         sign: Opening direction of the joint (+1 or -1).
-        torque: Resistance of the joint [Nm] or [N].
+        resistance: Resistance of the joint along the motion.
         closes: Whether the task closes the part, so that its front may also be pushed.
         config: The grasps to try.
         excluded: Handles to skip; not all of the part's.
@@ -138,7 +141,7 @@ def select_part_grasps(
             continue
         handles.append(handle)
         grasps = grasps_of(robot, model, joint, sign, handle, config)
-        strong, reason = _strong(robot, model, joint, grasps, torque, handle, config)
+        strong, reason = _strong(robot, model, joint, grasps, resistance, handle, config)
         if len(strong.code):
             found.append((handle, strong))
             if not two_sided and not handle.whole and not found[0][0].whole:
@@ -150,7 +153,7 @@ def select_part_grasps(
     if pushed is not None and len(pushed[1].code):
         found.append(pushed)
     if found:
-        return _ordered(model, joint, found, torque, "", reasons[0] if reasons else "")
+        return _ordered(model, joint, found, resistance, "", reasons[0] if reasons else "")
     lines = approach_lines(robot, handles[0], config)
     none = np.full(len(lines.R), np.nan)
     bare = PartGrasps(
@@ -162,7 +165,7 @@ def select_part_grasps(
     named = [r for r, h in zip(reasons, handles, strict=True) if not h.edge] or reasons[:1]
     plain = handles[0].edge or empty_handed(robot)
     edges = "" if plain else ", and no hand gets around its free edge"
-    return _ordered(model, joint, [(handles[0], bare)], torque, named[0] + edges, "")
+    return _ordered(model, joint, [(handles[0], bare)], resistance, named[0] + edges, "")
 
 
 def _adds_to(first: Handle, handle: Handle) -> bool:
@@ -176,7 +179,7 @@ def _strong(
     model: Articulated,
     joint: str,
     grasps: PartGrasps,
-    torque: float,
+    resistance: MotionResistance,
     handle: Handle,
     config: GraspConfig,
 ) -> tuple[PartGrasps, str]:
@@ -186,30 +189,44 @@ def _strong(
     grasps = grasps.only(np.isin(grasps.code, [FAMILIES.index(Family(f)) for f in config.families]))
     if not len(grasps.code):
         return grasps, f"{robot.name} holds {handle.name} by other grasps than those allowed"
+    if robot.grips is Grip.HOOK and resistance.along.min() < 0.0:
+        where = _value_words(resistance, int(np.argmax(resistance.along < 0.0)), model, joint)
+        return grasps.only(np.zeros(len(grasps.code), bool)), (
+            f"{robot.name} hooks {handle.name}, and no hook holds back a part that falls open, as "
+            f"this one does {where}"
+        )
     part = CarriedPart(model, joint, handle.carrier)
-    need = torque / np.maximum(lever_arms(part, grasps.point), 1e-3)
+    need = resistance.largest / np.maximum(lever_arms(part, grasps.point), MIN_LEVER)
     strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():
         return grasps.only(strong), ""
     best = int(np.argmax(grasps.capacity / need))
+    where = _value_words(resistance, resistance.worst, model, joint)
+    back = " to hold it back" if resistance.held_back else ""
     return grasps.only(strong), (
         f"{robot.name} holds {handle.name} with {grasps.capacity[best]:.0f} N at most, and "
-        f"{config.grasp_margin * need[best]:.0f} N are needed there"
+        f"{config.grasp_margin * need[best]:.0f} N are needed {where}{back}"
     )
+
+
+def _value_words(resistance: MotionResistance, index: int, model: Articulated, joint: str) -> str:
+    """Return a value of a motion in words."""
+    value, slides = float(resistance.values[index]), model.joint(joint).kind == "prismatic"
+    return f"at {100 * value:.0f} cm" if slides else f"at {np.degrees(value):.0f} deg"
 
 
 def _ordered(
     model: Articulated,
     joint: str,
     found: list[tuple[Handle, PartGrasps]],
-    torque: float,
+    resistance: MotionResistance,
     reason: str,
     better_handle_reason: str,
 ) -> GraspSelection:
     """Order the grasps of some handles, see `firmest_first`."""
     parts = [grasps for _, grasps in found]
     arms = [lever_arms(CarriedPart(model, joint, h.carrier), g.point) for h, g in found]
-    need = torque / np.maximum(np.concatenate(arms), 1e-3)
+    need = resistance.largest / np.maximum(np.concatenate(arms), MIN_LEVER)
     capacity = np.concatenate([g.capacity for g in parts])
     handle = np.repeat(np.arange(len(parts)), [len(g.code) for g in parts])
     complexity = np.concatenate([g.complexity for g in parts])

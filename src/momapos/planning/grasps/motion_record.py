@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import rotation_about
-from momapos.model.records import Hold, Task
+from momapos.model.records import Hold, JointResistance, Task
 from momapos.model.urdf import Boxes, MovingBoxes
 
 from .grasp_families import Grasps
@@ -53,6 +53,8 @@ class TaskMotion:
     """Step after which the hand releases the part of a joint; None if it never does."""
     better_handle_reason: str = ""
     """Why a better handle is not used; "" if there is none."""
+    resistance: JointResistance | None = None
+    """Resistance of the part, which the grasps transmit; None for rigid objects."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]

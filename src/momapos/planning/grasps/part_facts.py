@@ -9,15 +9,13 @@ import numpy as np
 
 from momapos.core import TaskError, UrdfError
 from momapos.core.geometry import apply
-from momapos.model.scene import SceneObject
+from momapos.model.scene import ResistanceConfig, SceneObject, resistance_along
 from momapos.model.urdf import JointOpening, opening_of
 
-from .config import ResistanceConfig
 from .handle_records import Handle
 from .handle_shapes import CarriedPart, is_handle_joint
 from .handles import find_handle
 from .part_motion import lever_arms
-from .resistance import resistance_of
 from .task_requests import WIDE_OPEN
 
 if TYPE_CHECKING:
@@ -74,6 +72,6 @@ def part_facts_of(
         reach = abs(opening.wide - opening.closed)
         reach = reach if record.kind == "prismatic" else min(reach, WIDE_OPEN)
         values = opening.closed + opening.sign * np.linspace(0.0, reach, _VALUES)
-        torque = resistance_of(item, joint, values, lever, config or ResistanceConfig())
-        pull = torque / lever
+        resistance = resistance_along(item, joint, values, lever, config or ResistanceConfig())
+        pull = resistance.largest / lever
     return PartFacts(opening, "", alone, handle, center, pull)

@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.core.geometry import invert
 from momapos.model.robots import Grip, Robot
-from momapos.model.scene import SceneObject
+from momapos.model.scene import GRAVITY, SceneObject, object_mass
 from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
@@ -26,7 +26,6 @@ from .pinch_grasps import (
     lifting_capacity,
     stands_clear,
 )
-from .resistance import GRAVITY, mass_of
 from .swept_boxes import convex_of
 
 if TYPE_CHECKING:
@@ -101,7 +100,7 @@ def _holding(
         for link in model.links
         for index, hull in enumerate(model.hulls[link])
     )
-    mass, center = mass_of(model, config.resistance)
+    mass, center = object_mass(model, config.resistance)
     center = T_upright_root[:3, :3] @ center + T_upright_root[:3, 3]
     lines = _lines(robot, elements, center)
     need = (1.0 + config.swing) * GRAVITY * mass

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from momapos.core.geometry import invert, rotation_about
 from momapos.model.records import Hold
 from momapos.model.robots import Grip, Robot
-from momapos.model.scene import SceneObject
+from momapos.model.scene import SceneObject, stays_in_place
 
 from .config import GraspConfig
 from .hand_boxes import Hand, hand_of
@@ -29,7 +29,6 @@ from .handle_shapes import Element
 from .motion_record import TaskMotion
 from .part_grasps import FAMILIES, Family, elements_near_handle
 from .pinch_grasps import stands_clear
-from .resistance import stays_in_place
 from .turning_grasps import Turning
 
 if TYPE_CHECKING:
@@ -186,9 +185,8 @@ def _rests(motion: TaskMotion, target: SceneObject, config: GraspConfig) -> Int[
     joint, released = motion.task.joint, 1 if motion.release_step is None else 2
     assert joint is not None
     between = np.arange(2, len(motion.waypoint_steps) - released)
-    values = motion.object_q[motion.waypoint_steps[between]].tolist()
-    stay = [stays_in_place(target, joint, value, config.resistance) for value in values]
-    return between[np.array(stay, bool)]
+    values = motion.object_q[motion.waypoint_steps[between]]
+    return between[stays_in_place(target, joint, values, config.resistance)]
 
 
 PathCheck: TypeAlias = "Callable[[Float[np.ndarray, '4 4'], Float[np.ndarray, '4 4']], bool]"

@@ -12,7 +12,7 @@ from momapos.core import TaskError
 from momapos.core.geometry import invert
 from momapos.model.records import Task
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene, SceneObject
+from momapos.model.scene import Scene, SceneObject, known_resistance, resistance_along
 from momapos.model.urdf import opening_of
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
@@ -23,7 +23,6 @@ from .handle_shapes import CarriedPart
 from .handles import find_handle, handles_in_turn
 from .motion_record import TaskMotion
 from .part_motion import lever_arms
-from .resistance import resistance_of
 from .rigid_grasps import select_object_grasps
 from .task_boxes import bodies_moved_by, held_elements, moving_boxes, static_boxes
 from .turning_grasps import no_turning, turning_about
@@ -126,11 +125,13 @@ def _joint_motion(
     handle = find_handle(model, joint.name, sign)
     part = CarriedPart(model, joint.name, handle.carrier)
     lever = float(lever_arms(part, handle.center[None])[0])
-    torque = resistance_of(target, joint.name, values, lever, config.grasps.resistance)
+    assumed = config.grasps.resistance
+    resistance = resistance_along(target, joint.name, values, lever, assumed)
+    known = known_resistance(target, joint.name, assumed)
     chosen = select_inner_pushes(robot, model, joint.name, sign, config.grasps) if inside else None
     if chosen is None:
         chosen = select_part_grasps(
-            robot, model, joint.name, sign, torque,
+            robot, model, joint.name, sign, resistance,
             closes=task.verb == "close", config=config.grasps, excluded=excluded,
         )  # fmt: skip
     bodies = bodies_moved_by(target, joint.name, values)
@@ -161,6 +162,7 @@ def _joint_motion(
         refusal=chosen.reason,
         turning=turning,
         better_handle_reason=chosen.better_handle_reason,
+        resistance=replace(known, lever=known.lever or lever),
     )
 
 

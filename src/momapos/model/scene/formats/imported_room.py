@@ -21,7 +21,7 @@ DECIMALS = 6
 
 
 @dataclass(frozen=True)
-class JointResistance:
+class JointDynamics:
     """Resistance of a joint according to the file."""
 
     damping: float
@@ -40,7 +40,7 @@ class RoomObject:
     """Its links and joints; mesh shapes name keys of the room's `meshes`."""
     joints: Mapping[str, float] = field(default_factory=dict)
     """Values of joints that are not at rest [rad] or [m]."""
-    resistance: Mapping[str, JointResistance] = field(default_factory=dict)
+    resistance: Mapping[str, JointDynamics] = field(default_factory=dict)
     extras: Mapping[str, Any] = field(default_factory=dict)
     """Further members of its entry in a momapos scene, such as the category."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from momapos.core.geometry import invert, pose, pose_wxyz
 from momapos.model.urdf import Geometry, Joint, JointKind, Link, Mimic, Urdf, joint_motion
 
-from .imported_room import JointResistance, Names, RoomObject
+from .imported_room import JointDynamics, Names, RoomObject
 from .mjcf_shapes import GeomShapes
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Tree:
     joints: dict[int, Joint] = field(default_factory=dict)
     """Movable joints by MuJoCo's index."""
     values: dict[str, float] = field(default_factory=dict)
-    resistance: dict[str, JointResistance] = field(default_factory=dict)
+    resistance: dict[str, JointDynamics] = field(default_factory=dict)
     solid: list[int] = field(default_factory=list)
     """Geoms with collisions, by MuJoCo's index."""
     _order: list[Joint] = field(default_factory=list)
@@ -166,7 +166,7 @@ class Tree:
         if value != min(max(0.0, joint.lower), joint.upper):
             self.values[name] = value
         dof = int(m.jnt_dofadr[number])
-        self.resistance[name] = JointResistance(
+        self.resistance[name] = JointDynamics(
             float(m.dof_damping[dof].item()), float(m.dof_frictionloss[dof].item())
         )
 

@@ -16,7 +16,7 @@ from momapos.core.geometry import invert, pose, pose_rpy, rotation_of
 from momapos.model.urdf import Geometry, Joint, JointKind, Link, Mesh, Urdf, mesh_triangles
 
 from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
-from .imported_room import ImportReport, JointResistance, Names, RoomObject
+from .imported_room import ImportReport, JointDynamics, Names, RoomObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -48,7 +48,7 @@ class Model:
     meshes: dict[Path, Mesh] = field(default_factory=dict)
     links: dict[str, Link] = field(default_factory=dict)
     joints: list[Joint] = field(default_factory=list)
-    resistance: dict[str, JointResistance] = field(default_factory=dict)
+    resistance: dict[str, JointDynamics] = field(default_factory=dict)
     frames: dict[str, tuple[str, Float[np.ndarray, "4 4"]]] = field(default_factory=dict)
     """Reference frame and pose of each link, joint and frame."""
 
@@ -172,7 +172,7 @@ class Model:
             if found == "continuous" or not (math.isfinite(lower) and math.isfinite(upper)):
                 found = "prismatic" if found == "prismatic" else "continuous"
                 lower, upper = -math.inf, math.inf
-            self.resistance[name] = JointResistance(
+            self.resistance[name] = JointDynamics(
                 self._number(holder, "dynamics/damping"), self._number(holder, "dynamics/friction")
             )
         self.joints.append(Joint(name, found, parent, link, T, axis, lower, upper, math.inf))

@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.model.urdf import Geometry, Joint, Mesh, Urdf
 
-from .imported_room import JointResistance
+from .imported_room import JointDynamics
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -26,7 +26,7 @@ def obj_text(mesh: Mesh) -> str:
     return "\n".join([*lines, ""])
 
 
-def urdf_text(urdf: Urdf, resistance: Mapping[str, JointResistance]) -> str:
+def urdf_text(urdf: Urdf, resistance: Mapping[str, JointDynamics]) -> str:
     """Return records as a URDF.
 
     Args:
@@ -61,7 +61,7 @@ def _shape(element: Element, shape: Geometry) -> None:
             geometry.set(key, numbers([value]))
 
 
-def _joint(element: Element, joint: Joint, resistance: Mapping[str, JointResistance]) -> None:
+def _joint(element: Element, joint: Joint, resistance: Mapping[str, JointDynamics]) -> None:
     _origin(element, joint.T_parent_joint)
     SubElement(element, "parent", link=joint.parent)
     SubElement(element, "child", link=joint.child)

@@ -1,0 +1,244 @@
+"""What resists the motion of a part: seal or latch, friction and weight, by the joint's value."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from momapos.model.records import JointResistance
+from momapos.model.urdf import Articulated, Hull, opening_of
+
+from .resistance_config import ResistanceConfig
+from .scene import SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+GRAVITY = 9.81
+_PARTS = 1024
+"""Number of parts whose masses are cached [-]."""
+_STEP = 1e-5
+"""Difference of joint values for the derivative of a height [rad] or [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionResistance:
+    """Resistance of a joint at the values of a motion, each term along the motion [Nm] or [N].
+
+    Positive terms resist the motion. Negative ones drive it, and a hand must hold the part back.
+    """
+
+    values: Float[np.ndarray, " v"]
+    """Joint values [rad] or [m]."""
+    seal: Float[np.ndarray, " v"]
+    """Seal or latch, only near the closed value; 0 for a closing part, which it pulls closed."""
+    friction: Float[np.ndarray, " v"]
+    weight: Float[np.ndarray, " v"]
+
+    @property
+    def along(self) -> Float[np.ndarray, " v"]:
+        """Sum of all terms; negative where the hand must hold the part back."""
+        return self.seal + self.friction + self.weight
+
+    @property
+    def total(self) -> Float[np.ndarray, " v"]:
+        """What a hand must transmit, in either direction."""
+        return np.abs(self.along)
+
+    @property
+    def worst(self) -> int:
+        """Index of the value with the largest total."""
+        return int(np.argmax(self.total))
+
+    @property
+    def largest(self) -> float:
+        """The largest total [Nm] or [N]."""
+        return float(self.total.max())
+
+    @property
+    def held_back(self) -> bool:
+        """Whether the hand holds the part back at the worst value."""
+        return bool(self.along[self.worst] < 0.0)
+
+
+def resistance_along(
+    item: SceneObject,
+    joint: str,
+    values: Float[np.ndarray, " v"],
+    lever: float | Float[np.ndarray, " v"],
+    config: ResistanceConfig,
+) -> MotionResistance:
+    """Return what resists a motion of a joint, at each of its values.
+
+    The generalized force of the weight is the derivative of the potential energy, so that it holds
+    for any joint and the mimic joints that follow it.
+
+    Args:
+        item: The object.
+        joint: Its joint.
+        values: Joint values in the order of the motion [rad] or [m].
+        lever: Travel of the handle per unit of the joint, at each value or at all: the distance
+            from a hinge [m/rad], 1 for a slide. The object's own `lever` has priority.
+        config: Assumed values.
+    """
+    known = known_resistance(item, joint, config)
+    assert known.seal_force is not None
+    assert known.seal_travel is not None
+    assert known.friction is not None
+    towards = np.sign(values[-1] - values[0])
+    away = values - opening_of(item.model, joint).closed
+    arm = np.maximum(lever if known.lever is None else known.lever, 1e-6)
+    share = np.maximum(0.0, 1.0 - np.abs(away) * arm / known.seal_travel)
+    opens = (away * towards >= 0.0) & (np.abs(away) < np.abs(away[-1]))
+    return MotionResistance(
+        values=values,
+        seal=np.where(opens, known.seal_force * arm * share, 0.0),
+        friction=np.full(len(values), known.friction),
+        weight=-towards * weight_at(item, joint, values, config),
+    )
+
+
+def weight_at(
+    item: SceneObject, joint: str, values: Float[np.ndarray, " v"], config: ResistanceConfig
+) -> Float[np.ndarray, " v"]:
+    """Return the torque [Nm] or force [N] of a part's weight, positive toward larger values.
+
+    Zero for a part whose weight springs bear.
+    """
+    known = known_resistance(item, joint, config)
+    if known.balanced:
+        return np.zeros(len(values))
+    masses = part_masses(item.model, item.model.moved_by(joint), config, known.mass)
+    poses = item.moving_poses(joint, np.concatenate([values - _STEP, values + _STEP]))
+    lifted = np.zeros(2 * len(values))
+    for link, (mass, center) in masses.items():
+        T = poses[link]
+        lifted += mass * (T[:, 2, :3] @ center + T[:, 2, 3])
+    before, after = np.split(lifted, 2)
+    return -GRAVITY * (after - before) / (2 * _STEP)
+
+
+def stays_in_place(
+    item: SceneObject, joint: str, values: Float[np.ndarray, " v"], config: ResistanceConfig
+) -> Bool[np.ndarray, " v"]:
+    """Check at joint values [rad] or [m] that friction holds a released part in place."""
+    friction = known_resistance(item, joint, config).friction
+    assert friction is not None
+    return np.abs(weight_at(item, joint, values, config)) < friction
+
+
+def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) -> JointResistance:
+    """Return the resistance of a joint with assumed values where the scene gives none.
+
+    All fields but `lever` have a value.
+    """
+    given = item.resistance.get(joint, JointResistance())
+    record = item.joint(joint)
+    if record.kind == "prismatic":
+        friction, damping = config.slide_friction, config.slide_damping
+    else:
+        friction, damping = config.hinge_friction, config.hinge_damping
+    sealed = record.kind != "prismatic" and has_seal(item, joint, config)
+    assumed: dict[str, Any] = {
+        "seal_force": config.seal_force if sealed else config.latch_force,
+        "seal_travel": config.seal_travel, "friction": friction, "damping": damping,
+        "balanced": False,
+    }  # fmt: skip
+    if given.mass is None:
+        masses = part_masses(item.model, item.model.moved_by(joint), config)
+        assumed["mass"] = sum(mass for mass, _ in masses.values())
+    return replace(given, **{k: v for k, v in assumed.items() if getattr(given, k) is None})
+
+
+def has_seal(item: SceneObject, joint: str, config: ResistanceConfig) -> bool:
+    """Decide from names whether a door has a seal.
+
+    The words of the joint and of its link decide. If they say nothing, those of the object's
+    category do, then those of its name.
+    """
+    record = item.joint(joint)
+    for text in (f"{joint} {record.child}", item.category, item.name):
+        words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
+        seal = max((words.rfind(word) for word in config.sealed), default=-1)
+        plain = max((at for word in config.unsealed for at in _whole(word, words)), default=-1)
+        if max(seal, plain) >= 0:
+            return seal > plain
+    return False
+
+
+def _whole(word: str, text: str) -> list[int]:
+    """Return where a word stands in a text, alone or in the plural."""
+    pattern = rf"(?<![a-z]){re.escape(word)}(?:e?s)?(?![a-z])"
+    return [found.start() for found in re.finditer(pattern, text)]
+
+
+@lru_cache(maxsize=_PARTS)
+def part_masses(
+    model: Articulated,
+    links: Sequence[str],
+    config: ResistanceConfig,
+    total: float | None = None,
+) -> dict[str, tuple[float, Float[np.ndarray, "3"]]]:
+    """Return mass [kg] and center of mass in the link's frame [m] of links that move together.
+
+    Links have the mass in their file. Others have the assumed density, with their sum in its
+    bounds; the minimum holds where no link has a mass in the file.
+
+    Args:
+        model: The object.
+        links: The links, at least one.
+        config: Assumed density and bounds.
+        total: Known mass of all links together [kg].
+    """
+    volumes = {link: _volume_of(model.hulls[link]) for link in links}
+    given = {link: model.urdf.links[link] for link in links if model.urdf.links[link].mass > 0}
+    masses = {link: (one.mass, np.array(one.center)) for link, one in given.items()}
+    assumed = config.density * sum(v for link, (v, _) in volumes.items() if link not in given)
+    least = 0.0 if given else config.least_mass
+    factor = np.clip(assumed, least, config.most_mass) / assumed if assumed > 0 else 0.0
+    for link, (volume, center) in volumes.items():
+        if link not in given:
+            masses[link] = (float(factor * config.density * volume), center)
+    found = sum(mass for mass, _ in masses.values())
+    if found <= 0:
+        masses[links[0]], found = (least, np.zeros(3)), least
+    if total is not None and found > 0:
+        masses = {link: (mass * total / found, at) for link, (mass, at) in masses.items()}
+    return {link: masses[link] for link in links}
+
+
+def object_mass(
+    model: Articulated, config: ResistanceConfig
+) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Return mass [kg] and center of mass [m] of a whole object at rest, in its root's frame."""
+    masses = part_masses(model, model.links, config)
+    total = sum(mass for mass, _ in masses.values())
+    moment = np.zeros(3)
+    for link, (mass, center) in masses.items():
+        T = model.rest_poses[link]
+        moment += mass * (T[:3, :3] @ center + T[:3, 3])
+    return total, moment / max(total, 1e-12)
+
+
+def _volume_of(hulls: Sequence[Hull]) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Return volume [m^3] and centroid [m] of some hulls."""
+    found = [_volume(hull) for hull in hulls]
+    total = sum(volume for volume, _ in found)
+    if total <= 0:
+        return 0.0, np.zeros(3)
+    return total, np.asarray(sum(volume * center for volume, center in found) / total)
+
+
+def _volume(hull: Hull) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Return volume [m^3] and centroid [m] of a hull."""
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    parts = np.einsum("fi,fi->f", np.cross(a, b), c) / 6
+    total = float(parts.sum())
+    if total <= 0:
+        return 0.0, hull.vertices.mean(0)
+    return total, ((a + b + c) / 4 * parts[:, None]).sum(0) / total
