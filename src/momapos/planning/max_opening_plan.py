@@ -97,7 +97,7 @@ def find_max_opening(
     open_to = int(np.searchsorted(np.abs(values - values[0]), stopped - 1e-9))
     known = _index_of(best, values)
     best = beyond(lambda i: evaluate(values[i], True), known, open_to) or best
-    return best, _index_of(best, values) + 1 == open_to < len(values)
+    return best, bool(_index_of(best, values) + 1 == open_to < len(values))
 
 
 def _index_of(answer: PlacementResult, values: Float[np.ndarray, " k"]) -> int:

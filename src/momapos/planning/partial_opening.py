@@ -62,5 +62,7 @@ def add_max_opening(
         return plan
     # The values end where the part meets the floor, or before the goal, which is infeasible.
     target, to = scene.object(task.object), best.plan.task.to
-    sure |= to == values[-1] and meets_floor_at(target, task.joint, task.to or 0.0) is not None
+    sure |= (
+        bool(to == values[-1]) and meets_floor_at(target, task.joint, task.to or 0.0) is not None
+    )
     return replace(plan, feasible_to=to, feasible_from=best.plan.base_pose, feasible_sure=sure)
