@@ -92,7 +92,7 @@ def test_if_no_base_pose_serves_all_tasks_the_stops_are_few(kitchen: Scene, segw
     assert tour.driving == pytest.approx((first.navigation_cost or 0.0) + last.navigation_cost)
 
 
-@pytest.mark.parametrize("searched", [True, False])
+@pytest.mark.parametrize("searched", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_stop_from_which_the_next_task_is_infeasible_moves_to_another_region(
     tmp_path: Path, segway: Robot, monkeypatch: pytest.MonkeyPatch, searched: bool
 ) -> None:
