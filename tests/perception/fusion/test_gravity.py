@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from tests import optional
-from tests.furnished import Camera, cloud_of, kitchen, look_at, photograph
+from tests.furnished import cloud_of, kitchen, look_at, photograph
 
 from momapos.core.errors import InputError
 from momapos.core.geometry.transforms import apply, pose
@@ -23,14 +23,12 @@ from momapos.perception.recordings.scan_reader import read_scan
 
 EYES = [(-1.5, -2.0, 1.5), (0.0, -2.4, 1.4), (1.5, -1.9, 1.5), (0.3, -0.5, 1.6)]
 ROOM = cloud_of(kitchen(), np.random.default_rng(0), spacing=0.03)
-TINY = Camera(4, 3, 4.0)
-"""Only the poses of the images matter."""
 
 
 def moved(T: Float[np.ndarray, "4 4"]) -> tuple[Cloud, list[Frame]]:
     """Return the kitchen and cameras that look down at it, in another world."""
     cloud = Cloud(apply(T, ROOM.points), ROOM.normals @ T[:3, :3].T, ROOM.colors)
-    frames = [photograph([], T @ look_at(eye, (0.0, 0.5, 0.4)), TINY) for eye in EYES]
+    frames = [photograph([], T @ look_at(eye, (0.0, 0.5, 0.4))) for eye in EYES]
     return cloud, frames
 
 
@@ -65,7 +63,7 @@ def test_the_camera_may_be_held_on_its_side(turns: tuple[int, ...]) -> None:
     assert back[2, 3] == pytest.approx(0.0, abs=0.012)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)  # 1 in 500 such walks is ambiguous
+@settings(max_examples=20, deadline=None, derandomize=True)  # 1 in 500 such walks is ambiguous
 @given(
     st.integers(0, 10_000), st.floats(0.2, 0.5), st.floats(0.2, 0.4), st.sampled_from([0.0, 0.5])
 )
@@ -79,7 +77,7 @@ def test_cameras_that_face_a_single_wall_are_still_taken_as_upright(
         roll = rng.normal(0.0, 2.0) + (90.0 if rng.random() < on_side else 0.0)
         T = look_at((0.0, -2.4, 1.4), tuple(np.array([0.0, -2.4, 1.4]) + way))
         T = T @ pose((0, 0, 0), Rotation.from_euler("z", roll, degrees=True).as_matrix())
-        frames.append(photograph([], T, TINY))
+        frames.append(photograph([], T))
     back = align_to_gravity(ROOM, frames)
     assert np.degrees(np.arccos(np.clip(back[2, 2], -1, 1))) < 0.3
 
