@@ -44,6 +44,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(slow)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile the kernels that are not cached yet, one worker from each end, before any test runs.
+
+    Else each worker would compile all of them.
+    """
+    worker = getattr(session.config, "workerinput", None)
+    if worker is not None:
+        from momapos.core.compiled.code_store import store
+        from momapos.core.compiled.entries import ENTRIES
+
+        names = sorted(name for name in ENTRIES if name.startswith("momapos."))
+        for name in names[:: -1 if worker["workerid"] == "gw1" else 1]:
+            store.prepare([ENTRIES[name]], lambda *_: None)
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """List the skipped tests and the commands that run them."""
     lines = optional.skipped(terminalreporter.getreports("skipped"))

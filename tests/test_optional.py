@@ -57,7 +57,7 @@ def test_the_list_of_skips_counts_the_tests_of_each_reason() -> None:
 
 
 def test_a_run_ends_with_the_list_of_skipped_tests(pytester: pytest.Pytester) -> None:
-    """The tests run in several processes, as in `make test`."""
+    """The tests run in another process than the summary, as in `make test`."""
     pytester.makeconftest((TESTS / "conftest.py").read_text())
     pytester.makepyfile(
         """
@@ -74,7 +74,7 @@ def test_a_run_ends_with_the_list_of_skipped_tests(pytester: pytest.Pytester) ->
         """
     )
     pytester.makeini(f"[pytest]\npythonpath = {REPOSITORY}")
-    out = pytester.runpytest_subprocess("-q", "-n", "2", "-p", "no:cacheprovider")
+    out = pytester.runpytest_subprocess("-q", "-n", "1", "-p", "no:cacheprovider")
     reasons = ["EGL", "real data"]
     expected = [
         f"*{count} {optional.reason(what)}" for count, what in zip((3, 1), reasons, strict=True)

@@ -31,6 +31,7 @@ from momapos.simulation.config import (
     ExecutionConfig,
 )
 from momapos.simulation.dynamics import read_dynamics
+from momapos.simulation.run_record import Execution
 from momapos.simulation.simulated_hand import find_hand
 from momapos.simulation.simulated_room import PartResistance
 from momapos.simulation.simulation import Simulation, build_simulation
@@ -191,12 +192,21 @@ def test_a_paced_approach_is_slow_near_obstacles_and_never_faster_than_planned(
     assert change.max() < 1.01 * PACE_RATE * STEP
 
 
-def test_a_link_in_contact_stops_the_arm_before_it_presses_hard(tmp_path: Path) -> None:
-    plain = gripping(tmp_path / "plain")
+@pytest.fixture(scope="module")
+def free(tmp_path_factory: pytest.TempPathFactory) -> tuple[Execution, np.ndarray]:
+    """Run the toy without obstacles; return also the position of the forearm at the end."""
     seen: list[np.ndarray] = []
-    plain.run(watch=lambda world, *_: seen.append(world.data.geom("robot/fore#0").xpos.copy()))
+    done = gripping(tmp_path_factory.mktemp("free")).run(
+        watch=lambda world, *_: seen.append(world.data.geom("robot/fore#0").xpos.copy())
+    )
+    return done, seen[-1]
+
+
+def test_a_link_in_contact_stops_the_arm_before_it_presses_hard(
+    free: tuple[Execution, np.ndarray], tmp_path: Path
+) -> None:
     case = make_case()
-    case.obstacle([0.05] * 3, seen[-1].tolist())  # where the forearm ends
+    case.obstacle([0.05] * 3, free[1].tolist())  # where the forearm ends
     config = ExecutionConfig(compliance=ComplianceConfig(avoid=0.0))  # no avoidance
     done = gripping(tmp_path / "post", case).run(config=config)
     assert not done.success
@@ -205,7 +215,9 @@ def test_a_link_in_contact_stops_the_arm_before_it_presses_hard(tmp_path: Path) 
     assert done.collisions[0].force < config.touch_force
 
 
-def test_the_arm_stops_before_the_part_hits_the_robots_base(tmp_path: Path) -> None:
+def test_the_arm_stops_before_the_part_hits_the_robots_base(
+    free: tuple[Execution, np.ndarray], tmp_path: Path
+) -> None:
     case, halfway = make_case(), 0.6
     on_door = np.array(HINGE) + 0.5 * np.array([-np.sin(halfway), np.cos(halfway), -0.9])
     x, y, z, _ = invert(pose_planar(np.array(BASE))) @ np.append(on_door, 1.0)
@@ -215,9 +227,8 @@ def test_the_arm_stops_before_the_part_hits_the_robots_base(tmp_path: Path) -> N
         f'<origin xyz="{x} {y} {z}"/></joint></robot>'
     )
     case.robot = case.robot.replace("</robot>", post)
-    free, met = (gripping(tmp_path / name, c) for name, c in (("a", make_case()), ("b", case)))
-    assert free.run().ending == Ending.DONE
-    done = met.run()
+    assert free[0].ending == Ending.DONE
+    done = gripping(tmp_path, case).run()
     assert done.ending == Ending.MEETS_ROBOT
     assert 0.5 * halfway < done.reached < halfway
     assert all("post" not in (touch.one, touch.other) for touch in done.collisions)

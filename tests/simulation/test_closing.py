@@ -42,7 +42,7 @@ def test_a_door_is_closed(tmp_path: Path) -> None:
     assert done.reached == pytest.approx(0.0, abs=0.01)
 
 
-@pytest.mark.parametrize("stop", [0.02, 0.04])
+@pytest.mark.parametrize("stop", [pytest.param(0.02, marks=pytest.mark.slow), 0.04])
 def test_at_an_early_stop_the_arm_stops_and_the_grasp_holds(stop: float, tmp_path: Path) -> None:
     case = make_case()
     case.cupboard = case.cupboard.replace('lower="0"', f'lower="{stop}"')
@@ -52,7 +52,7 @@ def test_at_an_early_stop_the_arm_stops_and_the_grasp_holds(stop: float, tmp_pat
     assert done.load.force < 60
 
 
-@pytest.mark.parametrize("thickness", [0.002, 0.004])
+@pytest.mark.parametrize("thickness", [pytest.param(0.002, marks=pytest.mark.slow), 0.004])
 def test_the_force_on_a_strip_near_the_hinge_is_bounded_by_the_stop_force_and_its_lever(
     thickness: float, tmp_path: Path
 ) -> None:

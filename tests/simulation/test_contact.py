@@ -23,6 +23,7 @@ from momapos.simulation.simulated_hand import SimulatedHand, find_hand
 from momapos.simulation.simulated_room import PART, seal_of
 from momapos.simulation.simulation import Simulation
 
+SEEDS = (0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2)))
 HINGE_OFF = ModelErrorConfig(axis=0.03, tilt=float(np.radians(5.0)))
 
 
@@ -37,7 +38,7 @@ def test_closed_fingers_open_a_door_by_friction_alone(tmp_path: Path) -> None:
     assert 0 < done.load.force < ComplianceConfig().force
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_handle_off_by_one_centimeter_is_grasped_and_the_door_opened(
     seed: int, tmp_path: Path
 ) -> None:
@@ -46,7 +47,7 @@ def test_a_handle_off_by_one_centimeter_is_grasped_and_the_door_opened(
     assert done.success, done.reason
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_hinge_off_its_modeled_position_is_found_and_the_door_opened(
     seed: int, tmp_path: Path
 ) -> None:

@@ -13,11 +13,22 @@ from tests.verification.door_case import HANDLE, OPEN, make_case
 
 from momapos.core.errors import InputError, SceneError
 from momapos.simulation.config import Ending, ExecutionConfig, FurnitureConfig
+from momapos.simulation.run_record import Execution
 from momapos.simulation.simulation import Simulation
 
 
-def test_a_door_pulled_by_its_handle_opens(tmp_path: Path) -> None:
-    done = toy(tmp_path).run()
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Execution, np.ndarray]:
+    """Run the toy once; return also the position of the hand at the end."""
+    seen: list[np.ndarray] = []
+    done = toy(tmp_path_factory.mktemp("plain")).run(
+        watch=lambda world, *_: seen.append(world.T_world_tool[:3, 3])
+    )
+    return done, seen[-1]
+
+
+def test_a_door_pulled_by_its_handle_opens(plain: tuple[Execution, np.ndarray]) -> None:
+    done, _ = plain
     assert done.success, done.reason
     assert done.reached == pytest.approx(OPEN, abs=0.05 * OPEN)
     assert done.collisions == ()
@@ -26,8 +37,8 @@ def test_a_door_pulled_by_its_handle_opens(tmp_path: Path) -> None:
     assert sum(done.time.values()) == pytest.approx(done.simulated)
 
 
-def test_the_base_yields_slightly(tmp_path: Path) -> None:
-    shift = np.abs(toy(tmp_path).run().base_shift)
+def test_the_base_yields_slightly(plain: tuple[Execution, np.ndarray]) -> None:
+    shift = np.abs(plain[0].base_shift)
     assert 0 < shift.max() < 0.005
 
 
@@ -57,13 +68,12 @@ def test_a_box_that_blocks_the_door_is_named(tmp_path: Path) -> None:
     assert done.collisions[0].force > 20
 
 
-def test_an_arm_that_hits_a_box_is_a_collision_with_its_force(tmp_path: Path) -> None:
-    plain = toy(tmp_path / "plain")
-    seen: list[np.ndarray] = []
-    plain.run(watch=lambda world, *_: seen.append(world.T_world_tool[:3, 3]))
+def test_an_arm_that_hits_a_box_is_a_collision_with_its_force(
+    plain: tuple[Execution, np.ndarray], tmp_path: Path
+) -> None:
     case = make_case()
-    case.obstacle([0.04, 0.04, 0.04], (seen[-1] - [0.02, 0.0, 0.0]).tolist())
-    done = toy(tmp_path / "hit", case).run()
+    case.obstacle([0.04, 0.04, 0.04], (plain[1] - [0.02, 0.0, 0.0]).tolist())
+    done = toy(tmp_path, case).run()
     assert any(hit.other == "post/box" and hit.force > 0 for hit in done.collisions)
 
 
@@ -119,8 +129,11 @@ def test_the_seed_determines_the_resistance_of_the_furniture(tmp_path: Path) -> 
     assert runs[0].resistance != runs[2].resistance
 
 
-def test_a_hand_without_fingers_uses_a_weld_and_the_record_notes_it(tmp_path: Path) -> None:
-    done = toy(tmp_path).run(config=ExecutionConfig(hold="contact"))
+def test_a_hand_without_fingers_uses_a_weld_and_the_record_notes_it(
+    plain: tuple[Execution, np.ndarray],
+) -> None:
+    done, _ = plain
+    assert ExecutionConfig().hold == "contact"
     assert done.success, done.reason
     assert done.hold == "weld"
     assert any("a weld replaces the grasp" in note for note in done.notes)

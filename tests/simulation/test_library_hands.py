@@ -52,7 +52,7 @@ def leaning(lean: float) -> str:
 @pytest.mark.parametrize(
     ("name", "arm"),
     [
-        ("mobile_panda", None),
+        pytest.param("mobile_panda", None, marks=pytest.mark.slow),
         ("stretch", None),
         pytest.param("tiago", None, marks=pytest.mark.slow),
         pytest.param("tiago_dual", "left", marks=pytest.mark.slow),

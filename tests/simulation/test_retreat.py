@@ -47,9 +47,12 @@ def test_a_hand_that_closed_on_nothing_retraces_its_approach(tmp_path: Path) -> 
     assert max((c.force for c in came.collisions.values()), default=0.0) < 150
 
 
-def slipped(folder: Path) -> tuple[AttemptOutcome, list[LearnedPart], float]:
+@pytest.fixture(scope="module")
+def slipped(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[AttemptOutcome, list[LearnedPart], float]:
     """Let a door slip out of the hand halfway; return also its true value at that time."""
-    toy, asked, last = gripping(folder), [], [0.0]
+    toy, asked, last = gripping(tmp_path_factory.mktemp("slipped")), [], [0.0]
     oiled = 0.5
 
     def watch(world: Simulation, _: float, stage: str) -> None:
@@ -70,9 +73,9 @@ def slipped(folder: Path) -> tuple[AttemptOutcome, list[LearnedPart], float]:
 
 
 def test_a_hand_that_lost_its_grasp_draws_back_goes_home_and_knows_the_door_value(
-    tmp_path: Path,
+    slipped: tuple[AttemptOutcome, list[LearnedPart], float],
 ) -> None:
-    came, asked, true = slipped(tmp_path)
+    came, asked, true = slipped
     assert came.ending == Ending.SLIPPED
     assert came.at_home
     assert came.learned is asked[0]
@@ -123,9 +126,10 @@ def test_an_overloaded_hand_opens_under_load_and_goes_home(tmp_path: Path) -> No
     assert asked
 
 
-def test_a_retry_starts_with_the_part_where_the_last_attempt_left_it(tmp_path: Path) -> None:
-    came, _, _ = slipped(tmp_path / "first")
-    toy = gripping(tmp_path / "then")
+def test_a_retry_starts_with_the_part_where_the_last_attempt_left_it(
+    slipped: tuple[AttemptOutcome, list[LearnedPart], float], tmp_path: Path
+) -> None:
+    (came, _, _), toy = slipped, gripping(tmp_path)
     assert came.learned is not None
     begun: list[float] = []
 

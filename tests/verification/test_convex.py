@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,7 +25,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def box(size: np.ndarray) -> Body:
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    signs = np.array(list(product((-1, 1), repeat=3)))
     return Body(signs * (np.asarray(size) / 2), 0.0, 0.0)
 
 

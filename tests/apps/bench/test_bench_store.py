@@ -20,7 +20,7 @@ from momapos.apps.bench.folder import all_rows, rows_file
 from momapos.apps.bench.row_store import ADDED, RowStore, read_rows
 from momapos.core.errors import FileFormatError, InputError
 
-KILLS, JOBS = 20, 2500
+KILLS, JOBS = 10, 1200
 RUNNER = str(Path(__file__).parent / "killed_runner.py")
 
 

@@ -58,7 +58,7 @@ def test_a_xacro_file_becomes_a_urdf_next_to_the_robot_file(tmp_path: Path) -> N
 def test_a_file_that_cannot_be_expanded_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
 ) -> None:
-    monkeypatch.setattr(xacro, "MAX_SECONDS", 5)
+    monkeypatch.setattr(xacro, "MAX_SECONDS", 2 if "9**9" in text else 5)  # that one is endless
     path = tmp_path / "robot.xacro"
     path.write_text(text)
     with pytest.raises(RobotError, match=words) as caught:

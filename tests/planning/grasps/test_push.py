@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +16,20 @@ from momapos.planning.grasps.fronts import PUSH_INSET
 from momapos.planning.grasps.hand_boxes import Hand, hand_of
 from momapos.planning.grasps.push_grasps import push_from_behind
 
-GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 41)] * 3), axis=-1).reshape(-1, 3)
+CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+FROM, TO = (np.array(ends) for ends in zip(*(
+    (a, b) for a, b in combinations(CORNERS, 2) if (a != b).sum() == 1
+), strict=True))  # fmt: skip
+EDGES = (FROM[:, None] + np.linspace(0.0, 1.0, 101)[:, None] * (TO - FROM)[:, None]).reshape(-1, 3)
+"""Points on the edges of a cube; a plane cuts the extreme points of a box from its edges."""
 
 
 def inside(hand: Hand) -> np.ndarray:
-    """Return points of the fingers' boxes in the tool frame."""
+    """Return points on the edges of the fingers' boxes in the tool frame."""
     rows = np.flatnonzero(hand.side)
     boxes = hand.boxes
     return np.concatenate(
-        [boxes.center[b] + GRID * boxes.half[b] @ boxes.rotation[b].T for b in rows]
+        [boxes.center[b] + EDGES * boxes.half[b] @ boxes.rotation[b].T for b in rows]
     )
 
 
@@ -51,5 +57,5 @@ def test_fingers_touch_the_back_of_a_door(
         there = points @ T[:3, :3].T + T[:3, 3] - back.center
         over = there[there @ to_hinge > -PUSH_INSET]
         assert np.max(there @ to_hinge) == pytest.approx(0.0, abs=1e-9)
-        # The grid resolves where an edge cuts a box only to one step.
+        # The points resolve where the plane cuts an edge only to one step.
         assert -0.002 < np.min(over @ back.out) < 1e-9 + 0.002

@@ -139,7 +139,8 @@ def test_an_aimed_state_is_on_its_line_and_reaches_its_turns(robot: Robot) -> No
 def test_neighboring_lines_are_found_where_joints_stay_at_their_limits() -> None:
     """A Newton step that includes a joint at its limit falls short of the line."""
     robot = load_robot("tiago")
-    arm, grid = _aimed(robot, arm_frame(robot.chain, robot.approach_axis)), LineGrid(-1, 0.1, 13, 8)
+    arm = _aimed(robot, arm_frame(robot.chain, robot.approach_axis))
+    grid = LineGrid(-1.0, 0.1, 13, 8)
     rng, (lower, upper) = np.random.default_rng(8), bounded(robot.chain)
     shape = 1000, robot.chain.size
     beyond = 0.3 * (upper - lower)

@@ -103,7 +103,7 @@ def test_points_between_lines_are_reached_from_the_end_that_has_more_turns(
     low, up = (np.ravel_multi_index(tuple(k), SHAPE) for k in (at, high))
     words = np.empty(len(low), np.uint64)
     aim_between(low, axis, wanted, known, arm, GRID, words)
-    middle = at.T.astype(float)
+    middle = np.ascontiguousarray(at.T, float)
     middle[:, axis] += 0.5
     for i in range(len(low)):
         ends = known.words[low[i]], known.words[up[i]]
