@@ -163,11 +163,11 @@ class SceneObject:
         return self.model.moving_poses(joint, values, self.joints, self._poses)
 
     @cached_property
-    def link_boxes(self) -> dict[str, Boxes]:
-        """Boxes of the links that have any, in the world."""
+    def static_boxes(self) -> dict[str, Boxes]:
+        """Boxes of the links that have any, in the world, where they stand still."""
         found = {}
         for link, T in self.link_poses().items():
-            boxes = self.model.boxes[link]
+            boxes = [element.boxes for element in self.model.static_elements[link]]
             if boxes:
                 found[link] = Boxes(
                     np.concatenate([b.center @ T[:3, :3].T + T[:3, 3] for b in boxes]),
@@ -175,6 +175,13 @@ class SceneObject:
                     np.concatenate([b.half for b in boxes]),
                 )
         return found
+
+    def static_labels(self, link: str) -> list[str]:
+        """Return the names of a link's boxes in `static_boxes`, with the object."""
+        labels = []
+        for element in self.model.static_elements[link]:
+            labels += [f"{self.name}/{element.label(link, static=True)}"] * len(element.boxes)
+        return labels
 
     @cached_property
     def vertices(self) -> Float[np.ndarray, "v 3"]:

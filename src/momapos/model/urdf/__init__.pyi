@@ -23,6 +23,7 @@ from .meshes import parse_mesh as parse_mesh
 from .model_cache import once as once
 from .reader import box_urdf as box_urdf
 from .reader import read_urdf as read_urdf
+from .static_shapes import StaticElement as StaticElement
 from .urdf_records import Geometry as Geometry
 from .urdf_records import Joint as Joint
 from .urdf_records import JointKind as JointKind
