@@ -123,9 +123,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, OwnElements]:
     bodies, hulls = prepared(target.model)
     hulls = _in_world(target, bodies, replace(hulls, names=moving_names(target.model)))
     everything = frozenset(range(len(bodies)))
-    moved = of_bodies(
-        hulls, everything if task.joint is None else bodies.moved_by(task.joint)
-    )
+    moved = of_bodies(hulls, everything if task.joint is None else bodies.moved_by(task.joint))
     still = np.setdiff1d(np.arange(len(hulls)), moved)
     part = _part(target, task, bodies, hulls.take(moved))
     fixed, prefixes, of_obstacle = [], [], []

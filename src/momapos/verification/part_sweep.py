@@ -94,7 +94,7 @@ def part_sweep_check(
     Args:
         part: The moved part.
         fixed: All other shapes, in world coordinates.
-        own: The elements of the same object; a hollow one is a bearing if its hull touches the part,
+        own: The elements of the same object; hollow ones are bearings if their hull touches the part,
             since the part, too, is checked as hulls.
         limits: Allowed overlap, also relative to the given scene.
     """

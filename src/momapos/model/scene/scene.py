@@ -14,7 +14,7 @@ import numpy as np
 from momapos.core import SceneError, as_path, finite_array, finite_number, unknown_name
 from momapos.core.geometry import apply, pose, pose_planar, upright_frame
 from momapos.model.records import Confidence, Hypothesis, Outline
-from momapos.model.urdf import Articulated, Boxes, box_urdf, read_urdf
+from momapos.model.urdf import Articulated, Boxes, box_urdf, read_furniture
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -87,6 +87,7 @@ class SceneObject:
         scale: float = 1.0,
         joints: Mapping[str, float] | None = None,
         category: str = "",
+        visual_collisions: bool = True,
     ) -> SceneObject:
         """Return an object from a URDF, such as furniture or an appliance.
 
@@ -98,13 +99,16 @@ class SceneObject:
             scale: Factor on all lengths [-].
             joints: Values of joints that are not at rest [rad] or [m].
             category: For example "fridge".
+            visual_collisions: Whether visual shapes stand in where collision shapes are missing;
+                `model.urdf.notes` names the links. If not, such a file is an error.
 
         Raises:
             UrdfError: The URDF is invalid.
             UnknownNameError: A joint does not exist.
         """
         scale = finite_number("scale", scale, MIN_SCALE)
-        model = Articulated(read_urdf(as_path("path", path), scale=scale))
+        file = as_path("path", path)
+        model = Articulated(read_furniture(file, scale=scale, visual_collisions=visual_collisions))
         for joint in joints or {}:
             model.joint(joint)
         T = _planar_pose(xyz, yaw)

@@ -27,13 +27,14 @@ from momapos.core import (
 )
 from momapos.core.geometry import pose_wxyz
 from momapos.model.scene.formats import foreign_kind
-from momapos.model.urdf import Articulated, box_urdf, read_urdf
+from momapos.model.urdf import Articulated, box_urdf
 
 from . import bestman
 from .confidence import confidence_to_json, read_confidence
 from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from .hypotheses import hypotheses_to_json, read_hypotheses
 from .model_copies import model_files
+from .object_models import ObjectModels
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
 from .scene_names import FORMAT, MAX_BYTES, find_scene
@@ -55,7 +56,11 @@ _OBJECT_KEYS = {
 
 
 def load_scene(
-    source: str | Path, *, root: str | Path | None = None, cache: Cache | None = None
+    source: str | Path,
+    *,
+    root: str | Path | None = None,
+    cache: Cache | None = None,
+    visual_collisions: bool = True,
 ) -> Scene:
     """Load a scene.
 
@@ -65,6 +70,8 @@ def load_scene(
         root: Folder that no path in the scene may leave; by default the file's folder, for a
             BestMan scene the parent folder that contains `Asset`.
         cache: Stores expensive geometry.
+        visual_collisions: Whether visual shapes stand in where an object has no collision shapes,
+            with a warning; if not, such an object is an error.
 
     Raises:
         UnknownNameError, FileFormatError, SceneError, UrdfError: The scene is invalid; one line
@@ -81,19 +88,20 @@ def load_scene(
             f"{path}: is in the format {kind}; convert it first with "
             f"'momapos scene convert {path} {path.stem}.json'"
         )
+    models = ObjectModels(root, cache, visual_collisions)
     if start == "<":
-        scene = _read_single(path, root, cache)
+        scene = _read_single(path, models)
     elif start in ("{", "["):
         data = _parse_json(text, path)
         read = _read_bestman if bestman.is_bestman(data) else _read_momapos
-        scene = read(data, path, root, cache)
+        scene = read(data, path, models)
     else:
         raise FileFormatError(
             f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
         )
     _check_unique_names(scene)
     check_room_size(scene)
-    return scene
+    return replace(scene, warnings=(*scene.warnings, *models.notes))
 
 
 def _parse_json(text: str, path: Path) -> Any:
@@ -117,24 +125,9 @@ def _check_unique_names(scene: Scene) -> None:
         seen[item.name] = index
 
 
-class _Models:
-    """Reads each URDF once per scale, so that objects share their models."""
-
-    def __init__(self, root: Path | None, cache: Cache | None) -> None:
-        self.root, self.cache = root, cache
-        self.read: dict[tuple[Path, float], Articulated] = {}
-
-    def __call__(self, path: Path, scale: float) -> Articulated:
-        key = (path.resolve(), scale)
-        if key not in self.read:
-            urdf = read_urdf(path, root=self.root, scale=scale, cache=self.cache)
-            self.read[key] = Articulated(urdf, cache=self.cache)
-        return self.read[key]
-
-
-def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
+def _read_single(path: Path, models: ObjectModels) -> Scene:
     """Read a URDF as a scene of one object that stands on the floor."""
-    model = _Models(root, cache)(path, 1.0)
+    model = models(path, 1.0)
     category = bestman.category_of("", str(path.resolve()))
     plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
     name = path.stem if plain else category
@@ -144,18 +137,16 @@ def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
     return Scene(name, (SceneObject(name, category, T, model),), path)
 
 
-def _read_bestman(data: Sequence[Any], path: Path, root: Path | None, cache: Cache | None) -> Scene:
+def _read_bestman(data: Sequence[Any], path: Path, models: ObjectModels) -> Scene:
     if len(data) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: more than {MAX_OBJECTS} objects")
     entries = bestman.read_entries(data, path)
-    root = root or bestman.find_root(path)
-    objects, warnings = bestman.read_objects(entries, root, _Models(root, cache))
+    models.root = models.root or bestman.find_root(path)
+    objects, warnings = bestman.read_objects(entries, models.root, models)
     return Scene(path.stem, objects, path, warnings=warnings)
 
 
-def _read_momapos(
-    data: Mapping[str, Any], path: Path, root: Path | None, cache: Cache | None
-) -> Scene:
+def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> Scene:
     if data.get("format") != FORMAT:
         raise FileFormatError(
             f'{path}: not a scene; a momapos scene has "format": {FORMAT!r}, '
@@ -169,8 +160,8 @@ def _read_momapos(
     items = data.get("objects")
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
-    root = (root or path.parent).resolve()
-    models, warnings = _Models(root, cache), _unknown_keys(data, _SCENE_KEYS, f"{path}")
+    models.root = root = (models.root or path.parent).resolve()
+    warnings = _unknown_keys(data, _SCENE_KEYS, f"{path}")
     objects = []
     for index, item in enumerate(items):
         where = f"{path}: object {index}"
@@ -194,7 +185,7 @@ class _ObjectReader:
     """One object of a momapos scene."""
 
     def __init__(
-        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: _Models
+        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: ObjectModels
     ) -> None:
         self.item, self.folder, self.root, self.models = item, folder, root, models
         self.name = _text(item.get("name"), f"{where}: name")

@@ -2,6 +2,7 @@ from .articulated import Articulated as Articulated
 from .articulated import joint_motion as joint_motion
 from .coupling import check_coupled as check_coupled
 from .coupling import leader_of as leader_of
+from .furniture import read_furniture as read_furniture
 from .hulls import Boxes as Boxes
 from .hulls import Hull as Hull
 from .hulls import MovingBoxes as MovingBoxes

@@ -209,9 +209,7 @@ def _cut(piece: _Piece, free: _FreeCells, config: CutConfig) -> list[_Piece]:
     return best if len(best) > 1 and min(left(best)[:2]) <= MAX_REMAINING else []
 
 
-def _cut_across(
-    piece: _Piece, axis: int, free: _FreeCells, config: CutConfig
-) -> list[_Piece]:
+def _cut_across(piece: _Piece, axis: int, free: _FreeCells, config: CutConfig) -> list[_Piece]:
     """Cut a piece into slabs across an axis, and merge pieces where that adds no free space."""
     edges, thin = _slab_edges(piece, axis, config)
     slabs, rest = [], piece.triangles

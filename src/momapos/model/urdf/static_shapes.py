@@ -18,7 +18,7 @@ from .hulls import STRIPS, Boxes, Hull, cover_shape, fit_box, slab
 from .reader import Geometry
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    pass
 
 MIN_FREE_SHARE = 1 / 3
 """A mesh is hollow if at least this share of its hull is free: the hull has 1.5 times the volume of
