@@ -94,8 +94,8 @@ def part_sweep_check(
     Args:
         part: The moved part.
         fixed: All other shapes, in world coordinates.
-        own: The elements of the same object; hollow ones are bearings if their hull touches the part,
-            since the part, too, is checked as hulls.
+        own: The elements of the same object. A hollow one is a bearing if its hull touches the
+            part, whose meshes are hulls, too.
         limits: Allowed overlap, also relative to the given scene.
     """
     pairs = all_pairs(len(part.shapes), len(fixed))

@@ -16,7 +16,7 @@ import numpy as np
 
 from momapos.core.geometry import apply
 
-from .hulls import Hull, fit_box, hull_around
+from .hulls import Hull, fit_box, hull_around, unique_rows
 from .meshes import mesh_triangles
 from .reader import Geometry
 from .triangles import TOUCH, close_rims, connected_parts, double_areas, hits_along, split_at
@@ -171,9 +171,7 @@ def _hull_planes(triangles: Float[np.ndarray, "t 3 3"]) -> _HullPlanes:
         hull = ConvexHull(corners)
     except QhullError:  # flat: no point is inside
         return _HullPlanes(low, high, np.array([[0.0, 0.0, 0.0, 1.0]]), 0.0)
-    return _HullPlanes(
-        low, high, np.unique(np.round(hull.equations, 5), axis=0), float(hull.volume)
-    )
+    return _HullPlanes(low, high, unique_rows(np.round(hull.equations, 5)), float(hull.volume))
 
 
 def _is_concave(triangles: Float[np.ndarray, "t 3 3"]) -> bool:

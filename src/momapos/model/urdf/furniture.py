@@ -35,8 +35,8 @@ def read_furniture(
 ) -> Urdf:
     """Read the URDF of furniture; its notes say what differs from the file.
 
-    A body is a link with all links that fixed joints join to it. The visual shapes of a body without
-    collision shapes are its collision shapes. A visual mesh that does not exist or is damaged is
+    A body is a link with all links that fixed joints join to it. If a body has no collision shapes,
+    its visual shapes are its collision shapes. A visual mesh that does not exist or is damaged is
     left out if its body has other shapes. COLLADA meshes are turned so that their up axis is z.
 
     Args:
@@ -132,8 +132,8 @@ def _turned_up(urdf: Urdf, notes: list[str]) -> Urdf:
     name, axis = next(iter(turned.items()))
     others = "" if len(turned) == 1 else f", and {len(turned) - 1} other meshes,"
     notes.append(
-        f"{urdf.path}: {name}{others} says {axis} and is turned so that z is up; rviz ignores this. "
-        "If it stands upright there, write Z_UP"
+        f"{urdf.path}: {name}{others} says {axis} and is turned so that z is up; rviz does "
+        "not turn it. If it stands upright there, write Z_UP"
     )
     return replace(urdf, links=links)
 

@@ -15,7 +15,7 @@ from momapos.core import UrdfError, parse_xml, read_text_bounded
 MAX_MESH_PARENTS = 4
 """Meshes may be up to this many folders above the URDF's; packages have them next to `urdf` [-]."""
 MAX_PACKAGES = 200
-"""Number of folders next to a URDF, or next to one of its parent folders, that are looked at [-]."""
+"""Number of folders that are searched for a package, in each of the URDF's parent folders [-]."""
 MAX_MANIFEST_BYTES = 100_000
 _SCHEME = re.compile(r"^(package|file|model)://")
 

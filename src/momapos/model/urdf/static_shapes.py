@@ -7,7 +7,6 @@ convex pieces. Hulls that a box covers loosely, such as those of round tables, g
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,21 +16,17 @@ from .convex_pieces import CutConfig, free_volume, pieces_of, triangles_of
 from .hulls import STRIPS, Boxes, Hull, cover_shape, fit_box, slab
 from .reader import Geometry
 
-if TYPE_CHECKING:
-    pass
-
 MIN_FREE_SHARE = 1 / 3
 """A mesh is hollow if at least this share of its hull is free: the hull has 1.5 times the volume of
-the rest. Of 912 meshes of real furniture 172 are; with one half, open cabinets with shelves are
-missed [-]."""
+the rest. 172 of 912 meshes of real furniture have it [-]."""
 MIN_FREE_VOLUME = 5e-3
-"""A mesh is hollow if its hull has at least this free volume, about that of a hand with its wrist;
-60 of the 172 have it [m^3]."""
+"""A mesh is hollow if its hull has at least this free volume, about that of a hand with its wrist; 60
+of the 172 meshes have it [m^3]."""
 MAX_REMAINING_VOLUME = 1 / 1.5
 """Pieces are used if they have at most this share of the hull's volume [-]."""
-CUT = CutConfig(max_void=2e-3, max_pieces=16, max_slabs=4, min_slab=0.015, min_even_slab=0.05)
-"""Coarser than for handles, which takes a seventh of the time and leaves pieces of the same volume
-for the hollow meshes of real furniture."""
+CUT = CutConfig(max_void=2e-3, max_pieces=16, max_slabs=4, min_slab=0.003, min_even_slab=0.05)
+"""Coarser than for handles. The 60 meshes take 17 s instead of 276 s to cut, once; the pieces have
+59 % of the hull's volume instead of 42 % (medians)."""
 MAX_LOOSENESS = 0.05
 """Boxes whose corners are farther outside of their hull are replaced by strips; the base keeps a
 similar distance [m]."""
