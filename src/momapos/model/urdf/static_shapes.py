@@ -20,7 +20,7 @@ MIN_FREE_SHARE = 1 / 3
 """A mesh is hollow if at least this share of its hull is free: the hull has 1.5 times the volume of
 the rest. 172 of 912 meshes of real furniture have it [-]."""
 MIN_FREE_VOLUME = 5e-3
-"""A mesh is hollow if its hull has at least this free volume, about that of a hand with its wrist; 60
+"""A mesh is hollow if its hull has at least this free volume, about that of a hand with a wrist; 60
 of the 172 meshes have it [m^3]."""
 MAX_REMAINING_VOLUME = 1 / 1.5
 """Pieces are used if they have at most this share of the hull's volume [-]."""
