@@ -67,3 +67,46 @@ def write_obj(path: Path, triangles: Float[np.ndarray, "t 3 3"]) -> None:
     corners = "".join("v {:.6f} {:.6f} {:.6f}\n".format(*x) for x in triangles.reshape(-1, 3))
     faces = "".join(f"f {3 * k + 1} {3 * k + 2} {3 * k + 3}\n" for k in range(len(triangles)))
     path.write_text(corners + faces)
+
+
+def table(leg: float = 0.05) -> tuple[Box, ...]:
+    """Return a table with four legs and a top of 1.2 x 0.8 m, 0.7 m high."""
+    corners = [(x, y) for x in (-0.6, 0.6 - leg) for y in (-0.4, 0.4 - leg)]
+    legs: list[Box] = [((x, y, 0.0), (x + leg, y + leg, 0.66)) for x, y in corners]
+    return (*legs, ((-0.6, -0.4, 0.66), (0.6, 0.4, 0.7)))
+
+
+SHELVES: tuple[Box, ...] = (
+    ((-0.2, -0.4, 0.0), (0.2, -0.38, 1.2)),
+    ((-0.2, 0.38, 0.0), (0.2, 0.4, 1.2)),
+    ((0.18, -0.38, 0.0), (0.2, 0.38, 1.2)),
+    *(((-0.2, -0.38, z), (0.18, 0.38, z + 0.02)) for z in (0.0, 0.58, 1.18)),
+)
+"""A bookcase that is open to -x, with three shelves."""
+
+
+def prism(radius: float, height: float, corners: int = 40) -> Float[np.ndarray, "t 3 3"]:
+    """Return the triangles of an upright prism that stands on the origin."""
+    import trimesh
+
+    body = trimesh.creation.cylinder(radius, height, sections=corners)
+    return np.array(body.triangles) + np.array([0.0, 0.0, height / 2])
+
+
+def collada(triangles: Float[np.ndarray, "t 3 3"], asset: str = "") -> str:
+    """Return triangles as a COLLADA file, with the content of its `asset` element."""
+    points = triangles.reshape(-1, 3)
+    numbers, order = " ".join(f"{v:.9g}" for v in points.ravel()), range(len(points))
+    params = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+    return (
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+        f'<asset>{asset}</asset><library_geometries><geometry id="g"><mesh><source id="s">'
+        f'<float_array id="a" count="{points.size}">{numbers}</float_array><technique_common>'
+        f'<accessor source="#a" count="{len(points)}" stride="3">{params}</accessor>'
+        '</technique_common></source><vertices id="v"><input semantic="POSITION" source="#s"/>'
+        f'</vertices><triangles count="{len(triangles)}"><input semantic="VERTEX" source="#v" '
+        f'offset="0"/><p>{" ".join(map(str, order))}</p></triangles></mesh></geometry>'
+        '</library_geometries><library_visual_scenes><visual_scene id="vs"><node id="n">'
+        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#vs"/></scene></COLLADA>'
+    )

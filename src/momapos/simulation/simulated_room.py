@@ -162,11 +162,16 @@ def add_room(spec: Any, scene: Scene, task: Task, deviation: Deviation | None) -
         for link, T in _poses(item, task, deviation).items():
             if link in moved:
                 continue
+            elements = item.model.static_elements[link]
             for i, shape in enumerate(item.model.urdf.links[link].collisions):
-                name = f"{item.name}/{link}#{i}"
+                name, hulls = f"{item.name}/{link}#{i}", elements[i].hulls
                 body = spec.worldbody.add_body(name=name)
-                geom = add_shape(spec, body, shape, T, name)
-                dress(geom, Kind.ROOM, touched=False, handle=_is_handle(link, shape))
+                if len(hulls) == 1:
+                    geoms = [add_shape(spec, body, shape, T, name)]
+                else:
+                    geoms = [add_hull(spec, body, h, T, f"{name}.{k}") for k, h in enumerate(hulls)]
+                for geom in geoms:
+                    dress(geom, Kind.ROOM, touched=False, handle=_is_handle(link, shape))
 
 
 def moved_links(item: SceneObject, task: Task) -> frozenset[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from momapos.model.scene import Scene
 
 from .exact_shapes import Shapes, join
-from .moved_part import world_shapes
+from .moved_part import static_shapes
 from .sweep import deepest
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def object_contacts(scene: Scene, max_gap: float) -> tuple[ObjectContact, ...]:
         The pairs, the deepest first.
     """
     found: dict[tuple[int, int], ObjectContact] = {}
-    parts = [world_shapes(item)[1] for item in scene.objects]
+    parts = [static_shapes(item) for item in scene.objects]
     shapes = join(parts, [f"{item.name}/" for item in scene.objects])
     owner = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     Ts = shapes.Ts_body_shape[None]

@@ -1,8 +1,11 @@
-"""Collision elements as convex shapes for the exact check: primitives, and meshes as hulls."""
+"""Collision elements as convex shapes for the exact check: primitives, and meshes as hulls.
+
+Hollow meshes of furniture that stands still are convex pieces.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,7 +14,7 @@ import numpy as np
 
 from momapos.core.compiled import F1, F2, F3, F4, I1, entry
 from momapos.core.geometry import apply, invert
-from momapos.model.urdf import Articulated, Geometry, Hull
+from momapos.model.urdf import Articulated, Geometry, Hull, StaticElement
 
 from .convex import Body
 from .link_bodies import LinkBodies, bodies_of
@@ -107,6 +110,33 @@ def prepared(model: Articulated) -> tuple[LinkBodies, Shapes]:
     return bodies, shapes_of(model, bodies)
 
 
+@lru_cache(maxsize=512)
+def prepared_static(model: Articulated) -> tuple[Shapes, Int[np.ndarray, " k"]]:
+    """Return the shapes of furniture that stands still, cached for all tasks.
+
+    Hollow meshes are in pieces.
+
+    Returns:
+        The shapes, and the index of each one's element in `shapes_of`.
+    """
+    bodies = bodies_of(model)
+    names, numbers, made, element = [], [], [], []
+    for index, (name, geometry, solid) in enumerate(_static_elements(model)):
+        for hull in solid.hulls:
+            names.append(solid.label(name, static=True))
+            numbers.append(bodies.of_link[name])
+            made.append(_shape(geometry, hull, bodies.T_body_link[name]))
+            element.append(index)
+    return _pack(names, numbers, made), np.array(element, np.int64)
+
+
+def _static_elements(model: Articulated) -> Iterator[tuple[str, Geometry, StaticElement]]:
+    """Yield each collision element of a model with its link, in the order of `shapes_of`."""
+    for name, link in model.urdf.links.items():
+        for geometry, element in zip(link.collisions, model.static_elements[name], strict=True):
+            yield name, geometry, element
+
+
 def shapes_of(model: Articulated, bodies: LinkBodies) -> Shapes:
     """Return all collision elements of a model."""
     names, numbers, made = [], [], []
@@ -116,6 +146,11 @@ def shapes_of(model: Articulated, bodies: LinkBodies) -> Shapes:
             numbers.append(bodies.of_link[name])
             made.append(_shape(geometry, hull, bodies.T_body_link[name]))
     return _pack(names, numbers, made)
+
+
+def moving_names(model: Articulated) -> tuple[str, ...]:
+    """Return a name of each of `shapes_of` for messages: its link, and whether it is a hull."""
+    return tuple(solid.label(name, static=False) for name, _, solid in _static_elements(model))
 
 
 def join(parts: Sequence[Shapes], prefixes: Sequence[str]) -> Shapes:

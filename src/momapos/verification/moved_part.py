@@ -15,11 +15,18 @@ from momapos.model.urdf import Joint, opening_of
 
 from .body_paths import BodyPaths, paths_of
 from .convex import Body, overlap
-from .exact_shapes import Shapes, join, of_bodies, prepared
+from .exact_shapes import (
+    Shapes,
+    join,
+    moving_names,
+    of_bodies,
+    prepared,
+    prepared_static,
+)
 from .link_bodies import LinkBodies, body_poses
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +91,23 @@ class MovedPart:
         return nearest
 
 
+@dataclass(frozen=True, eq=False)
+class OwnElements:
+    """The collision elements of the part's object that the task does not move, as hulls."""
+
+    hulls: Shapes
+    of_obstacle: Int[np.ndarray, " k"]
+    """Index of the element that each obstacle is, or is a piece of; -1 for other objects."""
+
+
 _POINT = Body(np.zeros((1, 3)), 0.0, 0.0)
 
 
-def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray, " k"]]:
+def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, OwnElements]:
     """Split a scene into the part that a task moves and all other shapes, in world coordinates.
 
     Returns:
-        The part, the other shapes, and which of these belong to the part's own object.
+        The part, the other shapes, which are its obstacles, and the elements of its own object.
 
     Raises:
         UnknownNameError: There is no such object or joint.
@@ -104,23 +120,30 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
         raise TaskError(f"task: to must be given for joint {task.joint!r} of {task.object!r}")
     if task.joint is not None:
         target.joint(task.joint)
-    fixed, prefixes, own = [], [], []
+    bodies, hulls = prepared(target.model)
+    hulls = _in_world(target, bodies, replace(hulls, names=moving_names(target.model)))
+    moved = _moved_shapes(task, bodies, hulls)
+    still = np.setdiff1d(np.arange(len(hulls)), moved)
+    part = _part(target, task, bodies, hulls.take(moved))
+    fixed, prefixes, of_obstacle = [], [], []
     for item in scene.objects:
-        bodies, shapes = world_shapes(item)
+        bodies, _ = prepared(item.model)
+        shapes, element = prepared_static(item.model)
         if item is target:
-            inside = _moved_shapes(task, bodies, shapes)
-            part = _part(target, task, bodies, shapes.take(inside))
-            shapes = shapes.take(np.setdiff1d(np.arange(len(shapes)), inside))
-        fixed.append(shapes)
+            kept = np.flatnonzero(np.isin(element, still))
+            shapes, element = shapes.take(kept), np.searchsorted(still, element[kept])
+        fixed.append(_in_world(item, bodies, shapes))
         prefixes.append(f"{item.name}/")
-        own.append(np.full(len(shapes), item is target))
-    return part, join(fixed, prefixes), np.concatenate(own)
+        of_obstacle.append(element if item is target else np.full(len(shapes), -1))
+    own = OwnElements(hulls.take(still), np.concatenate(of_obstacle))
+    return part, join(fixed, prefixes), own
 
 
 def moved_part(item: SceneObject, task: Task) -> MovedPart:
     """Return the part of an object that a task moves."""
-    bodies, shapes = world_shapes(item)
-    return _part(item, task, bodies, shapes.take(_moved_shapes(task, bodies, shapes)))
+    bodies, hulls = prepared(item.model)
+    hulls = _in_world(item, bodies, hulls)
+    return _part(item, task, bodies, hulls.take(_moved_shapes(task, bodies, hulls)))
 
 
 def _moved_shapes(task: Task, bodies: LinkBodies, shapes: Shapes) -> Int[np.ndarray, " m"]:
@@ -129,10 +152,15 @@ def _moved_shapes(task: Task, bodies: LinkBodies, shapes: Shapes) -> Int[np.ndar
     return of_bodies(shapes, everything if task.joint is None else bodies.moved_by(task.joint))
 
 
-def world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
-    """Return an object's bodies, and its shapes in world coordinates."""
-    bodies, shapes = prepared(item.model)
-    return bodies, shapes.moved_to(shapes.placed(_body_poses(item, bodies)[None])[0])
+def static_shapes(item: SceneObject) -> Shapes:
+    """Return the shapes of an object that stands still, in world coordinates."""
+    bodies, _ = prepared(item.model)
+    return _in_world(item, bodies, prepared_static(item.model)[0])
+
+
+def _in_world(item: SceneObject, bodies: LinkBodies, shapes: Shapes) -> Shapes:
+    """Return shapes of an object in world coordinates."""
+    return shapes.moved_to(shapes.placed(_body_poses(item, bodies)[None])[0])
 
 
 def _body_poses(item: SceneObject, bodies: LinkBodies) -> Float[np.ndarray, "b 4 4"]:

@@ -19,12 +19,12 @@ from momapos.core.geometry import invert
 from .convex import overlap
 from .exact_shapes import Shapes
 from .floor_contact import floor_contact
-from .moved_part import MovedPart
+from .moved_part import MovedPart, OwnElements
 from .report import Limits
 from .sweep import all_pairs, deepest
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
 
 BEARING_DEPTH = -1e-3
 """Overlap from which an element of the same object touches the closed part: 1 mm apart [m]."""
@@ -92,26 +92,30 @@ class PartSweepCheck:
 
 
 def part_sweep_check(
-    part: MovedPart, fixed: Shapes, own: Bool[np.ndarray, " k"], limits: Limits
+    part: MovedPart, fixed: Shapes, own: OwnElements, limits: Limits
 ) -> PartSweepCheck:
     """Find which shapes the part touches in the given scene.
 
     Args:
         part: The moved part.
         fixed: All other shapes, in world coordinates.
-        own: Which of them belong to the same object.
+        own: The elements of the same object. A hollow one is a bearing if its hull touches the
+            part, whose meshes are hulls, too.
         limits: Allowed overlap, also relative to the given scene.
     """
     pairs = all_pairs(len(part.shapes), len(fixed))
-    Ts_fixed = fixed.Ts_body_shape[None]
 
-    def depths(value: float, pairs: Int[np.ndarray, "p 2"], floor: float) -> tuple[np.ndarray, ...]:
+    def depths(
+        value: float, others: Shapes, pairs: Int[np.ndarray, "p 2"], floor: float
+    ) -> tuple[np.ndarray, ...]:
         Ts = part.placed(np.array([value]))
-        return deepest(part.shapes, Ts, fixed, Ts_fixed, pairs, floor)
+        return deepest(part.shapes, Ts, others, others.Ts_body_shape[None], pairs, floor)
 
-    ours = np.flatnonzero(own[pairs[:, 1]])
-    _, state = depths(part.rest, pairs[ours], BEARING_DEPTH)
-    pairs = np.delete(pairs, ours[state >= 0], axis=0)
+    ours = all_pairs(len(part.shapes), len(own.hulls))
+    _, state = depths(part.rest, own.hulls, ours, BEARING_DEPTH)
+    bearing = np.zeros((len(part.shapes), len(own.hulls) + 1), bool)  # last: of other objects
+    bearing[tuple(ours[state >= 0].T)] = True
+    pairs = pairs[~bearing[pairs[:, 0], own.of_obstacle[pairs[:, 1]]]]
     floor = limits.penetration - limits.deeper
-    depth, _ = depths(part.start, pairs, floor)
+    depth, _ = depths(part.start, fixed, pairs, floor)
     return PartSweepCheck(part, fixed, pairs, depth - floor, limits)

@@ -14,7 +14,7 @@ from tests.real import BUILT_IN, furniture
 from momapos.core.cache import Cache
 from momapos.core.geometry.transforms import rotation_about
 from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.convex_pieces import MAX_PIECES, convex_pieces
+from momapos.model.urdf.convex_pieces import FINE, convex_pieces
 from momapos.model.urdf.hulls import hull_around
 from momapos.model.urdf.meshes import mesh_triangles
 from momapos.model.urdf.reader import read_urdf
@@ -45,7 +45,7 @@ def test_pieces_contain_the_whole_surface_and_all_solid_parts(name: str) -> None
     rng, boxes = np.random.default_rng(0), SHAPES[name]
     triangles = given.triangles_of(boxes)
     pieces = convex_pieces(triangles)
-    assert 1 < len(pieces) <= MAX_PIECES
+    assert 1 < len(pieces) <= FINE.max_pieces
     assert held(pieces, given.points_on(triangles, 50, rng), ROUNDING).all()
     for box in boxes:
         assert held(pieces, given.points_in(box, 200, rng), ROUNDING).all()

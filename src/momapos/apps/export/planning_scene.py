@@ -58,9 +58,11 @@ def _object(item: SceneObject, link: str, T: Float[np.ndarray, "4 4"]) -> Iterat
     alone = sum(bool(other.collisions) for other in item.model.urdf.links.values()) == 1
     yield f"* {item.name if alone else f'{item.name}/{link}'}"
     yield from _pose(T)
-    yield str(len(shapes))
-    for shape, hull in zip(shapes, item.model.hulls[link], strict=True):
-        yield from _shape(shape, hull)
+    elements = item.model.static_elements[link]
+    yield str(sum(len(element.hulls) for element in elements))
+    for shape, element in zip(shapes, elements, strict=True):
+        for hull in element.hulls:
+            yield from _shape(shape, hull)
     yield "0"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from momapos.core import SceneError, UrdfError, parse_xml, read_text_bounded, write_atomic
 from momapos.core.geometry import apply, invert, pose, pose_rpy
 from momapos.model.records import Hypothesis, PartKind, PlacementPlan
-from momapos.model.urdf import MAX_URDF_BYTES, Articulated, opening_of, read_urdf
+from momapos.model.urdf import MAX_URDF_BYTES, Articulated, opening_of, read_furniture
 
 from .model_copies import copied
 from .scene import Scene, SceneObject
@@ -44,7 +44,7 @@ def with_part_motion(item: SceneObject, joint: str, way: Hypothesis) -> SceneObj
         raise SceneError(f"{item.name}: is a box without joints")
     cache = item.model.cache
     text = _urdf_text(item, joint, way)
-    urdf = read_urdf(path, scale=item.model.urdf.scale, cache=cache, text=text)
+    urdf = read_furniture(path, scale=item.model.urdf.scale, cache=cache, text=text)
     model = Articulated(urdf, item.model.held, cache)
     others = {name: value for name, value in item.joints.items() if name != joint}
     return replace(item, model=model, joints=others)
@@ -175,7 +175,9 @@ def save_with_part_motion(
             write_atomic(file, text.encode())
         except OSError as error:
             raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
-        model = Articulated(read_urdf(file, root=out.resolve().parent, scale=item.model.urdf.scale))
+        model = Articulated(
+            read_furniture(file, root=out.resolve().parent, scale=item.model.urdf.scale)
+        )
         known = replace(
             item,
             model=model,
@@ -192,7 +194,7 @@ def _urdf_text(item: SceneObject, joint: str, way: Hypothesis) -> str:
     assert path is not None
     # Read the file again: the object may already have another motion.
     model = Articulated(
-        read_urdf(path, scale=scale, cache=item.model.cache), item.model.held, item.model.cache
+        read_furniture(path, scale=scale, cache=item.model.cache), item.model.held, item.model.cache
     )
     record = model.joint(joint)
     if record.mimic is not None or model.followers(joint):

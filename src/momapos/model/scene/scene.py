@@ -19,7 +19,7 @@ from momapos.model.urdf import (
     Boxes,
     box_urdf,
     mesh_model,
-    read_urdf,
+    read_furniture,
     trimesh_parts,
 )
 
@@ -167,6 +167,7 @@ class SceneObject:
         scale: float = 1.0,
         joints: Mapping[str, float] | None = None,
         category: str = "",
+        visual_collisions: bool = True,
     ) -> SceneObject:
         """Return an object from a URDF, such as furniture or an appliance.
 
@@ -178,13 +179,16 @@ class SceneObject:
             scale: Factor on all lengths [-].
             joints: Values of joints that are not at rest [rad] or [m].
             category: For example "fridge".
+            visual_collisions: Whether visual shapes stand in where collision shapes are missing;
+                `model.urdf.notes` names the links. If not, such a file is an error.
 
         Raises:
             UrdfError: The URDF is invalid.
             UnknownNameError: A joint does not exist.
         """
         scale = finite_number("scale", scale, MIN_SCALE)
-        model = Articulated(read_urdf(as_path("path", path), scale=scale))
+        file = as_path("path", path)
+        model = Articulated(read_furniture(file, scale=scale, visual_collisions=visual_collisions))
         for joint in joints or {}:
             model.joint(joint)
         T = _planar_pose(xyz, yaw)
@@ -243,11 +247,11 @@ class SceneObject:
         return self.model.moving_poses(joint, values, self.joints, self._poses)
 
     @cached_property
-    def link_boxes(self) -> dict[str, Boxes]:
-        """Boxes of the links that have any, in the world."""
+    def static_boxes(self) -> dict[str, Boxes]:
+        """Boxes of the links that have any, in the world, where they stand still."""
         found = {}
         for link, T in self.link_poses().items():
-            boxes = self.model.boxes[link]
+            boxes = [element.boxes for element in self.model.static_elements[link]]
             if boxes:
                 found[link] = Boxes(
                     np.concatenate([b.center @ T[:3, :3].T + T[:3, 3] for b in boxes]),
@@ -255,6 +259,13 @@ class SceneObject:
                     np.concatenate([b.half for b in boxes]),
                 )
         return found
+
+    def static_labels(self, link: str) -> list[str]:
+        """Return the names of a link's boxes in `static_boxes`, with the object."""
+        labels = []
+        for element in self.model.static_elements[link]:
+            labels += [f"{self.name}/{element.label(link, static=True)}"] * len(element.boxes)
+        return labels
 
     @cached_property
     def vertices(self) -> Float[np.ndarray, "v 3"]:

@@ -26,7 +26,7 @@ from momapos.core import (
 )
 from momapos.core.geometry import pose_wxyz
 from momapos.model.scene.formats import foreign_kind, is_map
-from momapos.model.urdf import Articulated, box_urdf, read_urdf
+from momapos.model.urdf import Articulated, box_urdf
 
 from . import bestman
 from .code_models import box_edges, save_model
@@ -35,6 +35,7 @@ from .floor_areas import MAX_DISTANCE, read_areas, read_floor, read_numbers, rea
 from .hypotheses import hypotheses_to_json, read_hypotheses
 from .map_room import read_map_scene, with_map
 from .model_copies import model_files
+from .object_models import ObjectModels
 from .resistance_members import read_resistance
 from .room_limits import check_room_size
 from .scene import Scene, SceneObject
@@ -55,7 +56,11 @@ MAX_EDGE = 1e3  # maximum edge of a box [m]
 
 
 def load_scene(
-    source: str | Path, *, root: str | Path | None = None, cache: Cache | None = None
+    source: str | Path,
+    *,
+    root: str | Path | None = None,
+    cache: Cache | None = None,
+    visual_collisions: bool = True,
 ) -> Scene:
     """Load a scene.
 
@@ -65,6 +70,8 @@ def load_scene(
         root: Folder that no path in the scene may leave; by default the file's folder, for a
             BestMan scene the parent folder that contains `Asset`.
         cache: Stores expensive geometry.
+        visual_collisions: Whether visual shapes stand in where an object has no collision shapes,
+            with a warning; if not, such an object is an error.
 
     Raises:
         UnknownNameError, FileFormatError, SceneError, UrdfError: The scene is invalid; one line
@@ -85,12 +92,13 @@ def load_scene(
             f"{path}: is in the format {kind}; convert it first with "
             f"'momapos scene convert {path} {path.stem}.json'"
         )
+    models = ObjectModels(root, cache, visual_collisions)
     if start == "<":
-        scene = _read_single(path, root, cache)
+        scene = _read_single(path, models)
     elif start in ("{", "["):
         data = _parse_json(text, path)
         read = _read_bestman if bestman.is_bestman(data) else _read_momapos
-        scene = read(data, path, root, cache)
+        scene = read(data, path, models)
     else:
         raise FileFormatError(
             f"{path}: neither a scene (JSON: a momapos scene or a BestMan list), nor a URDF, nor a "
@@ -98,7 +106,7 @@ def load_scene(
         )
     _check_unique_names(scene)
     check_room_size(scene)
-    return scene
+    return replace(scene, warnings=(*scene.warnings, *models.notes))
 
 
 def _parse_json(text: str, path: Path) -> Any:
@@ -122,24 +130,9 @@ def _check_unique_names(scene: Scene) -> None:
         seen[item.name] = index
 
 
-class _Models:
-    """Reads each URDF once per scale, so that objects share their models."""
-
-    def __init__(self, root: Path | None, cache: Cache | None) -> None:
-        self.root, self.cache = root, cache
-        self.read: dict[tuple[Path, float], Articulated] = {}
-
-    def __call__(self, path: Path, scale: float) -> Articulated:
-        key = (path.resolve(), scale)
-        if key not in self.read:
-            urdf = read_urdf(path, root=self.root, scale=scale, cache=self.cache)
-            self.read[key] = Articulated(urdf, cache=self.cache)
-        return self.read[key]
-
-
-def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
+def _read_single(path: Path, models: ObjectModels) -> Scene:
     """Read a URDF as a scene of one object that stands on the floor."""
-    model = _Models(root, cache)(path, 1.0)
+    model = models(path, 1.0)
     category = bestman.category_of("", str(path.resolve()))
     plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
     name = path.stem if plain else category
@@ -149,20 +142,18 @@ def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
     return Scene(name, (SceneObject(name, category, T, model),), path)
 
 
-def _read_bestman(data: Sequence[Any], path: Path, root: Path | None, cache: Cache | None) -> Scene:
+def _read_bestman(data: Sequence[Any], path: Path, models: ObjectModels) -> Scene:
     if len(data) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: more than {MAX_OBJECTS} objects")
     entries = bestman.read_entries(data, path)
-    root = root or bestman.find_root(path)
-    objects, warnings = bestman.read_objects(entries, root, _Models(root, cache))
+    models.root = models.root or bestman.find_root(path)
+    objects, warnings = bestman.read_objects(entries, models.root, models)
     ignored = ignored_keys(data, BESTMAN_KEYS, f"{path}")
     warnings = (*map(str, ignored), *warnings)
     return Scene(path.stem, objects, path, warnings=warnings, ignored_keys=ignored)
 
 
-def _read_momapos(
-    data: Mapping[str, Any], path: Path, root: Path | None, cache: Cache | None
-) -> Scene:
+def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> Scene:
     if data.get("format") != FORMAT:
         raise FileFormatError(
             f'{path}: not a scene; a momapos scene has "format": {FORMAT!r}, '
@@ -176,8 +167,8 @@ def _read_momapos(
     items = data.get("objects")
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
-    root = (root or path.parent).resolve()
-    models, ignored = _Models(root, cache), ignored_keys(data, SCENE_KEYS, f"{path}")
+    models.root = root = (models.root or path.parent).resolve()
+    ignored = ignored_keys(data, SCENE_KEYS, f"{path}")
     objects = []
     for index, item in enumerate(items):
         where = f"{path}: object {index}"
@@ -205,7 +196,7 @@ class _ObjectReader:
     """One object of a momapos scene."""
 
     def __init__(
-        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: _Models
+        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: ObjectModels
     ) -> None:
         self.item, self.folder, self.root, self.models = item, folder, root, models
         self.name = _text(item.get("name"), f"{where}: name")

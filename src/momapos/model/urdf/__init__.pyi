@@ -4,6 +4,7 @@ from .code_meshes import mesh_model as mesh_model
 from .code_meshes import trimesh_parts as trimesh_parts
 from .coupling import check_coupled as check_coupled
 from .coupling import leader_of as leader_of
+from .furniture import read_furniture as read_furniture
 from .hull_void import hull_space as hull_space
 from .hulls import Boxes as Boxes
 from .hulls import Hull as Hull
@@ -26,6 +27,7 @@ from .meshes import parse_mesh as parse_mesh
 from .model_cache import once as once
 from .reader import box_urdf as box_urdf
 from .reader import read_urdf as read_urdf
+from .static_shapes import StaticElement as StaticElement
 from .urdf_records import Geometry as Geometry
 from .urdf_records import Joint as Joint
 from .urdf_records import JointKind as JointKind

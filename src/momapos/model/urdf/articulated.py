@@ -17,12 +17,13 @@ from .hulls import Boxes, Hull, cover_shape, fit_box, hull_of
 from .meshes import mesh_digest
 from .model_cache import freeze, once
 from .reader import Geometry, Joint, Urdf
+from .static_shapes import StaticElement, static_element
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 T = TypeVar("T")
-_GEOMETRY = ("hulls", "boxes", "_pieces")
+_GEOMETRY = ("hulls", "boxes", "static_elements", "_pieces")
 """Computed properties that do not depend on joint values."""
 JointValues: TypeAlias = "Mapping[str, float | Float[np.ndarray, ' v']]"
 """Values of joints by name [rad] or [m], one or one per state."""
@@ -216,6 +217,18 @@ class Articulated:
             }
 
         return self.cached("boxes", compute)
+
+    @cached_property
+    def static_elements(self) -> dict[str, tuple[StaticElement, ...]]:
+        """Return the collision elements by link as they are checked where they stand still."""
+
+        def compute() -> dict[str, tuple[StaticElement, ...]]:
+            return {
+                name: tuple(map(static_element, link.collisions, self.hulls[name]))
+                for name, link in self.urdf.links.items()
+            }
+
+        return self.cached("static", compute, records=(StaticElement,))
 
     def pieces(self, link: str, element: int) -> tuple[Hull, ...]:
         """Return the convex pieces of a collision element, cached; see `convex_pieces`.

@@ -133,7 +133,7 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
     else:
         points = _primitive_points(geometry)
     if geometry.kind == "box" and min(geometry.size) > MIN_BOX_EDGE:
-        vertices, faces = _unique_rows(np.round(points, 7)), _BOX_FACES.copy()
+        vertices, faces = unique_rows(np.round(points, 7)), _BOX_FACES.copy()
     else:
         file = geometry.mesh if isinstance(geometry.mesh, Path) else None
         vertices, faces = _convex(points, str(file or link))
@@ -168,7 +168,7 @@ def _convex(points: Float[np.ndarray, "n 3"], where: str) -> tuple[np.ndarray, n
     """Return vertices and outward faces of the convex hull; see `hull_around`."""
     from scipy.spatial import ConvexHull, QhullError
 
-    points = _unique_rows(np.round(points, 7))
+    points = unique_rows(np.round(points, 7))
     spread = np.linalg.svd(points - points.mean(0), full_matrices=False)[1]
     flat = len(points) < 4 or spread[-1] < 1e-6 * np.sqrt(len(points))
     try:
@@ -187,7 +187,7 @@ def _convex(points: Float[np.ndarray, "n 3"], where: str) -> tuple[np.ndarray, n
     return vertices, faces
 
 
-def _unique_rows(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+def unique_rows(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m d"]:
     """Sort rows and drop duplicates, faster than `np.unique`."""
     rows = points[np.lexsort(points.T[::-1])]
     return rows[np.r_[True, (rows[1:] != rows[:-1]).any(1)]]

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
-from momapos.core import UrdfError
+from momapos.core import UrdfError, parse_xml, read_text_bounded
 
 MAX_MESH_PARENTS = 4
 """Meshes may be up to this many folders above the URDF's; packages have them next to `urdf` [-]."""
+MAX_PACKAGES = 200
+"""Number of folders that are searched for a package, in each of the URDF's parent folders [-]."""
+MAX_MANIFEST_BYTES = 100_000
 _SCHEME = re.compile(r"^(package|file|model)://")
 
 
@@ -45,8 +50,16 @@ class MeshFinder:
             raise UrdfError(
                 f"{self.path}: mesh {filename!r} is outside {self._root}; move it inside"
             )
-        name = relative.partition("/")[0]
+        name, _, rest = relative.partition("/")
         if scheme and scheme[1] == "package" and name not in self.packages:
+            package = self._package(name)
+            if package is not None:
+                mesh = (package / rest).resolve()
+                if self._allowed(mesh) and mesh.is_file():
+                    return mesh
+                raise UrdfError(
+                    f"{self.path}: mesh {rest!r} does not exist in the package {package}"
+                )
             looked = ", ".join(str(folder) for folder in self._folders)
             raise UrdfError(
                 f"{self.path}: package {name!r} of mesh {filename!r} was not found (searched in "
@@ -56,6 +69,19 @@ class MeshFinder:
         beside = self.path.resolve().parent
         where = self.packages.get(name, self._root) if scheme else beside
         raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {where}")
+
+    def _package(self, name: str) -> Path | None:
+        """Return the folder of a package near the URDF: by its own name, or as in `package.xml`."""
+        for folder in self._folders:
+            if folder.name == name and self._allowed(folder):
+                return folder
+            near = (folder, *islice(_subfolders(folder), MAX_PACKAGES))
+            for one in near:
+                if self._allowed(one.resolve()) and (
+                    one.name == name or _package_name(one) == name
+                ):
+                    return one
+        return None
 
     @cached_property
     def _folders(self) -> list[Path]:
@@ -84,3 +110,22 @@ class MeshFinder:
             if self._allowed(resolved) and resolved.is_file():
                 return resolved
         return None
+
+
+def _subfolders(folder: Path) -> Iterator[Path]:
+    """Yield the folders in a folder, as far as they can be listed."""
+    with suppress(OSError):
+        yield from (one for one in folder.iterdir() if one.is_dir())
+
+
+def _package_name(folder: Path) -> str | None:
+    """Return the name in the `package.xml` of a folder; None without one."""
+    manifest = folder / "package.xml"
+    try:
+        if not manifest.is_file():
+            return None
+        text = read_text_bounded(manifest, MAX_MANIFEST_BYTES, error=UrdfError)
+        tree = parse_xml(text, manifest, error=UrdfError)
+    except (OSError, UrdfError):
+        return None
+    return (tree.findtext("name") or "").strip() or None

@@ -24,6 +24,7 @@ import numpy as np
 
 from momapos.core import UrdfError, read_bytes_bounded
 
+from .collada import meters_per_unit
 from .urdf_records import Mesh
 
 if TYPE_CHECKING:
@@ -133,20 +134,31 @@ def mesh_bytes(path: Path) -> bytes:
     Raises:
         UrdfError: The format is not supported, or the file is too large or not regular.
     """
+    check_format(path)
+    return read_bytes_bounded(path, MAX_MESH_BYTES, error=UrdfError)
+
+
+def check_format(path: Path) -> None:
+    """Check that the format of a mesh file is supported, by its name.
+
+    Raises:
+        UrdfError: It is not.
+    """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise UrdfError(f"{path}: unsupported mesh format; use {', '.join(MESH_SUFFIXES)}")
-    return read_bytes_bounded(path, MAX_MESH_BYTES, error=UrdfError)
 
 
 def parse_mesh(path: Path, data: bytes) -> Any:
     """Parse the content of a mesh file other than OBJ, without opening files that it names.
+
+    A COLLADA file's unit applies.
 
     Args:
         path: Name of the file, for messages and the format.
         data: Content of the file.
 
     Returns:
-        One trimesh of all placed parts.
+        One trimesh of all placed parts [m].
 
     Raises:
         UrdfError: The file is damaged, or has too many parts or points.
@@ -155,16 +167,18 @@ def parse_mesh(path: Path, data: bytes) -> Any:
 
     kind = path.suffix.lower().lstrip(".")
     options: dict[str, Any] = {}
+    meters = 1.0
     try:
         if kind == "glb":
             _check_glb(data)
             options["skip_materials"] = True
         if kind == "dae":
-            data = _checked_collada(data)
+            data, meters = _checked_collada(data)
         with _silence():
-            return trimesh.load(
+            mesh = trimesh.load(
                 io.BytesIO(data), file_type=kind, force="mesh", resolver=_NoFiles(), **options
             )
+            return mesh if meters == 1.0 else mesh.apply_scale(meters)
     except UrdfError as error:
         raise UrdfError(f"{path}: {error}") from error
     except Exception as error:  # trimesh's readers raise errors of any class
@@ -237,8 +251,8 @@ def _check_glb(data: bytes) -> None:
     _check_size(sum(len(pieces[k]) for k in placed), sum(sizes[k] for k in placed))
 
 
-def _checked_collada(data: bytes) -> bytes:
-    """Reject COLLADA with entities or too many placed parts; return it as parsed here."""
+def _checked_collada(data: bytes) -> tuple[bytes, float]:
+    """Reject COLLADA with entities or too many placed parts; return it as parsed, and its unit."""
     from defusedxml import DefusedXmlException, ElementTree
 
     try:
@@ -257,7 +271,7 @@ def _checked_collada(data: bytes) -> bytes:
     for element in root.iter():
         if _tag(element) == "visual_scene":
             _placed(element, named, sizes, known, 0)
-    return bytes(ElementTree.tostring(root))
+    return bytes(ElementTree.tostring(root)), meters_per_unit(root)
 
 
 def _placed(

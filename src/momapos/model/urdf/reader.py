@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, tostring
@@ -53,6 +54,8 @@ __all__ = [
 
 FindMesh = Callable[[str], Path]
 """Returns the path of a mesh that a URDF names."""
+FindVisual = Callable[[str, str], Path | None]
+"""Returns the path of a visual mesh, given its link and its name; None to leave it out."""
 
 
 def read_urdf(
@@ -63,6 +66,7 @@ def read_urdf(
     cache: Cache | None = None,
     text: str | None = None,
     find_mesh: FindMesh | None = None,
+    find_visual: FindVisual | None = None,
     visuals: bool = True,
 ) -> Urdf:
     """Read a URDF file.
@@ -75,6 +79,7 @@ def read_urdf(
         cache: Cache for parsed files.
         text: Content to parse instead of the file's.
         find_mesh: Function to find meshes instead of `MeshFinder`.
+        find_visual: Function to find visual meshes; by default as for collisions.
         visuals: Whether to read visual elements; if not, their meshes need not exist.
 
     Raises:
@@ -87,7 +92,14 @@ def read_urdf(
         cache, "urdf", (content, scale), lambda: _parse(content, path, scale),
         (Urdf, Link, Joint, Geometry, Mimic),
     )  # fmt: skip
-    return _with_meshes(urdf, path, iter(meshes), find_mesh or MeshFinder(path, root).find, visuals)
+    find = find_mesh or MeshFinder(path, root).find
+    drawn = find_visual or (lambda _, name: find(name))
+    urdf = _with_meshes(urdf, path, iter(meshes), find, drawn if visuals else lambda *_: None)
+    if visuals:
+        return urdf
+    return replace(
+        urdf, links={name: replace(link, visuals=()) for name, link in urdf.links.items()}
+    )
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
@@ -204,21 +216,30 @@ class _Reader:
 
 
 def _with_meshes(
-    urdf: Urdf, path: Path, names: Iterator[str], find: FindMesh, visuals: bool
+    urdf: Urdf,
+    path: Path,
+    names: Iterator[str],
+    find: FindMesh,
+    find_visual: Callable[[str, str], Path | None],
 ) -> Urdf:
     """Add the paths of a URDF and of its meshes to its record."""
 
-    def found(shapes: tuple[Geometry, ...], wanted: bool = True) -> tuple[Geometry, ...]:
-        meshes = [next(names) if shape.kind == "mesh" else None for shape in shapes]
-        if not wanted:
-            return ()
+    def found(
+        shapes: tuple[Geometry, ...], find_one: Callable[[str], Path | None]
+    ) -> tuple[Geometry, ...]:
+        meshes = [find_one(next(names)) if shape.kind == "mesh" else None for shape in shapes]
         return tuple(
-            shape if name is None else replace(shape, mesh=find(name))
-            for shape, name in zip(shapes, meshes, strict=True)
+            replace(shape, mesh=mesh)
+            for shape, mesh in zip(shapes, meshes, strict=True)
+            if shape.kind != "mesh" or mesh is not None
         )
 
     links = {
-        name: replace(link, collisions=found(link.collisions), visuals=found(link.visuals, visuals))
+        name: replace(
+            link,
+            collisions=found(link.collisions, find),
+            visuals=found(link.visuals, partial(find_visual, name)),
+        )
         for name, link in urdf.links.items()
     }
     return replace(urdf, path=path, links=links)

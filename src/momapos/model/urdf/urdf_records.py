@@ -108,3 +108,5 @@ class Urdf:
     """Factor applied to all lengths of the file [-]."""
     rigid: tuple[str, ...] = ()
     """Planar or floating joints that carry the whole model, treated as fixed."""
+    notes: tuple[str, ...] = ()
+    """What the reader assumed or left out, in words."""

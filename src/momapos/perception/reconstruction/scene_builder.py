@@ -15,7 +15,7 @@ from momapos.core.geometry import apply, pose, rotation_about
 from momapos.model.records import UP, Detection
 from momapos.model.scene import SceneObject
 from momapos.model.scene.library import Piece, solid, vec, write_kitchen
-from momapos.model.urdf import Articulated, Joint, opening_of, read_urdf
+from momapos.model.urdf import Articulated, Joint, opening_of, read_furniture
 
 from .object_model import seen_from
 
@@ -114,7 +114,7 @@ def place_model(
         UrdfError: The file is not usable.
         InputError: The model has no shape, or its front is unknown.
     """
-    model = Articulated(read_urdf(given.path))
+    model = Articulated(read_furniture(given.path))
     tilt = rotation_about(_RIGHT, np.pi / 2) if given.up == "y" else np.eye(3)
     front = given.front if given.front is not None else _front(model, tilt, given.path)
     R = rotation_about(UP, -np.pi / 2 - front) @ tilt
@@ -128,7 +128,7 @@ def place_model(
     half = np.array(size) / 2
     shift = np.array([-scale * (low + high)[0] / 2, *(-half[1:] - scale * low[1:])])
     T_world_piece = pose(detection.box.center, rotation_about(UP, yaw))
-    placed = Articulated(read_urdf(given.path, scale=scale))
+    placed = Articulated(read_furniture(given.path, scale=scale))
     item = SceneObject(detection.name, detection.label, T_world_piece @ pose(shift, R), placed)
     off = float(np.sqrt(ratios.max() / ratios.min())) - 1
     if off <= MAX_DEVIATION:

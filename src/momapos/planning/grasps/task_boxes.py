@@ -37,8 +37,10 @@ def moving_boxes(
         carried = []
         for link, T in T_body_link.items():
             for index, boxes in enumerate(target.model.boxes[link]):
+                element = target.model.static_elements[link][index]
+                label = element.label(link, static=False)
                 carried.append(boxes.moved(T))
-                labels += [f"{target.name}/{link}"] * len(boxes)
+                labels += [f"{target.name}/{label}"] * len(boxes)
                 touched.append(np.full(len(boxes), held is None or index in held.get(link, ())))
         found.append(_along(Boxes.join(carried), Ts_world_body))
     return MovingBoxes.join(found), labels, np.concatenate(touched)
@@ -96,8 +98,8 @@ def static_boxes(
     """
     found, labels = [], []
     for item in scene.objects:
-        for link, boxes in item.link_boxes.items():
+        for link, boxes in item.static_boxes.items():
             if item is not target or link not in moved:
                 found.append(boxes)
-                labels += [f"{item.name}/{link}"] * len(boxes)
+                labels += item.static_labels(link)
     return Boxes.join(found), labels

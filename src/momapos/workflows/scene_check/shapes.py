@@ -114,11 +114,18 @@ def _size(item: SceneObject) -> Iterator[Finding]:
 
 
 def _hulls(item: SceneObject) -> Iterator[Finding]:
-    """Yield a finding on the hull with the most free space, which stands for the others."""
+    """Yield a finding on the hull with the most free space, which stands for the others.
+
+    Hollow elements that are checked in pieces count only if a joint may move them.
+    """
+    moving = {link for joint in item.model.joints for link in item.model.moved_by(joint)}
     found = []
     for link, hulls in item.model.hulls.items():
         for index, hull in enumerate(hulls):
             if float(np.prod(np.ptp(hull.vertices, axis=0))) < MIN_HULL:
+                continue
+            pieces = item.model.static_elements[link][index].hulls
+            if len(pieces) > 1 and link not in moving:
                 continue
             try:
                 volume, free = hull_space(item.model, link, index)

@@ -1,0 +1,156 @@
+"""Furniture is read as it is drawn: visual shapes stand in for missing collision shapes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import tests.meshes as given
+from tests import optional
+from tests.cupboards import joint
+from tests.real import CASES
+
+from momapos.core.cache import Cache
+from momapos.core.errors import UrdfError
+from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.furniture import read_furniture
+from momapos.model.urdf.reader import read_urdf
+
+BOX = '<geometry><box size="0.5 0.5 0.5"/></geometry>'
+SOLID, DRAWN = f"<collision>{BOX}</collision>", f"<visual>{BOX}</visual>"
+HINGE = joint("hinge", "revolute", ("body", "door"), (0, 0, 0), (0, 0, 1), (0, 1))
+
+
+def fixed(parent: str, child: str) -> str:
+    return (
+        f'<joint name="{parent}_{child}" type="fixed"><parent link="{parent}"/>'
+        f'<child link="{child}"/></joint>'
+    )
+
+
+def written(folder: Path, *parts: str) -> Path:
+    path = folder / "model.urdf"
+    path.write_text(f'<robot name="a">{"".join(parts)}</robot>')
+    return path
+
+
+def link(name: str, *shapes: str) -> str:
+    return f'<link name="{name}">{"".join(shapes)}</link>'
+
+
+def mesh(name: str, tag: str = "visual") -> str:
+    return f'<{tag}><geometry><mesh filename="{name}"/></geometry></{tag}>'
+
+
+@pytest.mark.parametrize(
+    ("parts", "bare"),
+    [
+        ((link("body", DRAWN),), ["body"]),
+        ((link("body", SOLID), link("door", DRAWN), HINGE), ["door"]),
+        ((link("body", DRAWN), link("door", DRAWN), HINGE), ["body", "door"]),
+        ((link("body", DRAWN), link("door", SOLID), HINGE), ["body"]),
+        # A decal on a link that has a collision shape is only drawn.
+        ((link("body", SOLID), link("decal", DRAWN), fixed("body", "decal")), []),
+        ((link("body", DRAWN), link("frame", SOLID), fixed("body", "frame")), []),
+        # A body of several links without any collision shape.
+        ((link("body"), link("top", DRAWN), fixed("body", "top")), ["top"]),
+        ((link("body", SOLID), link("door", SOLID), HINGE), []),
+    ],
+)
+def test_visual_shapes_stand_in_for_bodies_without_collision_shapes(
+    tmp_path: Path, parts: tuple[str, ...], bare: list[str]
+) -> None:
+    path = written(tmp_path, *parts)
+    plain, found = read_urdf(path), read_furniture(path)
+    for name, record in found.links.items():
+        given_shapes = plain.links[name].collisions
+        assert len(record.collisions) == (1 if name in bare else len(given_shapes))
+        assert not (name in bare and given_shapes)
+    assert len(found.notes) == bool(bare)
+    assert all(str(path) in note and repr(name) in note for note in found.notes for name in bare)
+    if bare:
+        with pytest.raises(UrdfError, match=f"no collision shapes of .*{bare[0]}"):
+            read_furniture(path, visual_collisions=False)
+
+
+def test_a_scene_warns_once_per_file_and_can_refuse(tmp_path: Path) -> None:
+    path = written(tmp_path, link("body", DRAWN))
+    entry = '{"name": "%s", "urdf": "model.urdf", "pose": {"xyz": [%d, 0, 0]}}'
+    scene = tmp_path / "scene.json"
+    objects = ", ".join(entry % (name, 2 * x) for x, name in enumerate("ab"))
+    scene.write_text(f'{{"format": "momapos-scene", "version": 1, "objects": [{objects}]}}')
+    room = load_scene(scene, cache=Cache(tmp_path / "cache"))
+    assert len([text for text in room.warnings if "visual shapes" in text]) == 1
+    assert len(room.objects[0].static_boxes["body"]) == 1
+    with pytest.raises(UrdfError, match="no collision shapes"):
+        load_scene(scene, visual_collisions=False)
+    assert SceneObject.from_urdf("a", path, (0, 0, 0)).model.urdf.notes
+    with pytest.raises(UrdfError, match="no collision shapes"):
+        SceneObject.from_urdf("a", path, (0, 0, 0), visual_collisions=False)
+
+
+def damaged(folder: Path, name: str) -> str:
+    (folder / name).write_bytes(b"v 1 2\nv nan")
+    return name
+
+
+@pytest.mark.parametrize(
+    "lost", ["no.obj", "package://absent/no.dae", "bad.obj", "bad.stl", "a.3ds"]
+)
+def test_a_visual_mesh_that_cannot_be_read_is_left_out(tmp_path: Path, lost: str) -> None:
+    if "no." not in lost:
+        damaged(tmp_path, lost)
+    path = written(tmp_path, link("body", SOLID, DRAWN, mesh(lost)))
+    for _ in range(2):  # the second time from the cache
+        found = read_furniture(path, cache=Cache(tmp_path / "cache"))
+        assert len(found.links["body"].visuals) == len(found.links["body"].collisions) == 1
+        assert [Path(lost).name in note for note in found.notes] == [True]
+
+
+def test_a_lost_visual_mesh_is_an_error_if_nothing_else_shows_its_body(tmp_path: Path) -> None:
+    parts = link("body", SOLID), link("door", mesh("no.obj")), HINGE
+    with pytest.raises(UrdfError, match=r"no\.obj.*does not exist"):
+        read_furniture(written(tmp_path, *parts))
+
+
+def test_a_lost_collision_mesh_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(UrdfError, match=r"no\.obj.*does not exist"):
+        read_furniture(written(tmp_path, link("body", mesh("no.obj", "collision"), DRAWN)))
+
+
+def test_a_package_that_exists_is_not_blamed_for_a_lost_mesh(tmp_path: Path) -> None:
+    folder = tmp_path / "kitchen-1.0"
+    folder.mkdir()
+    (folder / "package.xml").write_text("<package><name>kitchen</name></package>")
+    path = written(tmp_path, link("body", mesh("package://kitchen/a.obj", "collision")))
+    with pytest.raises(UrdfError, match=r"'a\.obj' does not exist in the package .*kitchen-1\.0"):
+        read_furniture(path)
+    given.write_obj(folder / "a.obj", given.triangles_of((given.PANEL,)))
+    assert read_furniture(path).links["body"].collisions[0].mesh == (folder / "a.obj").resolve()
+
+
+def test_visual_shapes_of_a_robot_do_not_collide(tmp_path: Path) -> None:
+    path = written(tmp_path, link("body", DRAWN))
+    assert not read_urdf(path).links["body"].collisions
+
+
+CASES_DRAWN = {
+    "furniture/vtable.json": ("table", "top"),
+    "furniture/visual_only.json": ("cupboard", "door"),
+    "furniture/vdoor.json": ("cupboard", "door"),
+    "rooms/ghost.json": ("fridge", "freezer"),
+    "rooms/visual.json": ("fridge", "body"),
+}
+
+
+@pytest.mark.parametrize("name", CASES_DRAWN)
+def test_public_furniture_that_is_only_drawn_is_solid(name: str) -> None:
+    scene, (item, link_name) = load_scene(optional.there(CASES / name)), CASES_DRAWN[name]
+    assert len(scene.object(item).static_boxes[link_name])
+    assert [link_name in text for text in scene.warnings if "visual shapes" in text] == [True]
+
+
+def test_a_public_case_with_a_lost_visual_mesh_is_read() -> None:
+    scene = load_scene(optional.there(CASES / "furniture/lost_visual.json"))
+    assert any("logo.dae" in text and "in the package" in text for text in scene.warnings)
