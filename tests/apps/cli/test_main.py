@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from momapos.apps.cli.base_pose_words import parse_pose
 from momapos.apps.cli.main import COMMANDS, SHELLS, main
-from momapos.apps.cli.place import parse_pose
 from momapos.core.errors import TaskError
 from momapos.core.units import parse_quantity
 

@@ -14,6 +14,7 @@ from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene, refuse_unknown_object
 from momapos.planning.placement import OURS
 
+from .base_pose_words import parse_pose, parse_robust
 from .configuration import (
     NO_SETTINGS,
     PIPELINE,
@@ -93,7 +94,7 @@ class Options(SearchOptions):
         config = self.load_config(self.settings, SETTINGS).pipeline
         if self.robust is None:
             return config
-        radius, turn = _parse_robust(self.robust)
+        radius, turn = parse_robust(self.robust)
         place = replace(config.place, robust_radius=radius, robust_turn=math.degrees(turn))
         return replace(config, place=place)
 
@@ -163,22 +164,6 @@ def place_place(scene: SceneArg, target: ObjectArg, /, *, options: Shared = DEFA
     return _answer("place", scene, target, None, options)
 
 
-def parse_pose(text: str, name: str) -> list[float]:
-    """Parse a base pose X,Y,YAW [m, m, rad], the yaw with a unit if it is not in radians.
-
-    Args:
-        text: The pose.
-        name: Its name in messages, such as --start.
-    """
-    parts = text.split(",")
-    if len(parts) != 3:
-        raise TaskError(f"{name} {text!r} is not X,Y,YAW; write it as 1.5,2.0,90deg")
-    x, y, yaw = map(parse_quantity, parts)
-    if not yaw.unit and abs(yaw.value) > 2 * math.pi:
-        raise TaskError(f"{name} {text!r}: a yaw of {yaw.value:g} rad; did you mean {yaw.text}deg?")
-    return [x.length(f"{name}: X"), y.length(f"{name}: Y"), yaw.angle(f"{name}: YAW")]
-
-
 def read_region(options: Options, scene: Scene) -> BaseRegion:
     """Read the restrictions of the base pose.
 
@@ -234,18 +219,6 @@ def read_scene(
     from momapos.core import user_cache
 
     return load_scene_with_joints(name, options.joint, user_cache())
-
-
-def _parse_robust(text: str) -> tuple[float, float]:
-    """The radius [m] and the turn [rad] of --robust."""
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise TaskError(f"--robust {text!r} is not LENGTH,ANGLE; write it as 0.05m,3deg")
-    length, angle = (parse_quantity(part) for part in parts)
-    radius, turn = length.length("--robust: length"), angle.angle("--robust: angle")
-    if not (0 <= radius < math.inf and 0 <= turn < math.inf):
-        raise TaskError(f"--robust must be a length and an angle of at least 0, not {text}")
-    return radius, turn
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from momapos.core import InputError, check_outputs
 
+from .base_pose_words import parse_pose
 from .options import (
     Flag,
     OptionalCount,
@@ -22,7 +23,6 @@ from .options import (
     check_seed,
     optional,
 )
-from .place import parse_pose
 from .plan_sources import numbered, open_plans, plans_of
 
 if TYPE_CHECKING:

@@ -10,10 +10,11 @@ from momapos.core import TaskError, unknown_name
 from momapos.model.records import Verb
 from momapos.planning.placement import OURS
 
+from .base_pose_words import parse_pose
 from .loading import load_arms_with_maps
 from .options import EXIT_STATUS, SceneArg, Target, ValueArg
 from .parse import parse
-from .place import DEFAULT, Options, Shared, parse_pose, read_region, read_scene
+from .place import DEFAULT, Options, Shared, read_region, read_scene
 
 if TYPE_CHECKING:
     from momapos.model.records import PlacementPlan

@@ -26,7 +26,7 @@ from .part_grasps import (
     poses_of,
     push_grasps,
 )
-from .part_motion import lever_arms
+from .part_motion import levers_along
 from .push_grasps import push_from_behind
 
 if TYPE_CHECKING:
@@ -196,17 +196,27 @@ def _strong(
             f"this one does {where}"
         )
     part = CarriedPart(model, joint, handle.carrier)
-    need = resistance.largest / np.maximum(lever_arms(part, grasps.point), MIN_LEVER)
+    forces = _forces(part, grasps.point, resistance)
+    need = forces.max(0)
     strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():
         return grasps.only(strong), ""
     best = int(np.argmax(grasps.capacity / need))
-    where = _value_words(resistance, resistance.worst, model, joint)
-    back = " to hold it back" if resistance.held_back else ""
+    worst = int(forces[:, best].argmax())
+    where = _value_words(resistance, worst, model, joint)
+    back = " to hold it back" if resistance.along[worst] < 0.0 else ""
     return grasps.only(strong), (
         f"{robot.name} holds {handle.name} with {grasps.capacity[best]:.0f} N at most, and "
         f"{config.grasp_margin * need[best]:.0f} N are needed {where}{back}"
     )
+
+
+def _forces(
+    part: CarriedPart, points: Float[np.ndarray, "g 3"], resistance: MotionResistance
+) -> Float[np.ndarray, "v g"]:
+    """Return the force that a hand at each point must transmit at each value [N]."""
+    levers = levers_along(part, points, resistance.values)
+    return np.asarray(resistance.total[:, None] / np.maximum(levers, MIN_LEVER))
 
 
 def _value_words(resistance: MotionResistance, index: int, model: Articulated, joint: str) -> str:
@@ -225,8 +235,10 @@ def _ordered(
 ) -> GraspSelection:
     """Order the grasps of some handles, see `firmest_first`."""
     parts = [grasps for _, grasps in found]
-    arms = [lever_arms(CarriedPart(model, joint, h.carrier), g.point) for h, g in found]
-    need = resistance.largest / np.maximum(np.concatenate(arms), MIN_LEVER)
+    carried = [CarriedPart(model, joint, handle.carrier) for handle, _ in found]
+    need = np.concatenate(
+        [_forces(part, g.point, resistance).max(0) for part, g in zip(carried, parts, strict=True)]
+    )
     capacity = np.concatenate([g.capacity for g in parts])
     handle = np.repeat(np.arange(len(parts)), [len(g.code) for g in parts])
     complexity = np.concatenate([g.complexity for g in parts])

@@ -15,7 +15,7 @@ from momapos.model.urdf import JointOpening, opening_of
 from .handle_records import Handle
 from .handle_shapes import CarriedPart, is_handle_joint
 from .handles import find_handle
-from .part_motion import lever_arms
+from .part_motion import lever_arms, levers_along
 from .task_requests import WIDE_OPEN
 
 if TYPE_CHECKING:
@@ -66,12 +66,12 @@ def part_facts_of(
         return PartFacts(opening, "", alone, None, None, None, str(error))
     center = apply(item.link_poses()[handle.carrier], handle.center[None])[0]
     part = CarriedPart(item.posed_model(joint), joint, handle.carrier)
-    lever = float(lever_arms(part, handle.center[None])[0])
     pull = None
-    if lever > _MIN_LEVER:
+    if lever_arms(part, handle.center[None])[0] > _MIN_LEVER:
         reach = abs(opening.wide - opening.closed)
         reach = reach if record.kind == "prismatic" else min(reach, WIDE_OPEN)
         values = opening.closed + opening.sign * np.linspace(0.0, reach, _VALUES)
+        lever = levers_along(part, handle.center[None], values)[:, 0]
         resistance = resistance_along(item, joint, values, lever, config or ResistanceConfig())
-        pull = resistance.largest / lever
+        pull = float((resistance.total / lever).max())
     return PartFacts(opening, "", alone, handle, center, pull)

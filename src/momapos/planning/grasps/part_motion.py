@@ -29,34 +29,47 @@ MIN_SPEED = 1e-6
 """Speed per unit of the joint below which a point counts as at rest [m/rad] or [m/m]."""
 
 
-def velocities(part: CarriedPart, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "v n 3"]:
+def velocities(
+    part: CarriedPart,
+    points: Float[np.ndarray, "n 3"],
+    values: Float[np.ndarray, " v"] | None = None,
+) -> Float[np.ndarray, "w n 3"]:
     """Return how fast points of a part's carrier move per unit of its joint.
 
     The velocity of the joint's own child is the same at every value, in the child's frame. That of
-    a link that follows changes; it is given at values from closed to wide open.
+    a link that follows changes.
 
     Args:
         part: The part.
         points: Points in the carrier's frame [m].
+        values: Joint values [rad] or [m]; by default from closed to wide open.
 
     Returns:
-        Velocities in that frame for increasing joint values [m/rad] or [m/m].
+        Velocities in that frame [m/rad] or [m/m]: one for all values, or one for each.
     """
     record = part.model.joint(part.joint)
     if part.leads:
         if record.kind == "prismatic":
             return np.tile(record.axis, (1, len(points), 1))
         return np.cross(record.axis, points)[None]
-    turn, slide = _twists(part)
+    turn, slide = _usual_twists(part) if values is None else _twists(part, values)
     return np.asarray(np.cross(turn[:, None], points) + slide[:, None])
 
 
 @lru_cache(maxsize=_MODELS)
-def _twists(part: CarriedPart) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
-    """Return angular and linear velocity of a carrier that follows, in its frame, by value."""
+def _usual_twists(
+    part: CarriedPart,
+) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
+    """Return the velocities of a carrier that follows, from closed to wide open."""
     opening = opening_of(part.model, part.joint)
     end = opening.wide if np.isfinite(opening.wide) else opening.closed + opening.sign * np.pi / 2
-    values = np.linspace(opening.closed, end, _SAMPLES + 1)[1:]
+    return _twists(part, np.linspace(opening.closed, end, _SAMPLES + 1)[1:])
+
+
+def _twists(
+    part: CarriedPart, values: Float[np.ndarray, " v"]
+) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
+    """Return angular and linear velocity of a carrier that follows, in its frame, by value."""
     poses = part.model.rest_poses
 
     def at(values: Float[np.ndarray, " v"]) -> Float[np.ndarray, "v 4 4"]:
@@ -102,6 +115,13 @@ def lever_arms(part: CarriedPart, points: Float[np.ndarray, "n 3"]) -> Float[np.
         Travel [m/rad]; 1 for a slide [m/m].
     """
     return np.asarray(np.linalg.norm(velocities(part, points), axis=-1).min(0))
+
+
+def levers_along(
+    part: CarriedPart, points: Float[np.ndarray, "n 3"], values: Float[np.ndarray, " v"]
+) -> Float[np.ndarray, "w n"]:
+    """Return the same travel at joint values; one row if it is the same at all of them."""
+    return np.asarray(np.linalg.norm(velocities(part, points, values), axis=-1))
 
 
 def part_path(

@@ -16,13 +16,13 @@ from momapos.model.scene import Scene, SceneObject, known_resistance, resistance
 from momapos.model.urdf import opening_of
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
-from .grasp_families import select_inner_pushes, select_part_grasps
+from .grasp_families import MIN_LEVER, select_inner_pushes, select_part_grasps
 from .handle_core import HandleKind
 from .handle_records import Handle
 from .handle_shapes import CarriedPart
 from .handles import find_handle, handles_in_turn
 from .motion_record import TaskMotion
-from .part_motion import lever_arms
+from .part_motion import lever_arms, levers_along
 from .rigid_grasps import select_object_grasps
 from .task_boxes import bodies_moved_by, held_elements, moving_boxes, static_boxes
 from .turning_grasps import no_turning, turning_about
@@ -126,7 +126,8 @@ def _joint_motion(
     part = CarriedPart(model, joint.name, handle.carrier)
     lever = float(lever_arms(part, handle.center[None])[0])
     assumed = config.grasps.resistance
-    resistance = resistance_along(target, joint.name, values, lever, assumed)
+    levers = np.maximum(levers_along(part, handle.center[None], values)[:, 0], MIN_LEVER)
+    resistance = resistance_along(target, joint.name, values, levers, assumed)
     known = known_resistance(target, joint.name, assumed)
     chosen = select_inner_pushes(robot, model, joint.name, sign, config.grasps) if inside else None
     if chosen is None:
