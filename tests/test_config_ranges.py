@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.shapes import unchecked
 
 from momapos.core.errors import InputError
 from momapos.perception.fusion.tsdf import FusionConfig
@@ -56,7 +57,10 @@ WRONG = [
 def test_a_value_out_of_range_is_refused_and_its_field_is_named(
     kind: type, field: str, value: object
 ) -> None:
-    with pytest.raises(InputError, match=rf"^{kind.__name__}\.{field} must be .*, not "):
+    with (
+        unchecked(),
+        pytest.raises(InputError, match=rf"^{kind.__name__}\.{field} must be .*, not "),
+    ):
         kind(**{field: value})
 
 

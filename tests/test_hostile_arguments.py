@@ -36,7 +36,7 @@ HOSTILE: dict[str, Any] = {
 }
 OUTPUTS = {
     "Attempt", "Importance", "Motion", "MomaposError", "PlacementPlan", "PlacementResult",
-    "ReachMap", "Robot", "ScanAnswer", "TimedTrajectory", "Tolerance", "Tour",
+    "ReachMap", "Robot", "ScanAnswer", "SceneReport", "TimedTrajectory", "Tolerance", "Tour",
 }  # fmt: skip
 """Records that momapos returns; the functions that take them are tested with them."""
 METHODS = {"SceneObject.from_mesh", "SceneObject.from_trimesh"}
@@ -76,6 +76,7 @@ def calls(given: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str
         "make_task": (m.make_task, {"scene": of["scene"], "verb": "open",
                                     "object_name": "fridge", "joint": "door_hinge", "to": 1.0}),
         "openable": (m.openable, {"scene": of["scene"]}),
+        "check_scene": (m.check_scene, {"scene": of["scene"], "robot": None}),
         "rank": (m.rank, {"scene": of["scene"], "target": "fridge", "config": None, "seed": 0,
                           "path": None}),
         "load_reach_map": (m.load_reach_map, {"robot": of["robot"], "config": None}),

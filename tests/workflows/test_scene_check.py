@@ -169,7 +169,13 @@ def test_a_hull_that_fills_free_space_is_found(
     lines += [f"f {3 * k + 1} {3 * k + 2} {3 * k + 3}" for k in range(len(corners) // 3)]
     (tmp_path / "body.obj").write_text("\n".join(lines))
     mesh = '<geometry><mesh filename="body.obj"/></geometry>'
-    item = urdf(tmp_path, f'<link name="base"><collision>{mesh}</collision></link>')
+    still = f'<link name="base"><collision>{mesh}</collision></link>'
+    assert not of_kind(check_scene(room(urdf(tmp_path, still))), FindingKind.HULL)
+    slide = (
+        '<link name="rail"/><joint name="slide" type="prismatic"><parent link="rail"/>'
+        '<child link="base"/><axis xyz="-1 0 0"/><limit lower="0" upper="0.3"/></joint>'
+    )
+    item = urdf(tmp_path, still + slide)
     found = of_kind(check_scene(room(item)), FindingKind.HULL)
     if ratio is None:
         assert not found
@@ -361,8 +367,9 @@ def test_rooms_and_furniture_of_other_people_have_the_findings_that_they_stand_f
     cases = optional.there(real.CASES)
     keys = of_kind(check_scene(load_scene(cases / "rooms/typo2.json")), FindingKind.UNKNOWN_KEY)
     assert [key.object for key in keys] == ["", "fridge", "fridge"]
-    hulls = check_scene(load_scene(cases / "furniture/overhang_mesh.json"))
-    assert [one.object for one in of_kind(hulls, FindingKind.HULL)] == ["island"]
+    for name, hollow in (("overhang_mesh", []), ("tray_mesh", ["chest"])):
+        hulls = check_scene(load_scene(cases / f"furniture/{name}.json"))
+        assert [one.object for one in of_kind(hulls, FindingKind.HULL)] == hollow
     narrow = load_scene(cases / "furniture/narrow_door.json")
     assert of_kind(check_scene(narrow, load_robot("husky_ur5e")), FindingKind.DRIVING)
     assert not of_kind(check_scene(narrow, ROBOT), FindingKind.DRIVING)

@@ -26,7 +26,7 @@ _CORNERS = np.stack(np.meshgrid(*3 * [(-1.0, 1.0)]), -1).reshape(-1, 3)
 
 
 def outside_note(
-    scene: Scene, moving: Sequence[tuple[Shapes, Float[np.ndarray, "s k 4 4"]]]
+    scene: Scene, moving: Sequence[tuple[Shapes, Float[np.ndarray, "_ _ 4 4"]]]
 ) -> str | None:
     """Return where and how far shapes leave the floor's outline; None if they stay inside.
 

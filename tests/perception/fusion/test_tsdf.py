@@ -136,5 +136,5 @@ def test_rooms_that_need_too_much_memory_are_refused() -> None:
 
 @pytest.mark.parametrize("voxel", [float("nan"), 0.0, -0.01, float("inf"), 2.0])
 def test_a_voxel_out_of_range_is_refused_with_the_bounds(voxel: float) -> None:
-    with pytest.raises(InputError, match=r"between 0\.001 and 1\.0 m"):
+    with pytest.raises(InputError, match=r"a number from 0\.001 to 1, not"):
         fuse([photograph(WORLD, look_at(EYES[0], (0, 0, 0.2)))], voxel)

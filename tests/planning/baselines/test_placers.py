@@ -27,7 +27,7 @@ from momapos.planning.baselines.samplers import MAX_DISTANCE, behavior, momagen,
 from momapos.planning.config import PaperConfig, PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.placement.area import base_pose_status
-from momapos.planning.task_setup import driving_lengths, prepare
+from momapos.planning.task_setup import cost_map, prepare
 
 START = np.array([0.0, -2.5, np.pi / 2])
 
@@ -45,7 +45,7 @@ class OneSide:
 def placer_room(scene: Scene, robot: Robot, start: np.ndarray = START) -> PlacerRoom:
     task = make_task(scene, "open", "cabinet", to=1.2)
     prepared = prepare(scene, robot, task, PipelineConfig(), clearance=0.01)
-    return PlacerRoom(prepared, Everywhere(), driving_lengths(prepared, start), start, 24)
+    return PlacerRoom(prepared, Everywhere(), cost_map(prepared, start).lengths, start, 24)
 
 
 @pytest.fixture(scope="module")

@@ -119,9 +119,10 @@ def lever_arms(part: CarriedPart, points: Float[np.ndarray, "n 3"]) -> Float[np.
 
 def levers_along(
     part: CarriedPart, points: Float[np.ndarray, "n 3"], values: Float[np.ndarray, " v"]
-) -> Float[np.ndarray, "w n"]:
-    """Return the same travel at joint values; one row if it is the same at all of them."""
-    return np.asarray(np.linalg.norm(velocities(part, points, values), axis=-1))
+) -> Float[np.ndarray, "v n"]:
+    """Return the same travel at joint values."""
+    levers = np.linalg.norm(velocities(part, points, values), axis=-1)
+    return np.broadcast_to(levers, (len(values), len(points)))
 
 
 def part_path(
