@@ -145,9 +145,10 @@ def _hulls(item: SceneObject) -> Iterator[Finding]:
         f"{min(ratio, 100.0):.1f} times as large as the mesh and fills {1000 * free:.0f} l of "
         "free space"
     )
-    more = f"; so are {len(found) - 1} more elements of it" if len(found) > 1 else ""
+    if others := len(found) - 1:
+        text += f"; {others} more {'element has' if others == 1 else 'elements have'} such a hull"
     yield Finding(
-        FindingKind.HULL, Severity.WARNING, text + more,
+        FindingKind.HULL, Severity.WARNING, text,
         "robots cannot reach into it; split the mesh into convex collision elements", item.name,
     )  # fmt: skip
 
