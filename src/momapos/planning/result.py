@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import require, version_of
-from momapos.model.records import CostTerm, JointResistance, PlacementPlan, Tolerance
+from momapos.model.records import (
+    CostTerm,
+    JointResistance,
+    MotionLoads,
+    PlacementPlan,
+    Tolerance,
+)
 from momapos.model.robots import Robot
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
@@ -172,6 +178,7 @@ def plan_of(
         scene_joints=query.scene.joints_set,
         scene_hypotheses=query.scene.hypotheses_set,
         resistance=_resistance(prepared),
+        loads=_loads(prepared, found) if solved else None,
         joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
         base_path=None if path is None else path.poses,
@@ -185,6 +192,14 @@ def plan_of(
         region=query.region,
         versions={name: version_of(name) for name in DEPENDS_ON},
     )
+
+
+def _loads(prepared: PreparedTask, found: Search) -> MotionLoads | None:
+    """Return the worst loads of the motion, as the exact check measures them."""
+    if found.base is None or found.motion is None:
+        return None
+    x, y, yaw = map(float, found.base)
+    return prepared.verifier.loads((x, y, yaw), found.motion)
 
 
 def _resistance(prepared: PreparedTask) -> dict[str, dict[str, JointResistance]]:

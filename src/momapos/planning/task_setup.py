@@ -15,7 +15,7 @@ from momapos.model.collision import CollisionWorld, build_world
 from momapos.model.records import Motion, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.arm_motion import Feasibility, collision_free_grasps
+from momapos.planning.arm_motion import Feasibility, TaskLoads, collision_free_grasps
 from momapos.planning.grasps import (
     FULL_DOF,
     LIFT_HEIGHT,
@@ -69,7 +69,12 @@ class PreparedTask:
     @cached_property
     def verifier(self) -> PlanVerifier:
         """Return the exact check."""
-        return PlanVerifier(self.scene, self.robot, self.task)
+        scene, motion = self.scene, self.motion
+        if self.task.joint is not None and motion.resistance is not None:
+            known = {self.task.object: {self.task.joint: motion.resistance}}
+            scene = scene.with_resistance(known)
+        payload = None if motion.weight is None else motion.weight.mass
+        return PlanVerifier(scene, self.robot, self.task, payload=payload)
 
     @cached_property
     def blocked(self) -> str:
@@ -155,7 +160,15 @@ def prepare(
             motion = in_scene(motion, scene)
         motion, world, no_grasp = _with_free_grasp(scene, robot, motion, config, keep_grasps)
     geometry = placement_geometry(scene, robot, motion, clearance)
+    no_grasp = no_grasp or _overloaded_at_home(robot, motion)
     return PreparedTask(scene, robot, task, motion, world, geometry, no_grasp)
+
+
+def _overloaded_at_home(robot: Robot, motion: TaskMotion) -> str:
+    """Return which motor cannot hold the empty arm at home, or ""."""
+    loads = TaskLoads(robot, motion)
+    outcome = loads.outcome(loads.limits.at(robot.home[None]), "home")
+    return "" if outcome is None else str(outcome)
 
 
 def _with_free_grasp(

@@ -46,6 +46,8 @@ from .newton_steps import jacobian as jacobian
 from .newton_steps import newton as newton
 from .newton_steps import newton_scratch as newton_scratch
 from .newton_steps import step_toward as step_toward
+from .static_efforts import SegmentMasses as SegmentMasses
+from .static_efforts import static_efforts as static_efforts
 from .subproblems import cross as cross
 from .subproblems import dot as dot
 from .subproblems import mul as mul

@@ -1,5 +1,4 @@
 from .floor_areas import find_area as find_area
-from .joint_resistance import GRAVITY as GRAVITY
 from .joint_resistance import MotionResistance as MotionResistance
 from .joint_resistance import known_resistance as known_resistance
 from .joint_resistance import object_mass as object_mass

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.core import GRAVITY
 from momapos.model.records import JointResistance
 from momapos.model.urdf import Articulated, Hull, opening_of
 
@@ -19,7 +20,6 @@ from .scene import SceneObject
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-GRAVITY = 9.81
 _PARTS = 1024
 """Number of parts whose masses are cached [-]."""
 _STEP = 1e-5

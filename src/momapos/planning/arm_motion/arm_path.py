@@ -18,6 +18,8 @@ from momapos.model.kinematics import (
     newton,
     newton_scratch,
 )
+from momapos.model.records import PoseOutcome
+from momapos.model.robots import StateLoads
 from momapos.planning.grasps import TaskMotion
 
 from .hand_clearance import arm_spheres, hand_hits_along
@@ -31,6 +33,7 @@ from .ik_layers import (
     joint_step,
     solve_layers,
 )
+from .task_loads import TaskLoads
 from .turning_arm import ArmModel, hand_poses, robot_of
 
 if TYPE_CHECKING:
@@ -38,7 +41,7 @@ if TYPE_CHECKING:
 
 HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
 """Collision codes of the hand at every step of a motion, by grasp; for grasps that do not turn."""
-UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
+UNREACHABLE, HIT, BROKEN, FOUND, OVERLOADED = 0, 1, 2, 3, 4
 MAX_TURN = float(np.radians(25.0))
 """Largest turn of the hand about a bar between waypoints [rad]."""
 MAX_DENSE_STEP = 0.25
@@ -50,7 +53,7 @@ class ArmPath:
     """The result of the path search for one grasp mode at one base pose."""
 
     status: int
-    """UNREACHABLE, HIT, BROKEN (no continuous branch) or FOUND."""
+    """UNREACHABLE, HIT, BROKEN (no continuous branch), OVERLOADED or FOUND."""
     waypoint: int
     """Waypoint of the failure; the number of waypoints if there was none."""
     passed: int
@@ -59,6 +62,8 @@ class ArmPath:
     """Code of the obstacle that was hit, or FREE."""
     q: Float[np.ndarray, "d n"] | None = None
     """Arm states at every step of the motion."""
+    overload: PoseOutcome | None = None
+    """What a motor or the base would have to bear, if OVERLOADED."""
 
 
 def find_paths(
@@ -104,6 +109,8 @@ class _Graph:
     """Which configurations were checked for collision; updated."""
     banned: Bool[np.ndarray, " m"]
     """Which configurations are excluded; updated."""
+    overloaded: Bool[np.ndarray, " m"]
+    """Which of these exceed the limits of a motor or tip the base over; updated."""
     first: Int[np.ndarray, " w_plus_1"]
     """First index of each waypoint's configurations, and their number."""
 
@@ -114,7 +121,7 @@ class _Graph:
         begin = layers.first[job, motion.layer_of] - first[:-1]
         which = np.arange(first[-1]) + np.repeat(begin, counts)
         q, grasps, checked = (x[which] for x in (layers.q, layers.grasps, layers.checked))
-        return cls(q, grasps, checked, np.zeros(len(q), bool), first)
+        return cls(q, grasps, checked, np.zeros(len(q), bool), np.zeros(len(q), bool), first)
 
 
 def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
@@ -150,15 +157,19 @@ def _connect(
     count, number = len(motion.layer_of), motion.layer_of
     lanes, row = motion.lanes
     lane = np.ascontiguousarray(lanes[:, grasps])
+    loads = TaskLoads(robot_of(robot), motion)
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
         reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
-        if reached == count and _hits(robot, world, motion, base, graph, chosen):
+        if reached == count and _hits(robot, world, loads, base, graph, chosen):
             reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
         if reached < count:
-            broken = ArmPath(BROKEN, int(number[reached]), count, FREE)
-            return worst if worst.obstacle != FREE else broken
+            if worst.status != BROKEN:
+                return worst
+            if graph.overloaded.any():
+                return _overloaded(graph, loads, base, number)
+            return ArmPath(BROKEN, int(number[reached]), count, FREE)
         q = _unwrap(graph.q[chosen], full_turn, chain.lower, chain.upper)
         tools = motion.tool_poses(grasps[chosen])
         targets = invert(pose_planar(base)) @ tools
@@ -172,40 +183,75 @@ def _connect(
             )  # fmt: skip
             if (codes == FREE).all():
                 codes = _hand_codes(robot, world, motion, base, dense, tools, grasps[chosen], hand)
-            hit = np.flatnonzero(codes != FREE)
-            if not len(hit):
+            steps_taken = np.arange(len(dense))
+            borne = loads.at(base, dense, np.full(len(dense), grasps[chosen[0]]), steps_taken)
+            refused = loads.refused(borne)
+            bad_states = np.flatnonzero((codes != FREE) | refused)
+            if not len(bad_states):
                 return ArmPath(FOUND, count, count, FREE, dense)
-            bad = int(hit[0])
-            step = int(np.searchsorted(motion.waypoint_steps, bad))
-            worst = ArmPath(HIT, int(number[step]), count, int(codes[bad]))
+            bad = int(bad_states[0])
+            waypoint = int(number[np.searchsorted(motion.waypoint_steps, bad)])
+            if codes[bad] != FREE:
+                worst = ArmPath(HIT, waypoint, count, int(codes[bad]))
+            else:
+                worst = _over(loads, borne, waypoint, count)
         # Banning the node after the failure forces another path.
         at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
         graph.banned[chosen[at]] = True
     return worst
 
 
+def _over(loads: TaskLoads, borne: StateLoads, waypoint: int, count: int) -> ArmPath:
+    """Return the failure of a path whose states exceed the limits of a motor or of the base."""
+    where = "the pre-grasp" if waypoint == 0 else f"waypoint {waypoint}"
+    return ArmPath(OVERLOADED, waypoint, count, FREE, overload=loads.outcome(borne, where))
+
+
+def _overloaded(
+    graph: _Graph, loads: TaskLoads, base: np.ndarray, number: Int[np.ndarray, " w"]
+) -> ArmPath:
+    """Return the failure of a job of which each path has overloaded configurations."""
+    nodes = np.flatnonzero(graph.overloaded)
+    waypoint = np.searchsorted(graph.first, nodes, "right") - 1
+    step = loads.motion.waypoint_steps[waypoint]
+    borne = loads.at(base, graph.q[nodes], graph.grasps[nodes], step)
+    # The least overload at the first such waypoint is the nearest miss.
+    rows = np.flatnonzero(waypoint == waypoint[0])
+    least = rows[np.argmin(loads.excess(borne)[rows])]
+    return _over(loads, borne.take(np.array([least])), int(number[waypoint[0]]), len(number))
+
+
 def _hits(
     robot: ArmModel,
     world: CollisionWorld,
-    motion: TaskMotion,
+    loads: TaskLoads,
     base: np.ndarray,
     graph: _Graph,
     chosen: Int[np.ndarray, " w"],
 ) -> bool:
-    """Check the nodes of a path for collision; if one collides, check all other nodes as well."""
+    """Check the nodes of a path for collision and overload; if one fails, check all others."""
+    motion = loads.motion
     step = np.repeat(motion.waypoint_steps, np.diff(graph.first))
 
-    def check_those(nodes: Int[np.ndarray, " k"]) -> None:
+    def check_collisions(nodes: Int[np.ndarray, " k"]) -> None:
         graph.checked[nodes] = True
         graph.banned[nodes] |= check(
             world, robot.chain, arm_spheres(robot_of(robot)), graph.q[nodes],
             np.tile(base, (len(nodes), 1)), motion.value[step[nodes]], motion.holding[step[nodes]],
         ) != FREE  # fmt: skip
 
-    check_those(chosen[~graph.checked[chosen]])
+    def check_loads(nodes: Int[np.ndarray, " k"]) -> None:
+        borne = loads.at(base, graph.q[nodes], graph.grasps[nodes], step[nodes])
+        graph.overloaded[nodes] = loads.refused(borne)
+        graph.banned[nodes] |= graph.overloaded[nodes]
+
+    check_collisions(chosen[~graph.checked[chosen]])
+    check_loads(chosen)
     if not graph.banned[chosen].any():
         return False
-    check_those(np.flatnonzero(~graph.checked))
+    if graph.overloaded.any():
+        check_loads(np.arange(len(graph.q)))
+    check_collisions(np.flatnonzero(~graph.checked & ~graph.banned))
     return True
 
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import GRAVITY
 from momapos.core.geometry import invert
 from momapos.model.robots import Grip, Robot
-from momapos.model.scene import GRAVITY, SceneObject, object_mass
+from momapos.model.scene import SceneObject, object_mass
 from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig

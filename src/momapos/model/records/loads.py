@@ -1,0 +1,30 @@
+"""Record of what a motion demands of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+MAX_EFFORT_SHARE = 0.9
+"""Share of an effort limit that a state may need at rest [-]; the rest is for accelerations. In
+simulation, a torso that needs 0.92 of its limit for its own weight does not follow its motion."""
+
+
+@dataclass(frozen=True)
+class MotionLoads:
+    """The worst loads of a motion, at rest in each of its states."""
+
+    efforts: Mapping[str, float] = field(default_factory=dict)
+    """Share of each joint's effort limit, by joint [-]; joints without a limit are missing."""
+    stability: float | None = None
+    """Distance from the zero moment point to the nearest edge of the area that the wheels stand on
+    [m]; None if masses or wheels are unknown."""
+    payload: float | None = None
+    """Mass of the object in the hand [kg]; None if the task moves a joint."""
+    notes: tuple[str, ...] = ()
+    """What the robot's files leave open, one line each."""
+
+    @property
+    def worst(self) -> tuple[str, float] | None:
+        """Return the joint with the largest share, and its share; None if no limit is known."""
+        return max(self.efforts.items(), key=lambda item: item[1], default=None)
