@@ -167,7 +167,7 @@ def prepare(
 def _overloaded_at_home(robot: Robot, motion: TaskMotion) -> str:
     """Return which motor cannot hold the empty arm at home, or ""."""
     loads = TaskLoads(robot, motion)
-    outcome = loads.outcome(loads.limits.at(robot.home[None]), "home")
+    outcome = loads.limits.worst(loads.free(robot.home[None]), "home")
     return "" if outcome is None else str(outcome)
 
 

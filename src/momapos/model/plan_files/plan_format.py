@@ -71,6 +71,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             for name, known in plan.resistance.items()
         },
         "status": plan.status,
+        "loads": None if plan.loads is None else asdict(plan.loads),
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
         "feasible_sure": plan.feasible_sure,
@@ -310,6 +311,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         scene_joints=data.scene_joints,
         scene_hypotheses=data.scene_hypotheses,
         resistance=data.resistance,
+        loads=data.loads,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
         feasible_sure=data.feasible_sure,

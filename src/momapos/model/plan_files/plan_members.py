@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from momapos.model.records import JointResistance, Status, Verb
+from momapos.model.records import JointResistance, MotionLoads, Status, Verb
 
 
 class PlanRobot(msgspec.Struct):
@@ -115,6 +115,7 @@ class Plan(msgspec.Struct):
     scene_joints: dict[str, dict[str, float]] = {}
     scene_hypotheses: dict[str, dict[str, int]] = {}
     resistance: dict[str, dict[str, JointResistance]] = {}
+    loads: MotionLoads | None = None
     feasible_to: float | None = None
     feasible_from: PlanPose | None = None
     feasible_sure: bool = False

@@ -28,3 +28,14 @@ class MotionLoads:
     def worst(self) -> tuple[str, float] | None:
         """Return the joint with the largest share, and its share; None if no limit is known."""
         return max(self.efforts.items(), key=lambda item: item[1], default=None)
+
+    def __str__(self) -> str:
+        said = []
+        if self.payload is not None:
+            said.append(f"{self.payload:.3g} kg in the hand")
+        if self.worst is not None:
+            joint, share = self.worst
+            said.append(f"{joint} needs {100 * share:.0f} % of its effort limit")
+        if self.stability is not None:
+            said.append(f"{100 * self.stability:.0f} cm from tipping over")
+        return "; ".join([*said, *self.notes])

@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import GRAVITY
-from momapos.core.geometry import apply, contains, edge_distances
-from momapos.model.kinematics import SegmentMasses, chain_arrays, static_efforts
-from momapos.model.records import MAX_EFFORT_SHARE
+from momapos.core.geometry import apply, edge_normals
+from momapos.model.kinematics import BASE, LoadArrays, chain_arrays, static_loads
+from momapos.model.records import MAX_EFFORT_SHARE, PoseOutcome, PoseStatus
 
 from .robot import Robot
 from .support_outline import support_outline
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +29,18 @@ class StateLoads:
 
     efforts: Float[np.ndarray, "s n"]
     """Torque or force of each degree of freedom [Nm] or [N]."""
-    shares: Float[np.ndarray, "s n"]
-    """Share of its limit [-]; 0 where no limit counts."""
     stability: Float[np.ndarray, " s"]
-    """Distance from the zero moment point to the nearest edge of the area that the wheels stand on
+    """Distance of the zero moment point from the nearest edge of the area that the wheels stand on
     [m]; negative if the robot tips over, infinite where that is unknown."""
+    excess: Float[np.ndarray, " s"]
+    """By how much the worst joint, or else the base, exceeds its limit [-]."""
+    where: Int[np.ndarray, " s"]
+    """That degree of freedom, or BASE."""
 
-    def take(self, states: Int[np.ndarray, " k"]) -> StateLoads:
-        """Return the loads at some of the states."""
-        return StateLoads(self.efforts[states], self.shares[states], self.stability[states])
+    @property
+    def refused(self) -> Bool[np.ndarray, " s"]:
+        """Which states need more than a motor may exert, or tip the base over."""
+        return np.asarray(self.excess > 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +48,8 @@ class RobotLoads:
     """A robot's masses, effort limits and wheels."""
 
     robot: Robot
-    masses: SegmentMasses
-    limits: Float[np.ndarray, " n"]
-    """Effort limit of each degree of freedom [Nm] or [N]; infinite where none counts."""
-    support: Float[np.ndarray, "k 2"] | None
-    """Outline of the area that the wheels stand on, in the base frame [m]; None if masses or
-    wheels are unknown, so that stability does not count."""
+    arrays: LoadArrays
+    """Its limits are `MAX_EFFORT_SHARE` of those in the file."""
     notes: tuple[str, ...]
     """What the robot's files leave open, one line each."""
 
@@ -70,84 +68,70 @@ class RobotLoads:
         """
         none = np.zeros((len(q), 3))
         force, point = (np.ascontiguousarray(none if x is None else x) for x in (force, point))
-        efforts, center = static_efforts(
-            np.ascontiguousarray(q), chain_arrays(self.robot.chain), self.masses, force, point
-        )
-        shares = np.abs(efforts) / self.limits
-        return StateLoads(efforts, shares, self._stability(center, force, point))
+        chain = chain_arrays(self.robot.chain)
+        return StateLoads(*static_loads(np.ascontiguousarray(q), chain, self.arrays, force, point))
 
-    def _stability(
-        self,
-        center: Float[np.ndarray, "s 3"],
-        force: Float[np.ndarray, "s 3"],
-        point: Float[np.ndarray, "s 3"],
-    ) -> Float[np.ndarray, " s"]:
-        """Return the distance of the zero moment point from the edge of the support (Vukobratovic
-        1972): where the floor's reaction to weight and force acts."""
-        if self.support is None:
-            return np.full(len(center), np.inf)
-        weight = GRAVITY * float(self.masses.mass.sum())
-        up = weight - force[:, 2:]
-        moment = weight * center[:, :2] + point[:, 2:] * force[:, :2] - point[:, :2] * force[:, 2:]
-        zero = moment / np.maximum(up, 1e-6)
-        distance = edge_distances(zero, self.support)
-        inside = contains(self.support, zero) & (up[:, 0] > 0)
-        return np.asarray(np.where(inside, distance, -distance))
+    def outcome(self, where: int, excess: float, at: str) -> PoseOutcome:
+        """Return the outcome of a base pose whose worst state exceeds the limits.
 
-    def never_exceeded(self, force: float) -> bool:
-        """Return whether no state with a force on the hand up to this one [N] needs too much.
-
-        An upper bound: the arm is taken as straight, and all weights as across it.
+        Args:
+            where: A degree of freedom, or BASE.
+            excess: By how much it exceeds its limit [-].
+            at: Where on the motion, in words.
         """
-        return bool((self._bound(force) <= MAX_EFFORT_SHARE * self.limits).all())
-
-    def _bound(self, force: float) -> Float[np.ndarray, " n"]:
+        if where == BASE:
+            return PoseOutcome(PoseStatus.TIPS_OVER, self.robot.title, at)
         chain = self.robot.chain
-        travel = np.where(
-            chain.slides, np.abs(chain.ratio) * np.maximum(-chain.lower, chain.upper)[chain.dof], 0
-        )
-        links = np.linalg.norm(chain.d, axis=1) + travel
-        along = np.cumsum(links)
-        weights = GRAVITY * self.masses.mass[1:]
-        centers = along + np.linalg.norm(self.masses.center[1:], axis=1)
-        tool = along[-1] + float(np.linalg.norm(chain.tool_offset))
-        out = np.zeros(chain.size)
-        for j in range(chain.last):
-            reach = 0.0 if chain.slides[j] else along[j] - travel[j]
-            arms = np.ones(chain.last - j) if chain.slides[j] else centers[j:] - reach
-            load = force * (1.0 if chain.slides[j] else tool - reach)
-            out[chain.dof[j]] += abs(chain.ratio[j]) * (weights[j:] @ arms + load)
-        return out
+        limit = self.arrays.limit[where]
+        unit = "N" if chain.prismatic[where] else "Nm"
+        need = (1.0 + excess) * limit
+        words = f"{need:.3g} of {limit / MAX_EFFORT_SHARE:.3g} {unit} at {at}"
+        return PoseOutcome(PoseStatus.OVERLOAD, chain.names[where], words)
+
+    def worst(self, loads: StateLoads, at: str) -> PoseOutcome | None:
+        """Return the outcome for the worst of some states; None if the robot bears it."""
+        state = int(loads.excess.argmax())
+        if loads.excess[state] <= 0.0:
+            return None
+        return self.outcome(int(loads.where[state]), float(loads.excess[state]), at)
 
 
 @lru_cache(maxsize=64)
 def robot_loads(robot: Robot) -> RobotLoads:
     """Return a robot's masses, effort limits and wheels, from its URDF."""
     chain, notes = robot.chain, []
-    masses = _segment_masses(robot)
+    mass, center = _segment_masses(robot)
     limits = np.array([robot.model.joint(name).effort for name in chain.names])
     unknown = [n for n, limit in zip(chain.names, limits, strict=True) if not np.isfinite(limit)]
     if unknown:
         notes.append(f"no effort limit is known for {', '.join(unknown)}")
-    if not masses.mass[1:].any():
+    if not mass[1:].any():
         notes.append("the arm's links have no masses, so only loads at the hand count")
-    base = [link for link, segment in robot.segments.of_link.items() if segment == 0]
-    support = support_outline(robot.model, robot.base_link, base)
-    found = RobotLoads(robot, masses, limits, support, tuple(notes))
-    why = ""
-    if masses.mass[0] <= 0:
-        why = "the base has no mass"
-    elif support is None:
-        why = "no wheels are found on the floor"
-    elif found.at(robot.home[None]).stability[0] < 0:
+    links = [link for link, segment in robot.segments.of_link.items() if segment == 0]
+    support = support_outline(robot.model, robot.base_link, links)
+    arrays = LoadArrays(mass, center, MAX_EFFORT_SHARE * limits, np.zeros((0, 2)), np.zeros(0))
+    unmoving = RobotLoads(robot, arrays, tuple(notes))
+    if mass[0] <= 0:
+        return _without_stability(unmoving, "the base has no mass")
+    if support is None:
+        return _without_stability(unmoving, "no wheels are found on the floor")
+    normals = edge_normals(support)
+    offsets = (normals * support).sum(1)
+    standing = replace(unmoving, arrays=arrays._replace(normals=normals, offsets=offsets))
+    if standing.at(robot.home[None]).stability[0] < 0:
         why = "by the masses in its file the robot tips over at home"
-    if not why:
-        return found
-    return replace(found, support=None, notes=(*notes, f"stability does not count: {why}"))
+        return _without_stability(unmoving, why)
+    return standing
 
 
-def _segment_masses(robot: Robot) -> SegmentMasses:
-    """Return the mass and center of mass of each segment of the arm, the base first."""
+def _without_stability(loads: RobotLoads, why: str) -> RobotLoads:
+    return replace(loads, notes=(*loads.notes, f"stability does not count: {why}"))
+
+
+def _segment_masses(
+    robot: Robot,
+) -> tuple[Float[np.ndarray, " m_plus_1"], Float[np.ndarray, "m_plus_1 3"]]:
+    """Return mass and center of mass of each segment of the arm, the base first."""
     segments, count = robot.segments, robot.chain.last + 1
     mass, moment = np.zeros(count), np.zeros((count, 3))
     for link in robot.model.urdf.links.values():
@@ -155,4 +139,4 @@ def _segment_masses(robot: Robot) -> SegmentMasses:
         mass[at] += link.mass
         center = apply(segments.T_segment_link[link.name], np.array([link.center]))
         moment[at] += link.mass * center[0]
-    return SegmentMasses(mass, moment / np.maximum(mass, 1e-12)[:, None])
+    return mass, moment / np.maximum(mass, 1e-12)[:, None]

@@ -19,7 +19,6 @@ from momapos.model.kinematics import (
     newton_scratch,
 )
 from momapos.model.records import PoseOutcome
-from momapos.model.robots import StateLoads
 from momapos.planning.grasps import TaskMotion
 
 from .hand_clearance import arm_spheres, hand_hits_along
@@ -33,6 +32,7 @@ from .ik_layers import (
     joint_step,
     solve_layers,
 )
+from .ik_layers import OVERLOADED as OVERLOADED_LAYER
 from .task_loads import TaskLoads
 from .turning_arm import ArmModel, hand_poses, robot_of
 
@@ -91,10 +91,11 @@ def find_paths(
     layers = solve_layers(
         robot, world, motion, bases, motion.turning.members(modes), waypoint_of, order
     )
+    loads = TaskLoads(robot_of(robot), motion)
     return [
-        _connect(robot, world, motion, bases[j], _Graph.of(layers, motion, j), hand)
+        _connect(robot, world, loads, bases[j], _Graph.of(layers, motion, j), hand)
         if passed == len(order)
-        else _failure(int(layers.codes[j]), int(order[passed]), passed)
+        else _failure(layers, j, int(order[passed]), loads)
         for j, passed in enumerate(layers.passed.tolist())
     ]
 
@@ -109,8 +110,6 @@ class _Graph:
     """Which configurations were checked for collision; updated."""
     banned: Bool[np.ndarray, " m"]
     """Which configurations are excluded; updated."""
-    overloaded: Bool[np.ndarray, " m"]
-    """Which of these exceed the limits of a motor or tip the base over; updated."""
     first: Int[np.ndarray, " w_plus_1"]
     """First index of each waypoint's configurations, and their number."""
 
@@ -121,12 +120,18 @@ class _Graph:
         begin = layers.first[job, motion.layer_of] - first[:-1]
         which = np.arange(first[-1]) + np.repeat(begin, counts)
         q, grasps, checked = (x[which] for x in (layers.q, layers.grasps, layers.checked))
-        return cls(q, grasps, checked, np.zeros(len(q), bool), np.zeros(len(q), bool), first)
+        return cls(q, grasps, checked, np.zeros(len(q), bool), first)
 
 
-def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
+def _failure(layers: Layers, job: int, waypoint: int, loads: TaskLoads) -> ArmPath:
+    """Return the failure of a job that has no configuration at a waypoint."""
+    code, passed = int(layers.codes[job]), int(layers.passed[job])
     if code == CUT_OFF:
         return ArmPath(BROKEN, waypoint, passed, FREE)
+    if code == OVERLOADED_LAYER:
+        where, excess = int(layers.where[job]), float(layers.excess[job])
+        overload = loads.limits.outcome(where, excess, _at(waypoint))
+        return ArmPath(OVERLOADED, waypoint, passed, FREE, overload=overload)
     return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)
 
 
@@ -143,13 +148,13 @@ def _ends_first(count: int) -> list[int]:
 def _connect(
     robot: ArmModel,
     world: CollisionWorld,
-    motion: TaskMotion,
+    loads: TaskLoads,
     base: np.ndarray,
     graph: _Graph,
     hand: HandCodes,
 ) -> ArmPath:
     """Find the shortest path through the waypoints of one job, fill it densely, and check it."""
-    chain, grasps = robot.chain, graph.grasps
+    chain, grasps, motion = robot.chain, graph.grasps, loads.motion
     full_turn, scale = full_turns(chain), joint_scale(chain)
     # The turn of the hand is an additional joint of the path.
     states = np.column_stack([graph.q, motion.turning.angles[grasps]])
@@ -157,18 +162,15 @@ def _connect(
     count, number = len(motion.layer_of), motion.layer_of
     lanes, row = motion.lanes
     lane = np.ascontiguousarray(lanes[:, grasps])
-    loads = TaskLoads(robot_of(robot), motion)
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
         reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
-        if reached == count and _hits(robot, world, loads, base, graph, chosen):
+        if reached == count and _hits(robot, world, motion, base, graph, chosen):
             reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
         if reached < count:
             if worst.status != BROKEN:
                 return worst
-            if graph.overloaded.any():
-                return _overloaded(graph, loads, base, number)
             return ArmPath(BROKEN, int(number[reached]), count, FREE)
         q = _unwrap(graph.q[chosen], full_turn, chain.lower, chain.upper)
         tools = motion.tool_poses(grasps[chosen])
@@ -183,10 +185,8 @@ def _connect(
             )  # fmt: skip
             if (codes == FREE).all():
                 codes = _hand_codes(robot, world, motion, base, dense, tools, grasps[chosen], hand)
-            steps_taken = np.arange(len(dense))
-            borne = loads.at(base, dense, np.full(len(dense), grasps[chosen[0]]), steps_taken)
-            refused = loads.refused(borne)
-            bad_states = np.flatnonzero((codes != FREE) | refused)
+            borne = loads.at(base, dense, int(grasps[chosen[0]]), np.arange(len(dense)))
+            bad_states = np.flatnonzero((codes != FREE) | borne.refused)
             if not len(bad_states):
                 return ArmPath(FOUND, count, count, FREE, dense)
             bad = int(bad_states[0])
@@ -194,64 +194,40 @@ def _connect(
             if codes[bad] != FREE:
                 worst = ArmPath(HIT, waypoint, count, int(codes[bad]))
             else:
-                worst = _over(loads, borne, waypoint, count)
+                overload = loads.limits.worst(borne, _at(waypoint))
+                worst = ArmPath(OVERLOADED, waypoint, count, FREE, overload=overload)
         # Banning the node after the failure forces another path.
         at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
         graph.banned[chosen[at]] = True
     return worst
 
 
-def _over(loads: TaskLoads, borne: StateLoads, waypoint: int, count: int) -> ArmPath:
-    """Return the failure of a path whose states exceed the limits of a motor or of the base."""
-    where = "the pre-grasp" if waypoint == 0 else f"waypoint {waypoint}"
-    return ArmPath(OVERLOADED, waypoint, count, FREE, overload=loads.outcome(borne, where))
-
-
-def _overloaded(
-    graph: _Graph, loads: TaskLoads, base: np.ndarray, number: Int[np.ndarray, " w"]
-) -> ArmPath:
-    """Return the failure of a job of which each path has overloaded configurations."""
-    nodes = np.flatnonzero(graph.overloaded)
-    waypoint = np.searchsorted(graph.first, nodes, "right") - 1
-    step = loads.motion.waypoint_steps[waypoint]
-    borne = loads.at(base, graph.q[nodes], graph.grasps[nodes], step)
-    # The least overload at the first such waypoint is the nearest miss.
-    rows = np.flatnonzero(waypoint == waypoint[0])
-    least = rows[np.argmin(loads.excess(borne)[rows])]
-    return _over(loads, borne.take(np.array([least])), int(number[waypoint[0]]), len(number))
+def _at(waypoint: int) -> str:
+    return "the pre-grasp" if waypoint == 0 else f"waypoint {waypoint}"
 
 
 def _hits(
     robot: ArmModel,
     world: CollisionWorld,
-    loads: TaskLoads,
+    motion: TaskMotion,
     base: np.ndarray,
     graph: _Graph,
     chosen: Int[np.ndarray, " w"],
 ) -> bool:
-    """Check the nodes of a path for collision and overload; if one fails, check all others."""
-    motion = loads.motion
+    """Check the nodes of a path for collision; if one collides, check all other nodes as well."""
     step = np.repeat(motion.waypoint_steps, np.diff(graph.first))
 
-    def check_collisions(nodes: Int[np.ndarray, " k"]) -> None:
+    def check_those(nodes: Int[np.ndarray, " k"]) -> None:
         graph.checked[nodes] = True
         graph.banned[nodes] |= check(
             world, robot.chain, arm_spheres(robot_of(robot)), graph.q[nodes],
             np.tile(base, (len(nodes), 1)), motion.value[step[nodes]], motion.holding[step[nodes]],
         ) != FREE  # fmt: skip
 
-    def check_loads(nodes: Int[np.ndarray, " k"]) -> None:
-        borne = loads.at(base, graph.q[nodes], graph.grasps[nodes], step[nodes])
-        graph.overloaded[nodes] = loads.refused(borne)
-        graph.banned[nodes] |= graph.overloaded[nodes]
-
-    check_collisions(chosen[~graph.checked[chosen]])
-    check_loads(chosen)
+    check_those(chosen[~graph.checked[chosen]])
     if not graph.banned[chosen].any():
         return False
-    if graph.overloaded.any():
-        check_loads(np.arange(len(graph.q)))
-    check_collisions(np.flatnonzero(~graph.checked & ~graph.banned))
+    check_those(np.flatnonzero(~graph.checked))
     return True
 
 

@@ -184,7 +184,7 @@ class Feasibility:
             motion_checker, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        loads = partial(self._overloaded, carried=(grasp, 0) if self._carrying else None)
+        loads = partial(self._refused, carried=(grasp, 0) if self._carrying else None)
         path = _within_limits(
             self.robot.home, q[0], checker, loads, self.robot, self.planner, self.seed + grasp
         )
@@ -232,22 +232,14 @@ class Feasibility:
         )  # fmt: skip
         carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
         path = _within_limits(
-            q, self.robot.home, checker, partial(self._overloaded, carried=carried),
+            q, self.robot.home, checker, partial(self._refused, carried=carried),
             self.robot, brief_config(self.planner), self.seed + grasp,
         )  # fmt: skip
         return None if path is None else chain.joint_values(interpolate(path)[1:])
 
-    def _overloaded(
-        self, q: Float[np.ndarray, "s n"], *, carried: tuple[int, int] | None
-    ) -> Bool[np.ndarray, " s"]:
-        """Find the states of a free motion that exceed the limits of a motor or of the base.
-
-        `carried` is the grasp, and a step of the motion at which it holds the object in the hand.
-        """
-        loads = TaskLoads(self.robot, self.motion)
-        if carried is None:
-            return loads.refused(loads.limits.at(q))
-        return loads.refused(loads.carrying(q, *carried))
+    @property
+    def _refused(self) -> Callable[..., Bool[np.ndarray, " s"]]:
+        return TaskLoads(self.robot, self.motion).refused
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)

@@ -1,4 +1,4 @@
-"""Check what the motors bear along a task, and that the base does not tip over."""
+"""What the motors and the base bear along a task."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import apply, invert, rotation
-from momapos.model.records import MAX_EFFORT_SHARE, PoseOutcome, PoseStatus
+from momapos.model.kinematics import LoadArrays
 from momapos.model.robots import Robot, RobotLoads, StateLoads, robot_loads
 from momapos.planning.grasps import TaskMotion
+
+from .turning_arm import ArmModel, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -33,60 +35,56 @@ class TaskLoads:
         self,
         base: Float[np.ndarray, "3"],
         q: Float[np.ndarray, "s n"],
-        grasps: Int[np.ndarray, " s"],
+        grasp: int,
         steps: Int[np.ndarray, " s"],
     ) -> StateLoads:
         """Return the loads at steps of the motion.
 
         Args:
             base: Base pose x [m], y [m], yaw [rad].
-            q: Values of the degrees of freedom.
-            grasps: The grasp at each state.
-            steps: The step of the motion at each.
+            q: Values of the degrees of freedom; further ones are ignored.
+            grasp: The grasp.
+            steps: The step of the motion at each state.
         """
-        force, point = (x[grasps, steps] for x in self.motion.hand_loads)
-        return self._in_base(base, q, force, point)
-
-    def carrying(self, q: Float[np.ndarray, "s n"], grasp: int, step: int) -> StateLoads:
-        """Return the loads of a free motion with the object in the hand as at a step."""
-        force, point = (x[grasp, step] for x in self.motion.hand_loads)
-        in_tool = apply(invert(self.motion.Ts_world_tool[grasp, step]), point[None])[0]
-        T_base_tool = self.robot.chain.tool_poses(q)
-        points = T_base_tool[:, :3, :3] @ in_tool + T_base_tool[:, :3, 3]
-        return self.limits.at(q, np.tile(force, (len(q), 1)), points)
-
-    def _in_base(
-        self,
-        base: Float[np.ndarray, "3"],
-        q: Float[np.ndarray, "s n"],
-        force: Float[np.ndarray, "s 3"],
-        point: Float[np.ndarray, "s 3"],
-    ) -> StateLoads:
+        force, point = (x[grasp, steps] for x in self.motion.hand_loads)
         turned, moved = force.copy(), point - [base[0], base[1], 0.0]
         R = rotation(float(base[2]))
         turned[:, :2], moved[:, :2] = force[:, :2] @ R, moved[:, :2] @ R
         return self.limits.at(q[:, : self.robot.chain.size], turned, moved)
 
-    def excess(self, loads: StateLoads) -> Float[np.ndarray, " s"]:
-        """Return by how much states exceed the limits: above 0 what the robot cannot bear [-]."""
-        # A centimeter of tipping counts as a tenth of an effort limit.
-        tips = np.where(np.isfinite(loads.stability), -10.0 * loads.stability, -np.inf)
-        return np.maximum(loads.shares.max(1) - MAX_EFFORT_SHARE, tips)
+    def free(
+        self, q: Float[np.ndarray, "s n"], carried: tuple[int, int] | None = None
+    ) -> StateLoads:
+        """Return the loads of a free motion of the arm.
 
-    def refused(self, loads: StateLoads) -> Bool[np.ndarray, " s"]:
-        """Find the states that need too much, or at which the base tips over."""
-        return np.asarray(self.excess(loads) > 0.0)
+        Args:
+            q: Values of the degrees of freedom.
+            carried: The grasp and a step of the motion at which the hand holds the object that it
+                carries; None for an empty hand.
+        """
+        if carried is None:
+            return self.limits.at(q)
+        force, point = (x[carried] for x in self.motion.hand_loads)
+        in_tool = apply(invert(self.motion.Ts_world_tool[carried]), point[None])[0]
+        T_base_tool = self.robot.chain.tool_poses(q)
+        points = T_base_tool[:, :3, :3] @ in_tool + T_base_tool[:, :3, 3]
+        return self.limits.at(q, np.tile(force, (len(q), 1)), points)
 
-    def outcome(self, loads: StateLoads, where: str) -> PoseOutcome | None:
-        """Return the outcome of a base pose for its worst state; None if that is borne."""
-        excess = self.excess(loads)
-        state = int(excess.argmax())
-        if excess[state] <= 0.0:
-            return None
-        joint = int(loads.shares[state].argmax())
-        if loads.shares[state, joint] <= MAX_EFFORT_SHARE:
-            return PoseOutcome(PoseStatus.TIPS_OVER, self.robot.title, where)
-        chain, limits = self.robot.chain, self.limits.limits
-        unit = "N" if chain.prismatic[joint] else "Nm"
-        need = f"{abs(loads.efforts[state, joint]):.3g} of {limits[joint]:.3g} {unit} at {where}"
-        return PoseOutcome(PoseStatus.OVERLOAD, chain.names[joint], need)
+    def refused(
+        self, q: Float[np.ndarray, "s n"], carried: tuple[int, int] | None
+    ) -> Bool[np.ndarray, " s"]:
+        """Find the states of a free motion that need too much, or tip the base over."""
+        return self.free(q, carried).refused
+
+
+def load_arrays(arm: ArmModel) -> LoadArrays:
+    """Return an arm's masses and limits for kernels; a turn of the hand needs nothing."""
+    arrays, chain = robot_loads(robot_of(arm)).arrays, arm.chain
+    more = chain.last + 1 - len(arrays.mass)
+    if not more:
+        return arrays
+    return arrays._replace(
+        mass=np.append(arrays.mass, np.zeros(more)),
+        center=np.vstack([arrays.center, np.zeros((more, 3))]),
+        limit=np.append(arrays.limit, np.full(more, np.inf)),
+    )
