@@ -22,7 +22,7 @@ from momapos.model.scene.joint_resistance import (
     weight_at,
 )
 from momapos.model.scene.resistance_config import ResistanceConfig
-from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_object import SceneObject
 
 CONFIG = ResistanceConfig()
 OPENING = np.linspace(0.0, 1.5, 61)

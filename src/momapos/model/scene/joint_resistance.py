@@ -14,7 +14,7 @@ from momapos.model.records import JointResistance
 from momapos.model.urdf import Articulated, Hull, opening_of
 
 from .resistance_config import ResistanceConfig
-from .scene import SceneObject
+from .scene_object import SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -18,7 +18,8 @@ from momapos.core.geometry import apply, signed_area
 from momapos.model.scene.formats import MapGrid, find_inside, read_map
 
 from .floor_areas import MAX_CORNERS
-from .scene import Scene, SceneObject
+from .scene import Scene
+from .scene_object import SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
