@@ -51,19 +51,9 @@ class MotionResistance:
         return np.abs(self.along)
 
     @property
-    def worst(self) -> int:
-        """Index of the value with the largest total."""
-        return int(np.argmax(self.total))
-
-    @property
     def largest(self) -> float:
         """The largest total [Nm] or [N]."""
         return float(self.total.max())
-
-    @property
-    def held_back(self) -> bool:
-        """Whether the hand holds the part back at the worst value."""
-        return bool(self.along[self.worst] < 0.0)
 
 
 def resistance_along(
