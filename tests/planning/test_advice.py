@@ -14,8 +14,9 @@ from momapos.apps.cli.main import main
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.tasks import BaseRegion
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.advice import objects_in_the_way, with_advice
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.plan import plan_placement

@@ -1,0 +1,205 @@
+"""Find what encloses the hand, such as the closed doors of a cabinet around its content.
+
+At the pre-grasp the arm connects the hand with the base outside. A flood fill of the space around
+the hand shows whether anything as thick as the thinnest link gets out, before arms are checked.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.compiled import F1, F2, F3, I1, entry, kernel
+from momapos.model.collision import FINGER, OTHER, CollisionWorld, box_gap
+from momapos.model.robots import Robot
+from momapos.model.urdf import Boxes
+from momapos.planning.grasps import TaskMotion
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+OUTSIDE = 1.2
+"""A hand that gets this far from all pre-grasps is outside; more than half a tall fridge [m]."""
+FILL_CELL = 0.01
+"""Edge length of a cell of the fill [m]."""
+THINNEST = 0.018
+"""Radius of a tube inside of every arm: spheres of this radius cover the thinnest link of the
+library's robots, the wrist of Stretch. Nothing is said about arms with thinner links [m]."""
+CLOSED = THINNEST - FILL_CELL * np.sqrt(3.0) / 2
+"""No tube passes through a cell whose center is this near a box, so gaps up to 18 mm count as
+closed, and panels need no thickness [m]."""
+MAX_NAMES = 3
+"""Number of links that are named, those with the largest faces first [-]."""
+_FREE, _CLOSED, _FILLED = 0, 1, 2
+
+
+def enclosed_by(robot: Robot, world: CollisionWorld, motion: TaskMotion) -> str:
+    """Return the names of what encloses the hand in every grasp; "" if the arm may get in.
+
+    Args:
+        robot: The robot.
+        world: Static obstacles, and the moving part.
+        motion: The task's motion, with grasps in which the hand is free.
+    """
+    palm = _palm_center(robot)
+    if palm is None or _thinnest_link(robot) < THINNEST:
+        return ""
+    Ts = motion.Ts_world_tool[:, 0]
+    hands = np.einsum("gij,j->gi", Ts[:, :3, :3], palm) + Ts[:, :3, 3]
+    boxes, labels = _obstacles(world, motion)
+    back = -Ts[:, :3, :3] @ robot.approach_axis
+    for rows in (slice(0, 1), slice(1, None)):
+        if _any_way_out(hands[rows], back[rows], boxes):
+            return ""
+    low, high = hands.min(0) - OUTSIDE, hands.max(0) + OUTSIDE
+    low[2] = max(low[2], 0.0)
+    shape = np.ceil((high - low) / FILL_CELL).astype(np.int64)
+    cells = np.floor((hands - low) / FILL_CELL).astype(np.int64)
+    seeds = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(shape.tolist()), mode="clip"))
+    faces = _enclosing(
+        seeds, boxes.center, boxes.rotation, boxes.half, low, shape, bool(low[2] <= 0.0)
+    )
+    return _names(faces, labels)
+
+
+def _names(faces: Float[np.ndarray, " b"], labels: tuple[str, ...]) -> str:
+    """Return the labels with the largest sums, in words."""
+    total: dict[str, float] = {}
+    for label, face in zip(labels, faces.tolist(), strict=True):
+        name = "/".join(label.split("/")[:2])
+        total[name] = total.get(name, 0.0) + face
+    found = sorted((name for name in total if total[name]), key=lambda name: -total[name])
+    *others, last = found[:MAX_NAMES] or [""]
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _palm_center(robot: Robot) -> Float[np.ndarray, "3"] | None:
+    """Return the center of the hand's largest sphere in the tool frame; None without one."""
+    spheres, chain = robot.spheres, robot.chain
+    last = robot.segments.of_link[robot.tool_link]
+    group = np.repeat(np.arange(len(spheres.segment)), np.diff(spheres.start))
+    rows = np.flatnonzero((spheres.segment == last)[group] & (spheres.gripper != FINGER)[group])
+    if not len(rows):
+        return None
+    center = spheres.center[rows[spheres.radius[rows].argmax()]]
+    return np.asarray((center - chain.tool_offset) @ chain.tool_rotation)
+
+
+def _thinnest_link(robot: Robot) -> float:
+    """Return the smallest radius, over the arm's links, of the largest sphere in its cover [m]."""
+    spheres = robot.spheres
+    largest = np.maximum.reduceat(spheres.radius, spheres.start[:-1])
+    return float(largest[(spheres.segment > 0) & (spheres.gripper == OTHER)].min(initial=np.inf))
+
+
+def _obstacles(world: CollisionWorld, motion: TaskMotion) -> tuple[Boxes, tuple[str, ...]]:
+    """Return what stands around the pre-grasps; an object that is carried does not count."""
+    if motion.task.joint is None:
+        return world.static, world.labels[: len(world.static)]
+    return Boxes.join([world.static, world.moving.at(0)]), world.labels
+
+
+def _any_way_out(
+    points: Float[np.ndarray, "n 3"], back: Float[np.ndarray, "n 3"], boxes: Boxes
+) -> bool:
+    """Return whether some point sees the outside, straight back from the grasp or up."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], back.shape)
+    start, along = np.concatenate([points, points]), OUTSIDE * np.concatenate([back, up])
+    return bool((~_blocked(start, along, boxes)).any())
+
+
+def _blocked(
+    start: Float[np.ndarray, "n 3"], along: Float[np.ndarray, "n 3"], boxes: Boxes
+) -> Bool[np.ndarray, " n"]:
+    """Return which segments meet a box, grown by `THINNEST`, or the floor."""
+    p = np.einsum("nbi,bik->nbk", start[:, None] - boxes.center, boxes.rotation)
+    d = np.einsum("ni,bik->nbk", along, boxes.rotation)
+    half = boxes.half + THINNEST
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.stack([(-half - p) / d, (half - p) / d])
+    parallel = np.abs(d) < 1e-9
+    within = np.abs(p) <= half
+    enters = np.where(parallel, np.where(within, -np.inf, np.inf), t.min(0)).max(2)
+    leaves = np.where(parallel, np.where(within, np.inf, -np.inf), t.max(0)).min(2)
+    hits = (enters <= leaves) & (leaves >= 0.0) & (enters <= 1.0)
+    return np.asarray(hits.any(1) | (start[:, 2] + along[:, 2] <= 0.0))
+
+
+@kernel
+def _range(b, boxes, low, shape, reach, first, last):
+    """Fill in the first and last cell along each axis that box b can touch."""
+    center, rotation, half = boxes
+    for k in range(3):
+        extent = reach
+        for a in range(3):
+            extent += abs(rotation[b, k, a]) * half[b, a]
+        first[k] = max(0, int(np.floor((center[b, k] - extent - low[k]) / FILL_CELL)))
+        last[k] = min(shape[k] - 1, int(np.floor((center[b, k] + extent - low[k]) / FILL_CELL)))
+
+
+@kernel
+def _count_or_close(b, boxes, low, shape, reach, state, close):
+    """Close the cells near box b, or count the filled ones."""
+    center, rotation, half = boxes
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    _range(b, boxes, low, shape, reach, first, last)
+    count = 0
+    for i in range(first[0], last[0] + 1):
+        for j in range(first[1], last[1] + 1):
+            for k in range(first[2], last[2] + 1):
+                cell = (i * shape[1] + j) * shape[2] + k
+                if state[cell] != (_FREE if close else _FILLED):
+                    continue
+                point = (
+                    low[0] + (i + 0.5) * FILL_CELL,
+                    low[1] + (j + 0.5) * FILL_CELL,
+                    low[2] + (k + 0.5) * FILL_CELL,
+                )
+                if box_gap(point, reach, center, rotation, half, b) < 0.0:
+                    count += 1
+                    if close:
+                        state[cell] = _CLOSED
+    return count
+
+
+@entry
+def _enclosing(
+    seeds: I1, center: F2, rotation: F3, half: F2, low: F1, shape: I1, on_floor: bool
+) -> np.ndarray:
+    """Fill the free cells from the seeds; return how many of them each box bounds.
+
+    Returns zeros if the fill gets to the border, where it ends, or if no seed is free.
+    """
+    boxes = (center, rotation, half)
+    state = np.zeros(shape[0] * shape[1] * shape[2], np.int8)
+    faces = np.zeros(len(center))
+    for b in range(len(center)):
+        _count_or_close(b, boxes, low, shape, CLOSED, state, True)
+    stack = np.empty(len(state), np.int64)
+    size = 0
+    for cell in seeds:
+        if state[cell] == _FREE:
+            state[cell] = _FILLED
+            stack[size] = cell
+            size += 1
+    while size > 0:
+        size -= 1
+        cell = stack[size]
+        k = cell % shape[2]
+        j = (cell // shape[2]) % shape[1]
+        i = cell // (shape[1] * shape[2])
+        if i == 0 or j == 0 or i == shape[0] - 1 or j == shape[1] - 1 or k == shape[2] - 1:
+            return faces
+        if k == 0 and not on_floor:
+            return faces
+        # A curve gets from cell to cell through their faces.
+        for step in (shape[1] * shape[2], shape[2], 1):
+            for other in (cell - step, cell + step):
+                if (step > 1 or k > 0 or other > cell) and state[other] == _FREE:
+                    state[other] = _FILLED
+                    stack[size] = other
+                    size += 1
+    for b in range(len(center)):
+        faces[b] = _count_or_close(b, boxes, low, shape, CLOSED + 2 * FILL_CELL, state, False)
+    return faces
