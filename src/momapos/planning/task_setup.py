@@ -74,12 +74,12 @@ class PreparedTask:
     @cached_property
     def verifier(self) -> PlanVerifier:
         """Return the exact check."""
-        scene, motion = self.scene, self.motion
-        if self.task.joint is not None and motion.resistance is not None:
-            known = {self.task.object: {self.task.joint: motion.resistance}}
-            scene = scene.with_resistance(known)
-        payload = None if motion.weight is None else motion.weight.mass
-        return PlanVerifier(scene, self.robot, self.task, payload=payload)
+        scene, task, motion = self.scene, self.task, self.motion
+        if task.joint is not None and motion.resistance is not None:
+            scene = scene.with_resistance({task.object: {task.joint: motion.resistance}})
+        if motion.weight is not None:
+            scene = scene.with_mass(task.object, motion.weight.mass)
+        return PlanVerifier(scene, self.robot, task)
 
     @cached_property
     def blocked(self) -> str:

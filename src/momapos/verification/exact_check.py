@@ -60,15 +60,8 @@ class PlanVerifier:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        robot: RobotDescription,
-        task: Task,
-        limits: Limits = DEFAULT,
-        *,
-        payload: float | None = None,
+        self, scene: Scene, robot: RobotDescription, task: Task, limits: Limits = DEFAULT
     ) -> None:
-        """`payload` is the mass of a rigid object [kg]; None for that of its file or a guess."""
         self.limits = limits
         self.scene = scene
         self.task = task
@@ -78,7 +71,7 @@ class PlanVerifier:
         self._efforts = robot_efforts(
             robot.model, self.robot_model.bodies, robot.base_link, self.robot_model.joints
         )
-        self._hand_load = HandLoad(scene.object(task.object), task, ResistanceConfig(), payload)
+        self._hand_load = HandLoad(scene.object(task.object), task, ResistanceConfig())
         self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
         self._base_fixed = all_pairs(len(self._base), len(self.fixed))
@@ -137,6 +130,10 @@ class PlanVerifier:
         force, point = self._hand_load.along(motion, placed.path, placed.Ts_tool)
         needs = self._efforts.efforts(placed.Ts_body, force, point)
         stability = self._efforts.stability(base_pose, placed.Ts_body, force, point)
+        none = np.zeros((1, 3))
+        at_first = self._efforts.stability(base_pose, placed.Ts_body[:1], none, none)
+        if at_first is not None and at_first[0] < self.limits.stability:
+            stability = None  # the masses of the base in its file are incomplete
         return MeasuredLoads(self._efforts, needs, stability)
 
     def _outside(self, placed: _Placed) -> str | None:

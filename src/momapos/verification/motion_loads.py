@@ -31,19 +31,13 @@ class HandLoad:
     task: Task
     resistance: ResistanceConfig
     """Assumed where the scene gives no resistance."""
-    payload: float | None = None
-    """Mass of a rigid object [kg]; None for that of its file, or an assumed one."""
 
     @property
     def mass(self) -> float | None:
         """Return the mass of the object in the hand [kg]; None if the task moves a joint."""
         if self.task.joint is not None:
             return None
-        return (
-            object_mass(self.item.model, self.resistance)[0]
-            if self.payload is None
-            else (self.payload)
-        )
+        return object_mass(self.item, self.resistance)[0]
 
     def along(
         self, motion: Motion, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"]
@@ -87,7 +81,7 @@ class HandLoad:
     ) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "s 3"]]:
         """Return the weight of a carried object, which acts at its center of mass."""
         assert self.mass is not None
-        _, center = object_mass(self.item.model, self.resistance)
+        _, center = object_mass(self.item, self.resistance)
         in_tool = invert(Ts_world_tool[path.approach]) @ self.item.T_world_object
         local = apply(in_tool, center[None])[0]
         place = self.task.verb == "place"
@@ -121,7 +115,7 @@ class MeasuredLoads:
         unlimited = [n for n, k in zip(self.robot.names, known.tolist(), strict=True) if not k]
         notes = (f"no effort limit is known for {', '.join(unlimited)}",) if unlimited else ()
         if self.stability is None:
-            notes += ("stability is unknown: the file has no masses or wheels of the base",)
+            notes += ("stability is unknown: the file lacks masses or wheels of the base",)
         return MotionLoads(
             {name: share for name, share, is_known in named if is_known},
             None if self.stability is None else float(self.stability.min()),
@@ -139,7 +133,7 @@ class MeasuredLoads:
             words = f"{name} needs {need:.3g} of {most:.3g} at {path.where(int(state))}"
         found = [at_most("joint effort", 100 * worst, 100 * limits.effort, "%", words, name)]
         if self.stability is not None:
-            lean = -float(self.stability.min())
-            where = path.where(int(self.stability.argmin())) if lean > 0 else ""
-            found.append(at_most("tipping over", 1000 * lean, 0.0, "mm", where, "the base"))
+            lean, most = -float(self.stability.min()), -limits.stability
+            where = path.where(int(self.stability.argmin())) if lean > most else ""
+            found.append(at_most("tipping over", 1000 * lean, 1000 * most, "mm", where, "the base"))
         return tuple(found)

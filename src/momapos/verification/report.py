@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from momapos.core import finite_number, refuse_below
-from momapos.model.records import MAX_EFFORT_SHARE
+from momapos.model.records import MAX_EFFORT_SHARE, MIN_STABILITY
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,8 @@ class Limits:
     """Excess over a joint limit [rad] or [m]."""
     effort: float = MAX_EFFORT_SHARE
     """Share of a joint's effort limit that a state may need at rest [-]."""
+    stability: float = MIN_STABILITY
+    """Least distance of the zero moment point inside the area that the wheels stand on [m]."""
     floor_edge: float = 0.003
     """How far the base may extend beyond the floor [m]."""
     states: int = 20_000

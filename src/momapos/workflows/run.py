@@ -17,7 +17,7 @@ import numpy as np
 from momapos.core import Clock, InputError, SceneError, Stopwatch, version_of
 from momapos.model.records import Motion, PlacementPlan, ReachScorer
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, with_assumptions
 from momapos.planning import PipelineConfig, start_pose
 from momapos.planning.grasps import task_motion
 from momapos.planning.navigation import (
@@ -109,7 +109,7 @@ def run_plan(
     """
     if plan.status != "solved" or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
-    scene = scene.with_resistance(plan.resistance)
+    scene = with_assumptions(scene, plan)
     # A replanned motion must open the part exactly as far as planned.
     plan = replace(plan, task=replace(plan.task, farthest=False))
     there = None

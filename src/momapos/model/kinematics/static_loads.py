@@ -32,6 +32,8 @@ class LoadArrays(NamedTuple):
     without edges the base does not tip over."""
     offsets: F1
     """Distance of each edge from the origin along its normal [m]."""
+    least_stability: float
+    """Distance that the zero moment point must keep from the edges [m]."""
 
 
 class LoadScratch(NamedTuple):
@@ -133,7 +135,7 @@ def load_excess(efforts, stability, robot):
 
     The excess is a share of the limit; the state is borne if it is not above 0.
     """
-    worst, where = -TIPPING_SCALE * stability, BASE
+    worst, where = TIPPING_SCALE * (robot.least_stability - stability), BASE
     for k in range(len(efforts)):
         excess = abs(efforts[k]) / robot.limit[k] - 1.0
         if excess > worst:

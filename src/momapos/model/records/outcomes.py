@@ -91,6 +91,12 @@ class PoseOutcome:
         return _STAGES.index(stage), MAX_WAYPOINTS if whole else int(number or 0)
 
     @property
+    def counted(self) -> str:
+        """Return the text by which outcomes are counted: without how much a motor needs."""
+        bears = self.status in (PoseStatus.OVERLOAD, PoseStatus.TIPS_OVER)
+        return self.summary if bears else str(self)
+
+    @property
     def summary(self) -> str:
         """Return the text without the waypoint, to count similar outcomes together."""
         words = _SUMMARY.get(self.status, self.status.value)

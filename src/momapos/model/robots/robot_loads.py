@@ -14,7 +14,7 @@ import numpy as np
 
 from momapos.core.geometry import apply, edge_normals
 from momapos.model.kinematics import BASE, LoadArrays, chain_arrays, static_loads
-from momapos.model.records import MAX_EFFORT_SHARE, PoseOutcome, PoseStatus
+from momapos.model.records import MAX_EFFORT_SHARE, MIN_STABILITY, PoseOutcome, PoseStatus
 
 from .robot import Robot
 from .support_outline import support_outline
@@ -109,7 +109,9 @@ def robot_loads(robot: Robot) -> RobotLoads:
         notes.append("the arm's links have no masses, so only loads at the hand count")
     links = [link for link, segment in robot.segments.of_link.items() if segment == 0]
     support = support_outline(robot.model, robot.base_link, links)
-    arrays = LoadArrays(mass, center, MAX_EFFORT_SHARE * limits, np.zeros((0, 2)), np.zeros(0))
+    arrays = LoadArrays(
+        mass, center, MAX_EFFORT_SHARE * limits, np.zeros((0, 2)), np.zeros(0), MIN_STABILITY
+    )
     unmoving = RobotLoads(robot, arrays, tuple(notes))
     if mass[0] <= 0:
         return _without_stability(unmoving, "the base has no mass")
@@ -118,8 +120,8 @@ def robot_loads(robot: Robot) -> RobotLoads:
     normals = edge_normals(support)
     offsets = (normals * support).sum(1)
     standing = replace(unmoving, arrays=arrays._replace(normals=normals, offsets=offsets))
-    if standing.at(robot.home[None]).stability[0] < 0:
-        why = "by the masses in its file the robot tips over at home"
+    if standing.at(robot.home[None]).stability[0] < MIN_STABILITY:
+        why = "by the masses in its file the robot hardly stands at home"
         return _without_stability(unmoving, why)
     return standing
 

@@ -19,6 +19,7 @@ from .other_motion import hypothesis_about as hypothesis_about
 from .other_motion import save_with_part_motion as save_with_part_motion
 from .other_motion import scene_with_hypothesis as scene_with_hypothesis
 from .other_motion import scene_with_part_motion as scene_with_part_motion
+from .other_motion import with_assumptions as with_assumptions
 from .other_motion import with_part_motion as with_part_motion
 from .resistance_config import ResistanceConfig as ResistanceConfig
 from .scene import Scene as Scene

@@ -203,10 +203,11 @@ def part_masses(
 
 
 def object_mass(
-    model: Articulated, config: ResistanceConfig
+    item: SceneObject, config: ResistanceConfig
 ) -> tuple[float, Float[np.ndarray, "3"]]:
     """Return mass [kg] and center of mass [m] of a whole object at rest, in its root's frame."""
-    masses = part_masses(model, model.links, config)
+    model = item.model
+    masses = part_masses(model, model.links, config, item.mass)
     total = sum(mass for mass, _ in masses.values())
     moment = np.zeros(3)
     for link, (mass, center) in masses.items():

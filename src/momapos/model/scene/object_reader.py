@@ -17,7 +17,7 @@ from .floor_areas import MAX_DISTANCE, read_numbers
 from .hypotheses import read_hypotheses
 from .object_models import ObjectModels
 from .resistance_members import read_resistance
-from .scene_object import SceneObject
+from .scene_object import MAX_MASS, SceneObject
 from .usual_sizes import size_hint, usual_edge
 
 if TYPE_CHECKING:
@@ -63,7 +63,20 @@ class ObjectReader:
         sure = read_confidence(self.item.get("confidence"), names, self.where)
         followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
         known = read_resistance(self.item.get("resistance", {}), followers, self.where)
-        return SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
+        return SceneObject(
+            self.name, category, self.pose(), model, joints, found, sure, known, self.mass()
+        )
+
+    def mass(self) -> float | None:
+        """Return its known mass [kg]; None if the file gives none."""
+        if "mass" not in self.item:
+            return None
+        mass = float(read_numbers([self.item["mass"]], 1, f"{self.where}: mass")[0])
+        if not 0 < mass <= MAX_MASS:
+            raise SceneError(
+                f"{self.where}: mass must be above 0 and at most {MAX_MASS:g} kg, not {mass:g}"
+            )
+        return mass
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         """Return the pose of its frame in the world."""

@@ -34,6 +34,7 @@ _OBJECT: Keys = {
     "box": None,
     "joints": Named(None),
     "closed": Named(None),
+    "mass": None,
     "resistance": Named(None),
     "hypotheses": Named(_HYPOTHESIS),
     "confidence": {"object": None, "label": None, "joints": Named(None), "handles": Named(None)},

@@ -33,6 +33,8 @@ MIN_BOX_EDGE = 1e-4
 """Minimum edge of a box [m]."""
 MIN_SCALE = 1e-6
 """Minimum scale of a model, for models in micrometers [-]."""
+MAX_MASS = 1e5
+"""Maximum mass of an object [kg]; excludes mistaken units."""
 SAME_VALUE = 1e-6
 """Joint values that differ by less count as the same [rad] or [m]."""
 MAX_POSED_MODELS = 128
@@ -55,6 +57,8 @@ class SceneObject:
     """Confidence of a scan in the object; None if it was not scanned."""
     resistance: Mapping[str, JointResistance] = field(default_factory=dict)
     """Known resistance of joints; the rest is assumed."""
+    mass: float | None = None
+    """Known mass of the whole object [kg]; None for that of its model, or an assumed one."""
     wall: Wall | None = None
     """The wall of the room that this box stands for; None for other objects."""
 

@@ -275,7 +275,7 @@ def _weight(
     config: MotionConfig,
 ) -> Weight:
     """Return an object's weight along its motion, given by the path of a frame of it."""
-    mass, center = object_mass(target.model, config.grasps.resistance)
+    mass, center = object_mass(target, config.grasps.resistance)
     local = apply(invert(T_object) @ target.T_world_object, center[None])
     return Weight(mass, apply(Ts_world_object, local)[:, 0])
 
