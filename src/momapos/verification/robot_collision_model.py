@@ -59,14 +59,14 @@ class RobotCollisionModel:
 
     def body_poses(
         self, base_pose: Sequence[float], q: Float[np.ndarray, "s n"]
-    ) -> Float[np.ndarray, "s b 4 4"]:
+    ) -> Float[np.ndarray, "s r 4 4"]:
         """Return world poses of all bodies."""
         values = {name: q[:, i] for i, name in enumerate(self.joints)}
         T_world_root = pose_planar(np.array(base_pose)) @ self.T_base_root
         return body_poses(self.bodies, values, T_world_root)
 
     def poses(
-        self, Ts: Float[np.ndarray, "s b 4 4"]
+        self, Ts: Float[np.ndarray, "s r 4 4"]
     ) -> tuple[
         Float[np.ndarray, "s 4 4"], Float[np.ndarray, "1 b 4 4"], Float[np.ndarray, "s a 4 4"]
     ]:

@@ -9,7 +9,7 @@ MAX_EFFORT_SHARE = 0.9
 """Share of an effort limit that a state may need at rest [-]; the rest is for accelerations. In
 simulation, a torso that needs 0.92 of its limit for its own weight does not follow its motion."""
 
-MIN_STABILITY = 0.03
+MIN_STABILITY = 0.02
 """Least distance from tipping over at rest [m]. In simulation, the accelerations of a UR5e on a
 narrow base of 117 kg move the zero moment point by 5 cm from where it is at rest, for 0.2 s."""
 
