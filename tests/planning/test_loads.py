@@ -66,11 +66,11 @@ def test_a_home_that_a_motor_cannot_hold_is_the_reason(kitchen: Scene, tmp_path:
     plan = plan_base_placement(kitchen, weak, task, config=QUICK).plan
     assert plan.status == "infeasible"
     (reason,) = [words for words in plan.candidates.rejections if "needs" in words]
-    assert reason == "elbow_joint needs 18.5 of 9 Nm at home"
+    assert reason.startswith("elbow_joint needs 18.5 of 9 Nm at home; if springs bear the weight")
 
 
 def test_a_part_that_tips_the_robot_over_is_left_closed(kitchen: Scene, robots: Robots) -> None:
-    stiff = {"cabinet_left": {"drawer_slide": JointResistance(seal_force=40.0)}}
+    stiff = {"cabinet_left": {"drawer_slide": JointResistance(seal_force=14.0)}}
     scene, robot = kitchen.with_resistance(stiff), robots("stretch")
     task = make_task(scene, "open", "cabinet_left", "drawer_slide")
     assert plan_base_placement(kitchen, robot, task).plan.status == "solved"

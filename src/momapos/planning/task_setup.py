@@ -173,7 +173,9 @@ def _overloaded_at_home(robot: Robot, motion: TaskMotion) -> str:
     """Return which motor cannot hold the empty arm at home, or ""."""
     loads = TaskLoads(robot, motion)
     outcome = loads.limits.worst(loads.free(robot.home[None]), "home")
-    return "" if outcome is None else str(outcome)
+    if outcome is None:
+        return ""
+    return f"{outcome}; if springs bear the weight, set this effort to 0 in the URDF"
 
 
 def _with_free_grasp(
