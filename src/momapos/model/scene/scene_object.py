@@ -66,8 +66,8 @@ class SceneObject:
     def box(
         cls,
         name: str,
-        size: Sequence[float],
-        xyz: Sequence[float],
+        size: Sequence[float] | Float[np.ndarray, "3"],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         category: str = "",
@@ -104,7 +104,7 @@ class SceneObject:
         name: str,
         vertices: object,
         faces: object,
-        xyz: Sequence[float],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         category: str = "",
@@ -134,7 +134,7 @@ class SceneObject:
         cls,
         name: str,
         mesh: object,
-        xyz: Sequence[float],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         category: str = "",
@@ -163,7 +163,7 @@ class SceneObject:
         cls,
         name: str,
         path: str | Path,
-        xyz: Sequence[float],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         scale: float = 1.0,
@@ -302,7 +302,7 @@ def _posed(model: Articulated, values: tuple[tuple[str, float], ...]) -> Articul
     return model.changed(held={**model.held, **dict(values)})
 
 
-def _planar_pose(xyz: Sequence[float], yaw: float) -> Float[np.ndarray, "4 4"]:
+def _planar_pose(xyz: Sequence[float] | Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "4 4"]:
     """Return the pose of an upright frame at a point."""
     x, y, z = finite_array("xyz", xyz, (3,)).tolist()
     T = pose_planar(np.array([x, y, finite_number("yaw", yaw)]))
