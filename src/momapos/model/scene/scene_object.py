@@ -302,7 +302,9 @@ def _posed(model: Articulated, values: tuple[tuple[str, float], ...]) -> Articul
     return model.changed(held={**model.held, **dict(values)})
 
 
-def _planar_pose(xyz: Sequence[float] | Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "4 4"]:
+def _planar_pose(
+    xyz: Sequence[float] | Float[np.ndarray, "3"], yaw: float
+) -> Float[np.ndarray, "4 4"]:
     """Return the pose of an upright frame at a point."""
     x, y, z = finite_array("xyz", xyz, (3,)).tolist()
     T = pose_planar(np.array([x, y, finite_number("yaw", yaw)]))
