@@ -65,11 +65,11 @@ def with_advice(
         return answer
     limit = max(MIN_TIME, answer.plan.timing.get("total", 0.0))
     change = next(_changes(answer, query, others, Trials(clock, clock() + limit)), None)
-    if change is None or change[1].plan.base_pose is None:
+    base = None if change is None else change[1].plan.base_pose
+    if change is None or base is None:
         return answer
-    words, found = change
-    x, y, yaw = found.plan.base_pose
-    advice = f"feasible {words}, from ({x:.3f}, {y:.3f}, {np.degrees(yaw):.1f} deg)"
+    x, y, yaw = base
+    advice = f"feasible {change[0]}, from ({x:.3f}, {y:.3f}, {np.degrees(yaw):.1f} deg)"
     return replace(answer, plan=replace(answer.plan, advice=advice))
 
 
