@@ -32,6 +32,8 @@ NEAR_OBJECTS = 1.2
 arm's reach, less what the arm must bend [m]."""
 MAX_OBJECTS = 8
 """Maximum number of objects that are removed for a trial, one at a time [-]."""
+MAX_JOINTS = 6
+"""Maximum number of joints that are put at another end for a trial, one at a time [-]."""
 MIN_TIME = 1.0
 """Time for the trials even after a quick refusal [s]."""
 SAME_VALUE = 0.01
@@ -50,10 +52,10 @@ def with_advice(
 ) -> PlacementResult:
     """Add to an infeasible answer the first change with which a plan exists.
 
-    The changes, in this order: a wider restriction of the base pose; the doors of furniture that
-    is hit at their other end; one of the objects near the part moved, as little as trials show, or
-    else removed; another robot. Each trial is a search by samples, whose plan passes the exact
-    check. All together take as long as the answer itself did, at least `MIN_TIME`.
+    The changes, in this order: a wider restriction of the base pose; a door or drawer of
+    furniture that is hit at its other end; one of the objects near the part moved, as little as
+    trials show, or else removed; another robot. Each trial is a search by samples, whose plan
+    passes the exact check. All together take as long as the answer itself did, at least `MIN_TIME`.
 
     Args:
         answer: The answer; returned unchanged unless it is infeasible and has its query.
@@ -98,22 +100,28 @@ def _changes(
 
 
 def _with_other_joints(query: PlacementQuery, reasons: str, trials: Trials) -> Iterator[Change]:
-    """Yield answers with a joint at its other end, of those whose parts the reasons name."""
+    """Yield answers with a joint at its other end, for furniture that the reasons name.
+
+    Joints whose parts are named come first.
+    """
     task = query.task
+    found: list[tuple[bool, SceneObject, Joint]] = []
     for item in query.scene.objects:
-        for joint, record in item.model.joints.items():
-            if (item.name, joint) == (task.object, task.joint) or record.mimic is not None:
-                continue
-            links = item.model.moved_by(joint)
-            if not any(_names(reasons, f"{item.name}/{link}") for link in links):
-                continue
-            for end in _other_ends(item, record):
-                scene = query.scene.with_joint(item.name, joint, end)
-                found = trials.solve(replace(query, scene=scene))
-                if found is not None:
-                    slides = record.kind == "prismatic"
-                    to = f"{100 * end:.0f} cm" if slides else f"{np.degrees(end):.0f} deg"
-                    yield f"with {item.name}/{joint} at {to}", found
+        if not _names(reasons, f"{item.name}/"):
+            continue
+        for name, joint in item.model.joints.items():
+            if (item.name, name) != (task.object, task.joint) and joint.mimic is None:
+                links = item.model.moved_by(name)
+                hit = any(_names(reasons, f"{item.name}/{link}") for link in links)
+                found.append((not hit, item, joint))
+    for _, item, joint in sorted(found, key=lambda one: one[0])[:MAX_JOINTS]:
+        for end in _other_ends(item, joint):
+            scene = query.scene.with_joint(item.name, joint.name, end)
+            answer = trials.solve(replace(query, scene=scene))
+            if answer is not None:
+                slides = joint.kind == "prismatic"
+                to = f"{100 * end:.0f} cm" if slides else f"{np.degrees(end):.0f} deg"
+                yield f"with {item.name}/{joint.name} at {to}", answer
 
 
 def _other_ends(item: SceneObject, joint: Joint) -> list[float]:
