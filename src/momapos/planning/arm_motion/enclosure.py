@@ -33,8 +33,8 @@ MAX_NAMES = 3
 _FREE, _CLOSED, _FILLED = 0, 1, 2
 
 
-def enclosed_by(robot: Robot, world: CollisionWorld, motion: TaskMotion) -> str:
-    """Return the names of what encloses the hand in every grasp; "" if the arm may get in.
+def enclosed_by(robot: Robot, world: CollisionWorld, motion: TaskMotion) -> tuple[str, ...]:
+    """Return the names of what encloses the hand in every grasp; none if the arm may get in.
 
     Args:
         robot: The robot.
@@ -43,14 +43,14 @@ def enclosed_by(robot: Robot, world: CollisionWorld, motion: TaskMotion) -> str:
     """
     palm = _palm_center(robot)
     if palm is None or _thinnest_link(robot) < THINNEST:
-        return ""
+        return ()
     Ts = motion.Ts_world_tool[:, 0]
     hands = np.einsum("gij,j->gi", Ts[:, :3, :3], palm) + Ts[:, :3, 3]
     boxes, labels = _obstacles(world, motion)
     back = -Ts[:, :3, :3] @ robot.approach_axis
     for rows in (slice(0, 1), slice(1, None, 1 + len(hands) // MAX_RAYS)):
         if _any_way_out(hands[rows], back[rows], boxes):
-            return ""
+            return ()
     low, high = hands.min(0) - OUTSIDE, hands.max(0) + OUTSIDE
     low[2] = max(low[2], 0.0)
     # A tube passes through no cell whose center is nearer to a box than the tube's radius less half
@@ -62,19 +62,18 @@ def enclosed_by(robot: Robot, world: CollisionWorld, motion: TaskMotion) -> str:
         seeds = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(shape.tolist()), mode="clip"))
         faces = _enclosing(seeds, boxes.center, boxes.rotation, boxes.half, low, shape, cell, reach)
         if faces[-1] < 0.0:
-            return ""
+            return ()
     return _names(faces[:-1], labels)
 
 
-def _names(faces: Float[np.ndarray, " b"], labels: tuple[str, ...]) -> str:
-    """Return the labels with the largest sums, in words."""
+def _names(faces: Float[np.ndarray, " b"], labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the links with the largest sums."""
     total: dict[str, float] = {}
     for label, face in zip(labels, faces.tolist(), strict=True):
         name = "/".join(label.split("/")[:2])
         total[name] = total.get(name, 0.0) + face
     found = sorted((name for name in total if total[name]), key=lambda name: -total[name])
-    *others, last = found[:MAX_NAMES] or [""]
-    return f"{', '.join(others)} and {last}" if others else last
+    return tuple(found[:MAX_NAMES])
 
 
 def _palm_center(robot: Robot) -> Float[np.ndarray, "3"] | None:
