@@ -38,8 +38,10 @@ def case_around_a_mug(*, gap: float, yaw: float = 0.0, leave_out: str = "") -> S
         size[axis] = WALL
         offset[axis] = side * (SIZE[axis] / 2 + WALL / 2 + (gap if name == "front_low" else 0.0))
         if name != leave_out:
-            items.append(SceneObject.box(name, size, center + turn @ offset, yaw=yaw))
-    mug = SceneObject.box("mug", (0.07, 0.07, 0.1), center - [0, 0, SIZE[2] / 2 - 0.05])
+            place = (center + turn @ offset).tolist()
+            items.append(SceneObject.box(name, size.tolist(), place, yaw=yaw))
+    x, y, z = center.tolist()
+    mug = SceneObject.box("mug", (0.07, 0.07, 0.1), (x, y, z - SIZE[2] / 2 + 0.05))
     return Scene("case", (*items, mug), start=np.array([-2.0, 0.0, 0.0]))
 
 
