@@ -31,8 +31,9 @@ from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.protocols import ArticulationPredictor
 from momapos.model.records.scans import Cloud, Detection
 from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Geometry, Link, Urdf, box_urdf
 from momapos.perception.fusion.gravity import align_to_gravity

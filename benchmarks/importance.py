@@ -21,9 +21,10 @@ from typing import cast
 import numpy as np
 
 from momapos.core.geometry.transforms import pose
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.importance.config import ImportanceConfig, ScorerName

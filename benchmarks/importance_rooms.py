@@ -12,8 +12,9 @@ from jaxtyping import Float
 
 from momapos.core.geometry.transforms import pose
 from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.grasps.task_requests import openable

@@ -33,7 +33,8 @@ from momapos.core.geometry.planar import compose
 from momapos.model.records.protocols import ReachScorer
 from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.arm_motion.feasibility import Feasibility, collision_free_grasps
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion

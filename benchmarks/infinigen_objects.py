@@ -30,7 +30,7 @@ from trimesh.visual import ColorVisuals
 
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.scene.formats.urdf_writer import urdf_text
-from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 from momapos.model.urdf.urdf_records import Geometry, Joint, Urdf

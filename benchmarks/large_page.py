@@ -31,8 +31,9 @@ from momapos.core.cache import user_cache
 from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Scan
 from momapos.model.scene.model_copies import copied
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.perception.records import Decision, Modeled
 from pages import CAMERA, Tab
 

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.meshes import mesh_points
 from momapos.model.urdf.reader import Geometry
 

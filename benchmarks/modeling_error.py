@@ -29,8 +29,9 @@ from momapos.apps.synthetic_scans.recording import synthetic_scan, true_box
 from momapos.core.geometry.transforms import apply, pose
 from momapos.core.geometry.upright_boxes import UprightBox, top
 from momapos.model.records.scans import Frame, Scan
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Urdf, box_urdf, read_urdf
 from momapos.perception.reconstruction.object_model import furniture_model

@@ -42,8 +42,9 @@ from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.model_copies import copied
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Joint, read_urdf
 from momapos.planning.config import PipelineConfig

@@ -18,8 +18,9 @@ import numpy as np
 from momapos.core.cache import default_cache_dir
 from momapos.core.geometry.transforms import pose
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig

@@ -21,7 +21,7 @@ import numpy as np
 from momapos.apps.synthetic_scans.surfaces import Paint, patches, urdf_paints
 from momapos.core.geometry.transforms import apply, pose
 from momapos.model.scene.formats.urdf_writer import urdf_text
-from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.urdf_records import Geometry, Link
 from objects import objects, parts, room, set_of
 

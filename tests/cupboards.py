@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Edge lengths and center of a box in its link's frame [m]."""

@@ -16,7 +16,7 @@ from trimesh.visual.material import SimpleMaterial
 
 from momapos.apps.synthetic_scans.surfaces import patches
 from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Urdf, read_urdf
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import SceneObject
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 

@@ -11,8 +11,9 @@ from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.core.geometry.transforms import apply
 from momapos.model.records.scans import Cloud
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.perception.open_doors import open_leaves
 from momapos.perception.pipeline import default_tools
 from momapos.perception.recordings.scan_reader import read_scan

@@ -20,8 +20,9 @@ from momapos.apps.cli.console import summary
 from momapos.core.errors import InputError, TaskError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.importance.ranking import rank

@@ -12,8 +12,9 @@ from tests.rooms import Everywhere, cabinet_room
 from momapos.apps.cli.main import main
 from momapos.model.records.outcomes import PoseStatus
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.arm_motion.feasibility import Feasibility
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task

@@ -20,8 +20,9 @@ from momapos.core.stopwatch import Stopwatch
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning import max_opening_plan, partial_opening
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task

@@ -13,7 +13,7 @@ from tests import optional
 from tests.simulation.toy import toy
 
 from momapos.core.errors import InputError
-from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_object import SceneObject
 from momapos.simulation.film import COLUMNS, FILM_HEIGHT, HEIGHT, WIDTH, write_film
 from momapos.simulation.film_canvas import FORCE_COLOR, Overlay, Shot, canvas, frame_shot
 from momapos.simulation.geoms import Kind

@@ -11,7 +11,8 @@ from tests.simulation.toy import gripping
 from tests.verification.door_case import BASE, OPEN, cupboard_urdf, make_case
 
 from momapos.core.geometry.transforms import apply, rotation_of
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.simulation.config import ComplianceConfig, Ending, ExecutionConfig, GripConfig
 from momapos.simulation.execute import AttemptOutcome, RetryState, attempt
 from momapos.simulation.joint_estimate import Axis, JointEstimate, LearnedPart

@@ -12,7 +12,8 @@ from tests.verification.door_case import BASE, HINGE, OPEN, cupboard_urdf
 
 from momapos.core.errors import InputError
 from momapos.model.records.tasks import Task
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.simulation.config import ExecutionConfig
 from momapos.simulation.execute import AttemptOutcome, attempt
 from momapos.simulation.true_worlds import moved, true_world

@@ -7,8 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.verification import contact_pairs
 from momapos.verification.contact_pairs import object_contacts
 

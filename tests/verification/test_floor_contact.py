@@ -11,7 +11,8 @@ import pytest
 from tests.cupboards import Box, carcass, furniture_room, joint, link
 
 from momapos.model.records.tasks import Task
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.verification.floor_contact import TOUCH, depths_below_floor, meets_floor_at
 from momapos.verification.moved_part import moved_part, split
 from momapos.verification.part_sweep import part_sweep_check

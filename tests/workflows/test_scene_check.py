@@ -14,8 +14,9 @@ from tests.meshes import Box, triangles_of
 
 from momapos.core.errors import InputError
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.workflows.scene_check.checks import check_scene
 from momapos.workflows.scene_check.report import Finding, FindingKind, SceneReport, Severity
 from momapos.workflows.scene_check.report_text import finding_lines, report_lines, report_to_dict

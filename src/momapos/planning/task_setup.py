@@ -15,7 +15,7 @@ from momapos.model.collision import CollisionWorld, build_world
 from momapos.model.records import Motion, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.arm_motion import Feasibility, collision_free_grasps
+from momapos.planning.arm_motion import Feasibility, collision_free_grasps, enclosed_by
 from momapos.planning.grasps import (
     FULL_DOF,
     LIFT_HEIGHT,
@@ -177,8 +177,15 @@ def _with_free_grasp(
         is_free, obstacle = collision_free_grasps(robot, world, other)
         allowed = is_free if keep_grasps is None else is_free & keep_grasps(other)
         if allowed.any():
-            return other.only(other.grasps.deepest(allowed)), world, other.refusal
-        why = NO_OTHER_GRASP if is_free.any() else _all_collide(other, obstacle)
+            usable = other.only(other.grasps.deepest(allowed))
+            enclosing = enclosed_by(robot, world, usable)
+            if not enclosing:
+                return usable, world, other.refusal
+            *others, last = enclosing
+            names = f"{', '.join(others)} and {last} enclose" if others else f"{last} encloses"
+            why = f"{names} the hand in every grasp"
+        else:
+            why = NO_OTHER_GRASP if is_free.any() else _all_collide(other, obstacle)
         found.append((other, world, other.refusal or why))
         passed += other.grasps.handles
         other = with_other_handle(motion, scene, robot, config.motion, passed)

@@ -27,9 +27,10 @@ from momapos.apps.bench.suites import (
 )
 from momapos.core.errors import FileFormatError
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.verification.exact_check import PlanVerifier
 

@@ -24,8 +24,9 @@ from momapos.apps.synthetic_scans.renderer import (
 )
 from momapos.core.geometry.transforms import apply, invert, pose
 from momapos.model.records.scans import Frame
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 

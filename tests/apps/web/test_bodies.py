@@ -12,8 +12,8 @@ from momapos.apps.web.bodies import facing, joined, link_surfaces, world_surface
 from momapos.apps.web.cameras import viewpoint
 from momapos.apps.web.room_view import triangulated
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene import SceneObject
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 

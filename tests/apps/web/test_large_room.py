@@ -15,8 +15,9 @@ from momapos.apps.web.light import NAME
 from momapos.apps.web.page import Page
 from momapos.model.records.scans import Cloud
 from momapos.model.scene.model_copies import copied
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.perception.records import Modeled
 
 LONG = 60.0

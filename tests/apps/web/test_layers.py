@@ -15,8 +15,8 @@ from momapos.core.geometry.planar import place_points
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.records.outcomes import Tolerance
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene import SceneObject, upright_boxes
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject, upright_boxes
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.area import BaseStatus, base_pose_status

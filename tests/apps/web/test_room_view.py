@@ -15,8 +15,9 @@ from momapos.apps.web.bodies import Surface
 from momapos.apps.web.crowd import MAX_TRIANGLES, ColoredSurface, batched, object_hit
 from momapos.apps.web.room_view import RoomView
 from momapos.apps.web.serve import open_server
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 
 KITCHEN = load_scene("kitchen_small")
 DRAWER = ("cabinet_right", "drawer_top_slide")

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from momapos.core.errors import MomaposError
 from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 
 CABINET = """<robot name="cabinet">
   <link name="body"><collision><geometry><box size="0.4 0.6 0.8"/></geometry></collision></link>

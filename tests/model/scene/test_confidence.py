@@ -10,8 +10,9 @@ import pytest
 
 from momapos.core.errors import SceneError, UnknownNameError
 from momapos.model.records.scans import Confidence
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 
 BOX = SceneObject.box("a", (1, 1, 1), (0, 0, 0.5), category="cabinet")
 

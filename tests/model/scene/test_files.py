@@ -17,9 +17,10 @@ from numpy.testing import assert_allclose
 from momapos.apps.cli.scene import scene_convert, scene_list, scene_show
 from momapos.core.errors import FileFormatError, MomaposError, SceneError, UnknownNameError
 from momapos.core.geometry.transforms import pose_rpy
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_names import builtin_names
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 

@@ -16,8 +16,9 @@ from momapos.core.errors import MomaposError
 from momapos.core.geometry.polygons import contains, signed_area
 from momapos.model.scene import map_room
 from momapos.model.scene.map_room import read_map_room, simplified
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 
 FREE, WALL, UNKNOWN = 254, 0, 205
 YAW = 0.4

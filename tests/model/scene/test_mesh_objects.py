@@ -17,8 +17,9 @@ from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.formats.mjcf_writer import write_mjcf
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.meshes import mesh_triangles
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement

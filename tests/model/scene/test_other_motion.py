@@ -18,8 +18,9 @@ from momapos.model.scene.other_motion import (
     scene_with_part_motion,
     with_part_motion,
 )
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.joint_opening import opening_of
 
 WAYS = (

@@ -18,8 +18,8 @@ from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.resistances import JointResistance
 from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import SceneObject
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.reader import read_urdf
 
 KNOWN = {"seal_force": 20.0, "friction": 2.0, "mass": 6.0, "balanced": True}

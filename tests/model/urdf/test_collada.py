@@ -11,8 +11,8 @@ from tests import optional
 from tests.real import CASES
 
 from momapos.core.errors import UrdfError
-from momapos.model.scene.scene import SceneObject
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.furniture import read_furniture
 from momapos.model.urdf.reader import read_urdf

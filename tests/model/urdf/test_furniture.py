@@ -12,8 +12,8 @@ from tests.real import CASES
 
 from momapos.core.cache import Cache
 from momapos.core.errors import UrdfError
-from momapos.model.scene.scene import SceneObject
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.furniture import read_furniture
 from momapos.model.urdf.reader import read_urdf
 

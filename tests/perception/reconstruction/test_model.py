@@ -18,8 +18,8 @@ from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Detection, FaceImage, Part, PartKind
 from momapos.model.scene.library.box_furniture import Piece
 from momapos.model.scene.library.kitchen_writer import urdf_text
-from momapos.model.scene.scene import SceneObject
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.joint_opening import opening_of
 from momapos.model.urdf.reader import read_urdf

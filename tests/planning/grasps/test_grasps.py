@@ -12,8 +12,9 @@ from tests.rooms import cabinet_room
 from momapos.model.robots.robot import Grip, Robot, load_robot
 from momapos.model.scene.joint_resistance import resistance_along
 from momapos.model.scene.resistance_config import ResistanceConfig
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.joint_opening import opening_of
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig

@@ -11,8 +11,9 @@ import pytest
 from momapos.core.geometry.transforms import invert, pose
 from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.resistance_config import ResistanceConfig
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig

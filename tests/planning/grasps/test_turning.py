@@ -10,8 +10,9 @@ import pytest
 
 from momapos.core.geometry.transforms import invert, rotation_about, rotation_angle
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig

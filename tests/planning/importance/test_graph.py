@@ -28,8 +28,9 @@ from tests.rooms import move_scene
 
 from momapos.core.errors import InputError, MomaposError, SceneError
 from momapos.core.geometry.transforms import pose, rotation_about
-from momapos.model.scene.scene import Scene, upright_boxes
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_object import upright_boxes
 from momapos.model.urdf.reader import Link
 from momapos.planning.importance.config import GraphConfig
 from momapos.planning.importance.relations import neighbors, outline_gaps

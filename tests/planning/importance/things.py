@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.core.geometry.transforms import pose, rotation_about
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Geometry, Joint, JointKind, Link, Urdf, box_urdf
 from momapos.planning.importance.config import GraphConfig

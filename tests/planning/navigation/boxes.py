@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.core.geometry.transforms import pose, rotation_about
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.navigation.footprint_map import NavigationMap

@@ -7,7 +7,8 @@ import pytest
 
 from momapos.core.geometry.polygons import inscribed_radius
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.navigation.footprint_map import build_navigation_map
 from momapos.planning.navigation.global_path import plan_path
 from momapos.planning.navigation.outline_gaps import gaps

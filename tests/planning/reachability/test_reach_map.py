@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from momapos.core.compiled.entries import ENTRIES
 from momapos.core.errors import RobotError
 from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.collision.arm_collision import FREE, check_states
@@ -41,6 +42,14 @@ def robot() -> Robot:
 @pytest.fixture(scope="module")
 def reach(robot: Robot) -> ReachMap:
     return build_map(robot, COARSE)
+
+
+def test_building_a_map_compiles_no_entry_for_other_types(reach: ReachMap) -> None:
+    """Arguments of the annotated types run stored machine code, without a dispatcher of numba."""
+    assert reach.reach > 0.0
+    others = [one.name for one in ENTRIES.values() if ".reachability." in one.name]
+    assert others
+    assert not [name for name in others if "dispatcher" in vars(ENTRIES[name])]
 
 
 def _free_states(robot: Robot, rng: np.random.Generator, count: int) -> np.ndarray:

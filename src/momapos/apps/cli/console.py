@@ -15,7 +15,7 @@ from momapos.model.records import NO_STAND, RULED_OUT, PoseStatus
 from momapos.planning.placement import OURS
 
 if TYPE_CHECKING:
-    from momapos.model.records import CostTerm, KeyObjects, PlacementPlan, Task
+    from momapos.model.records import Candidates, CostTerm, KeyObjects, PlacementPlan, Task
     from momapos.planning import PlacementResult
 
 MAX_REASONS = 8
@@ -213,14 +213,19 @@ def _why_not(answer: PlacementResult) -> str:
                 "all feasible base poses violate a restriction (areas, facing, driving distance); "
                 "the reasons are below"
             )
-        return _no_way(plan.candidates.rejections) or (
-            "no feasible base pose; the reasons are below"
-        )
+        return _one_reason(plan.candidates) or ("no feasible base pose; the reasons are below")
     most = "to" if plan.feasible_sure else "at least to"
     return (
         f"not to {_value(answer, task.to)}, but {most} {_value(answer, smaller)} "
         f"from {_pose(plan.feasible_from)}"
     )
+
+
+def _one_reason(candidates: Candidates) -> str:
+    """Return the reason that holds for every base pose, if there is one."""
+    if candidates.sampled == 1 and len(candidates.rejections) == 1:
+        return next(iter(candidates.rejections))
+    return _no_way(candidates.rejections)
 
 
 def _no_way(rejections: Mapping[str, int]) -> str:

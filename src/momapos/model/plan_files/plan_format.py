@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 
 from momapos.core import (
     FileFormatError,
@@ -25,7 +23,6 @@ from momapos.model.records import (
     BaseRegion,
     CostTerm,
     KeyObjects,
-    Motion,
     Outline,
     PlacementPlan,
     Task,
@@ -34,12 +31,12 @@ from momapos.model.records import (
 from momapos.model.robots import MAX_SRDF_BYTES, portable
 
 from . import plan_members as members
-from .holds import holds_to_dict, read_holds
 from .named_files import portable_name, sha256, sha256_of, write_text
 from .plan_candidates import candidates_to_dict, read_candidates
+from .plan_motion import motion_to_dict, read_array, read_motion
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    pass
 
 FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
 MAX_BYTES = 20_000_000
@@ -48,7 +45,6 @@ MAX_BYTES = 20_000_000
 
 def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
     """Convert a plan to the dictionary of its file; paths stay as they are."""
-    motion = plan.motion
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -79,18 +75,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "base_pose": _pose_to_dict(plan.base_pose),
         "base_path": None if plan.base_path is None else plan.base_path.tolist(),
         "joints": list(plan.joints),
-        "approach": [] if motion is None else motion.approach.tolist(),
-        "approach_times": None if motion is None else _times(motion.approach_times),
-        "manipulation": None
-        if motion is None
-        else {
-            "q": motion.q.tolist(),
-            "object_q": motion.object_q.tolist(),
-            "times": _times(motion.times),
-            "T_world_tool": motion.Ts_world_tool.tolist(),
-            **holds_to_dict(motion.holds),
-        },
-        "home": None if motion is None or motion.home is None else motion.home.tolist(),
+        **motion_to_dict(plan.motion),
         "navigation_cost": plan.navigation_cost,
         "cost": {name: asdict(term) for name, term in plan.cost.items()},
         "candidates": candidates_to_dict(plan.candidates),
@@ -113,10 +98,6 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
 
 def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
     return [[list(corner) for corner in area] for area in areas]
-
-
-def _times(times: Float[np.ndarray, " m"] | None) -> list[float] | None:
-    return None if times is None else times.tolist()
 
 
 def _task_to_dict(task: Task) -> dict[str, Any]:
@@ -290,7 +271,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         status=data.status,
         joints=tuple(data.joints),
         base_pose=_triple(data.base_pose),
-        motion=_motion(data, path),
+        motion=read_motion(data, path),
         navigation_cost=data.navigation_cost,
         cost={name: CostTerm(**msgspec.structs.asdict(term)) for name, term in data.cost.items()},
         candidates=read_candidates(data.candidates),
@@ -302,7 +283,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         start=_triple(data.start),
         base_path=None
         if data.base_path is None
-        else _array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
+        else read_array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
         robot_file=_robot_file(robot.file, folder),
         robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
         robot_rest=robot.rest,
@@ -346,58 +327,3 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # not a valid file name
         return False
-
-
-def _motion(data: members.Plan, path: Path) -> Motion | None:
-    motion, n = data.manipulation, len(data.joints)
-    if motion is None:
-        return None
-    approach = _array(data.approach, (n,), path, "approach")
-    q = _array(motion.q, (n,), path, "manipulation.q")
-    object_q = _array(motion.object_q, (), path, "manipulation.object_q")
-    Ts_world_tool = _array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool")
-    if not len(q) == len(object_q) == len(Ts_world_tool):
-        raise FileFormatError(
-            f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
-            f"{len(Ts_world_tool)} T_world_tool; each state needs one of each"
-        )
-    return Motion(
-        approach=approach,
-        q=q,
-        object_q=object_q,
-        Ts_world_tool=Ts_world_tool,
-        approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
-        times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
-        holds=read_holds(motion, path),
-        home=None if data.home is None else _array(data.home, (n,), path, "home"),
-    )
-
-
-def _read_times(
-    times: list[float] | None, count: int, path: Path, key: str
-) -> Float[np.ndarray, " m"] | None:
-    if times is None:
-        return None
-    values = _array(times, (), path, key)
-    if len(values) != count or (np.diff(values) < 0).any():
-        raise FileFormatError(f"{path}: {key} must be {count} non-decreasing times [s]")
-    return values
-
-
-def _array(
-    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str, each: str = "one per joint"
-) -> Float[np.ndarray, "..."]:
-    if not rows:
-        return np.empty((0, *shape))
-    size = " x ".join(map(str, shape))
-    try:
-        array = np.array(rows, float)
-    except ValueError as error:
-        raise FileFormatError(f"{path}: {key} has rows of different length; need {size}") from error
-    if array.shape[1:] != shape:
-        found = " x ".join(map(str, array.shape[1:]))
-        raise FileFormatError(
-            f"{path}: {key} has rows of {found} numbers; need {size}"
-            + (f", {each}" if len(shape) == 1 else "")
-        )
-    return array

@@ -23,8 +23,6 @@ from .other_motion import scene_with_part_motion as scene_with_part_motion
 from .other_motion import with_part_motion as with_part_motion
 from .resistance_config import ResistanceConfig as ResistanceConfig
 from .scene import Scene as Scene
-from .scene import SceneObject as SceneObject
-from .scene import upright_boxes as upright_boxes
 from .scene_files import load_scene as load_scene
 from .scene_files import save_scene as save_scene
 from .scene_files import write_text_atomic as write_text_atomic
@@ -33,6 +31,8 @@ from .scene_names import builtin_names as builtin_names
 from .scene_names import builtin_size as builtin_size
 from .scene_names import find_scene as find_scene
 from .scene_names import refuse_unknown_object as refuse_unknown_object
+from .scene_object import SceneObject as SceneObject
+from .scene_object import upright_boxes as upright_boxes
 from .usual_sizes import FLOOR_EDGE as FLOOR_EDGE
 from .usual_sizes import size_hint as size_hint
 from .usual_sizes import usual_edge as usual_edge

@@ -22,7 +22,7 @@ from momapos.core.geometry import apply, pose_rpy
 from momapos.model.urdf import Articulated, box_urdf
 
 from .arithmetic import number
-from .scene import SceneObject
+from .scene_object import SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,7 +14,7 @@ from momapos.model.records import JointResistance
 from momapos.model.urdf import Articulated, Hull, opening_of
 
 from .resistance_config import ResistanceConfig
-from .scene import SceneObject
+from .scene_object import SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -51,19 +51,9 @@ class MotionResistance:
         return np.abs(self.along)
 
     @property
-    def worst(self) -> int:
-        """Index of the value with the largest total."""
-        return int(np.argmax(self.total))
-
-    @property
     def largest(self) -> float:
         """The largest total [Nm] or [N]."""
         return float(self.total.max())
-
-    @property
-    def held_back(self) -> bool:
-        """Whether the hand holds the part back at the worst value."""
-        return bool(self.along[self.worst] < 0.0)
 
 
 def resistance_along(

@@ -33,6 +33,8 @@ from momapos.model.scene.library import (
     write_kitchen,
 )
 
+from .walls import WALL_HEIGHT, WALL_THICKNESS
+
 if TYPE_CHECKING:
     from jaxtyping import Float
 
@@ -88,7 +90,7 @@ MIN_OPENING = {"revolute": 0.6, "prismatic": 0.2}
 MAX_DOOR_OPENING = 2.0  # maximum opening of doors [rad]
 PART_GAP = 0.0015  # reduction of moving parts on each side [m]
 HANDLE_LENGTHS = (0.12, 0.4)  # [m]
-WALL_HEIGHT, WALL_THICKNESS, WALL_GAP = 2.5, 0.1, 0.005  # [m]
+WALL_GAP = 0.005  # between furniture and wall [m]
 FREE_FRONT, FREE_SIDE = 2.5, 1.5  # floor between furniture and edge: opposite a wall, else [m]
 CLEARANCE = 0.8  # preferred clearance of the start pose [m]
 

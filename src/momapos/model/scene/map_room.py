@@ -18,13 +18,13 @@ from momapos.core.geometry import apply, signed_area
 from momapos.model.scene.formats import MapGrid, find_inside, read_map
 
 from .floor_areas import MAX_CORNERS
-from .scene import Scene, SceneObject
+from .scene import Scene
+from .scene_object import SceneObject
+from .walls import WALL_HEIGHT
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-WALL_HEIGHT = 2.5
-"""Height of what a map shows as occupied, since a map has no heights [m]."""
 WALL_DEPTH = 0.3
 """Occupied cells farther than this from the floor are left out [m]."""
 FURNITURE_MARGIN = 0.1

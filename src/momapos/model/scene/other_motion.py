@@ -16,8 +16,9 @@ from momapos.model.records import Hypothesis, PartKind, PlacementPlan
 from momapos.model.urdf import MAX_URDF_BYTES, Articulated, opening_of, read_furniture
 
 from .model_copies import copied
-from .scene import Scene, SceneObject
+from .scene import Scene
 from .scene_files import save_scene
+from .scene_object import SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float

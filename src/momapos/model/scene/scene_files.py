@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -21,38 +21,29 @@ from momapos.core import (
     as_path,
     expect,
     read_text_bounded,
-    unknown_name,
     write_atomic,
 )
-from momapos.core.geometry import pose_wxyz
 from momapos.model.scene.formats import foreign_kind, is_map
-from momapos.model.urdf import Articulated, box_urdf
 
 from . import bestman
 from .code_models import box_edges, save_model
-from .confidence import confidence_to_json, read_confidence
-from .floor_areas import MAX_DISTANCE, read_areas, read_floor, read_numbers, read_start
-from .hypotheses import hypotheses_to_json, read_hypotheses
+from .confidence import confidence_to_json
+from .floor_areas import read_areas, read_floor, read_start
+from .hypotheses import hypotheses_to_json
 from .map_room import read_map_scene, with_map
 from .model_copies import model_files
 from .object_models import ObjectModels
-from .resistance_members import read_resistance
+from .object_reader import ObjectReader, read_text
 from .room_limits import check_room_size
-from .scene import Scene, SceneObject
+from .scene import Scene
 from .scene_keys import BESTMAN_KEYS, SCENE_KEYS, ignored_keys
 from .scene_names import FORMAT, MAX_BYTES, find_scene
-from .usual_sizes import size_hint, usual_edge
+from .scene_object import SceneObject
 from .wall_files import read_walls, walls_to_json
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 VERSION = 1
 MAX_OBJECTS = 2_000
 """Maximum number of objects; relations between all pairs of them take about 5 s [-]."""
-MIMIC_TOLERANCE = 1e-3
-"""Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
-MAX_EDGE = 1e3  # maximum edge of a box [m]
 
 
 def load_scene(
@@ -174,11 +165,11 @@ def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> 
         where = f"{path}: object {index}"
         if not isinstance(item, dict):
             raise FileFormatError(f"{where} must be a JSON object")
-        objects.append(_ObjectReader(item, where, path.parent, root, models).read())
+        objects.append(ObjectReader(item, where, path.parent, root, models).read())
     floor = read_floor(data.get("floor"), f"{path}: floor")
     walls = read_walls(data.get("walls"), floor, f"{path}: walls")
     scene = Scene(
-        name=_text(data.get("name", path.stem), f"{path}: name"),
+        name=read_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
         objects=tuple(objects),
         floor_polygon=floor,
@@ -189,120 +180,7 @@ def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> 
     ).with_walls(walls)
     if data.get("map") is None:
         return scene
-    return with_map(scene, _text(data["map"], f"{path}: map"), root)
-
-
-class _ObjectReader:
-    """One object of a momapos scene."""
-
-    def __init__(
-        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: ObjectModels
-    ) -> None:
-        self.item, self.folder, self.root, self.models = item, folder, root, models
-        self.name = _text(item.get("name"), f"{where}: name")
-        self.where = f"{where} ({self.name!r})"
-
-    def read(self) -> SceneObject:
-        category = self.item.get("category", "")
-        if not isinstance(category, str):
-            raise SceneError(f"{self.where}: category must be a string")
-        model = self.model()
-        joints, names = self.joint_values("joints", model), list(model.joints)
-        closed = self.joint_values("closed", model)
-        if closed:
-            model = model.changed(closed=closed)
-        found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
-        sure = read_confidence(self.item.get("confidence"), names, self.where)
-        followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
-        known = read_resistance(self.item.get("resistance", {}), followers, self.where)
-        return SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
-
-    def pose(self) -> Float[np.ndarray, "4 4"]:
-        pose = self.item.get("pose")
-        if not isinstance(pose, dict):
-            raise SceneError(f"{self.where}: pose must be {{'xyz': [...], 'wxyz': [...]}}")
-        xyz = read_numbers(pose.get("xyz"), 3, f"{self.where}: pose.xyz")
-        wxyz = read_numbers(pose.get("wxyz", [1, 0, 0, 0]), 4, f"{self.where}: pose.wxyz")
-        if np.abs(xyz).max() > MAX_DISTANCE:
-            raise SceneError(f"{self.where}: pose.xyz is more than 10 km away")
-        length = float(np.linalg.norm(wxyz))
-        if not 0.9 < length < 1.1:
-            raise SceneError(f"{self.where}: pose.wxyz has length {length:g}; it must be 1")
-        return pose_wxyz(tuple(xyz), tuple(wxyz))
-
-    def model(self) -> Articulated:
-        if ("urdf" in self.item) == ("box" in self.item):
-            raise SceneError(f"{self.where}: needs either 'urdf' or 'box'")
-        if "box" in self.item:
-            size = read_numbers(self.item["box"], 3, f"{self.where}: box")
-            if size.min() <= 0 or size.max() > MAX_EDGE:
-                category = str(self.item.get("category", ""))
-                usual = usual_edge(category, self.name, jointed=False)
-                hint = size_hint(size.tolist(), usual) if size.min() > 0 else ""
-                raise SceneError(
-                    f"{self.where}: box edges must be between 0 and {MAX_EDGE:g} m, not "
-                    f"{', '.join(f'{v:g}' for v in size)}" + (f"; {hint}" if hint else "")
-                )
-            x, y, z = map(float, size)
-            return Articulated(box_urdf(self.name, (x, y, z)))
-        scale = float(read_numbers([self.item.get("scale", 1.0)], 1, f"{self.where}: scale")[0])
-        if not 1e-3 <= scale <= 1e3:
-            raise SceneError(f"{self.where}: scale must be between 0.001 and 1000, not {scale:g}")
-        return self.models(self.file(), scale)
-
-    def file(self) -> Path:
-        text = _text(self.item["urdf"], f"{self.where}: urdf")
-        try:
-            file = (self.folder / text).resolve()
-            inside, exists = file.is_relative_to(self.root), file.is_file()
-        except (OSError, RuntimeError, ValueError) as error:  # too long, or links in a circle
-            raise SceneError(f"{self.where}: urdf {text!r:.80} cannot be looked up") from error
-        if Path(text).is_absolute() or not inside:
-            raise SceneError(
-                f"{self.where}: urdf {text!r} leaves the scene's folder {self.root}; "
-                "paths are relative and stay inside it"
-            )
-        if not exists:
-            raise SceneError(f"{self.where}: urdf {text!r} does not exist below {self.folder}")
-        return self.folder / text
-
-    def joint_values(self, key: str, model: Articulated) -> dict[str, float]:
-        joints = self.item.get(key, {})
-        if not isinstance(joints, dict):
-            raise SceneError(f"{self.where}: {key} must be {{name: value}}")
-        values = {}
-        for name, value in joints.items():
-            if name not in model.joints:
-                raise unknown_name("movable joint", name, model.joints, self.where)
-            number = float(read_numbers([value], 1, f"{self.where}: {key}: {name!r}")[0])
-            joint = model.joint(name)
-            if not joint.lower - 1e-6 <= number <= joint.upper + 1e-6:
-                raise SceneError(
-                    f"{self.where}: {key}: {name!r} is {number:g}, its limits are "
-                    f"{joint.lower:g} to {joint.upper:g}"
-                )
-            values[name] = number
-        return self.without_mimics(key, values, model)
-
-    def without_mimics(
-        self, key: str, values: Mapping[str, float], model: Articulated
-    ) -> dict[str, float]:
-        """Return values without those of mimic joints, which must agree with their leaders."""
-        there = model.all_values(values)
-        for name, value in values.items():
-            mimic = model.joint(name).mimic
-            if mimic is not None and abs(there[name] - value) > MIMIC_TOLERANCE:
-                raise SceneError(
-                    f"{self.where}: {key}: {name!r} is {value:g}, but it follows {mimic.joint!r} "
-                    f"and is at {there[name]:g}; set {mimic.joint!r} instead"
-                )
-        return {name: v for name, v in values.items() if model.joint(name).mimic is None}
-
-
-def _text(value: object, where: str) -> str:
-    if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
-        raise SceneError(f"{where} must be a printable string of 1 to 1000 characters")
-    return value
+    return with_map(scene, read_text(data["map"], f"{path}: map"), root)
 
 
 def save_scene(scene: Scene, path: str | Path) -> Scene:

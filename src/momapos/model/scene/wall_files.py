@@ -10,7 +10,7 @@ import numpy as np
 from momapos.core import InputError, SceneError
 
 from .floor_areas import read_numbers
-from .walls import HEIGHT, THICKNESS, Wall, check_crossing, wall_name, walls_around
+from .walls import WALL_HEIGHT, WALL_THICKNESS, Wall, check_crossing, wall_name, walls_around
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -58,7 +58,7 @@ def _wall(item: Any, where: str) -> Wall:
     )
     sizes = [
         read_numbers([item.get(key, default)], 1, f"{where}: {key}").tolist()[0]
-        for key, default in (("height", HEIGHT), ("thickness", THICKNESS))
+        for key, default in (("height", WALL_HEIGHT), ("thickness", WALL_THICKNESS))
     ]
     return _named(where, Wall, (x, y), (u, v), *sizes)
 

@@ -15,15 +15,15 @@ from momapos.core.geometry import any_overlap, signed_area
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-HEIGHT, THICKNESS = 2.5, 0.1
-"""Default height and thickness of a wall [m]."""
+WALL_HEIGHT, WALL_THICKNESS = 2.5, 0.1
+"""Default height and thickness of a wall; also the height of what a map shows as occupied [m]."""
 MIN_LENGTH = 1e-3
 """Minimum length, height and thickness of a wall [m]."""
 MAX_LENGTH, MAX_HEIGHT, MAX_THICKNESS = 1e3, 100.0, 10.0
 """Maximum sizes of a wall [m]."""
 MAX_DISTANCE = 1e4
 """Maximum distance of an end from the world's origin [m]."""
-_THINNER = (THICKNESS, 0.05, 0.02, 0.01)
+_THINNER = (WALL_THICKNESS, 0.05, 0.02, 0.01)
 """Thicknesses of a wall along the floor, the first that leaves the floor free [m]."""
 _INSET = 2e-3
 """A wall that reaches less into the floor counts as outside [m]."""
@@ -41,9 +41,9 @@ class Wall:
     """One end of the center line: x, y [m]."""
     end: tuple[float, float]
     """The other end: x, y [m]."""
-    height: float = HEIGHT
+    height: float = WALL_HEIGHT
     """Height above the floor [m]."""
-    thickness: float = THICKNESS
+    thickness: float = WALL_THICKNESS
     """Thickness, half of it on either side of the center line [m]."""
 
     def __post_init__(self) -> None:
@@ -118,7 +118,7 @@ def walls_around(floor: Float[np.ndarray, "k 2"]) -> tuple[Wall, ...]:
     shift = thickness[:, None] / 2 * away
     first, last = polygon + shift, corner + extension[:, None] * along + shift
     return tuple(
-        Wall(tuple(a), tuple(b), HEIGHT, t)
+        Wall(tuple(a), tuple(b), WALL_HEIGHT, t)
         for a, b, t in zip(first.tolist(), last.tolist(), thickness.tolist(), strict=True)
     )
 

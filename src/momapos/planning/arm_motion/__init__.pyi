@@ -4,6 +4,7 @@ from .arm_planner import interpolate as interpolate
 from .arm_planner import plan_with_clearance as plan_with_clearance
 from .carried_motion import adapt_motion as adapt_motion
 from .config import PlannerConfig as PlannerConfig
+from .enclosure import enclosed_by as enclosed_by
 from .feasibility import Feasibility as Feasibility
 from .feasibility import collision_free_grasps as collision_free_grasps
 from .feasibility import near_home as near_home

@@ -22,7 +22,7 @@ from .handle_records import Handle
 from .handle_shapes import CarriedPart
 from .handles import find_handle, handles_in_turn
 from .motion_record import TaskMotion
-from .part_motion import lever_arms, levers_along
+from .part_motion import levers_along
 from .rigid_grasps import select_object_grasps
 from .task_boxes import bodies_moved_by, held_elements, moving_boxes, static_boxes
 from .turning_grasps import no_turning, turning_about
@@ -124,7 +124,6 @@ def _joint_motion(
     model, sign = target.posed_model(joint.name), opening_sign(target, joint.name, task.to)
     handle = find_handle(model, joint.name, sign)
     part = CarriedPart(model, joint.name, handle.carrier)
-    lever = float(lever_arms(part, handle.center[None])[0])
     assumed = config.grasps.resistance
     levers = np.maximum(levers_along(part, handle.center[None], values)[:, 0], MIN_LEVER)
     resistance = resistance_along(target, joint.name, values, levers, assumed)
@@ -163,7 +162,7 @@ def _joint_motion(
         refusal=chosen.reason,
         turning=turning,
         better_handle_reason=chosen.better_handle_reason,
-        resistance=replace(known, lever=known.lever or lever),
+        resistance=replace(known, lever=known.lever or float(levers.min())),
     )
 
 

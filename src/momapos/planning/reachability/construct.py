@@ -289,10 +289,10 @@ def _refine_edges(
     edges = uneven_edges(masks.reshape(shape[:4]), least)
     step = np.diag([config.cell, config.cell, 2 / (shape[2] - 1), 2 / (shape[3] - 1)])
     strides = np.array([np.prod(shape[a + 1 : 4], dtype=int) for a in range(4)])
-    rows = np.full((4, len(points)), -1, np.int32)
+    rows = np.full((4, len(points)), -1)
     start = np.concatenate(edges)
     axis = np.repeat(np.arange(4), [len(e) for e in edges])
-    rows[axis, start] = np.arange(len(start), dtype=np.int32)
+    rows[axis, start] = np.arange(len(start))
     origin, along = points[start], step[axis]
     near, far = masks[start], masks[start + strides[axis]]
     middle = evaluate(origin + 0.5 * along, near ^ far, 0.5, 0.7) | near & far

@@ -19,8 +19,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import object_members, room_members, write_text_atomic
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf import Geometry, Joint, Mesh, hull_of, joint_motion, mesh_triangles
 
 from .imported_room import Names

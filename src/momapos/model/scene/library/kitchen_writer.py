@@ -18,7 +18,7 @@ from momapos.model.records import Confidence, Hypothesis
 from momapos.model.scene.confidence import confidence_to_json
 from momapos.model.scene.hypotheses import hypotheses_to_json
 from momapos.model.scene.model_copies import copy_files
-from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_object import SceneObject
 
 from .box_furniture import Box, FurniturePart, Piece, Vec, centers_and_halves, vec
 

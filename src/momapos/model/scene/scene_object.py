@@ -1,0 +1,315 @@
+"""The record of an object in a room: its pose, its kinematic model and the values of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import SceneError, as_path, finite_array, finite_number
+from momapos.core.geometry import apply, pose, pose_planar, upright_frame
+from momapos.model.records import Confidence, Hypothesis, JointResistance
+from momapos.model.urdf import (
+    Articulated,
+    Boxes,
+    box_urdf,
+    mesh_model,
+    read_furniture,
+    trimesh_parts,
+)
+
+from .walls import Wall
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from momapos.model.urdf import Joint
+
+MIN_BOX_EDGE = 1e-4
+"""Minimum edge of a box [m]."""
+MIN_SCALE = 1e-6
+"""Minimum scale of a model, for models in micrometers [-]."""
+SAME_VALUE = 1e-6
+"""Joint values that differ by less count as the same [rad] or [m]."""
+MAX_POSED_MODELS = 128
+"""Number of models at other rest values that are cached [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """An object in the room; a rigid box is a model with one link."""
+
+    name: str
+    category: str
+    T_world_object: Float[np.ndarray, "4 4"]
+    model: Articulated
+    joints: Mapping[str, float] = field(default_factory=dict)
+    """Joint values [rad] or [m] in this scene; other joints are at rest."""
+    hypotheses: Mapping[str, tuple[Hypothesis, ...]] = field(default_factory=dict)
+    """Possible motions of parts by joint, if inferred from appearance."""
+    confidence: Confidence | None = None
+    """Confidence of a scan in the object; None if it was not scanned."""
+    resistance: Mapping[str, JointResistance] = field(default_factory=dict)
+    """Known resistance of joints; the rest is assumed."""
+    wall: Wall | None = None
+    """The wall of the room that this box stands for; None for other objects."""
+
+    @classmethod
+    def box(
+        cls,
+        name: str,
+        size: Sequence[float],
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        category: str = "",
+    ) -> SceneObject:
+        """Return a rigid box.
+
+        Args:
+            name: Unique name in its scene.
+            size: Edge lengths along its own x, y and z [m].
+            xyz: Center in the world [m].
+            yaw: Rotation about the world's z [rad].
+            category: For example "table".
+
+        Raises:
+            InputError: A number is not finite, or an edge is shorter than 0.1 mm.
+        """
+        x, y, z = finite_array(f"size of box {name!r}", size, (3,)).tolist()
+        if min(x, y, z) < MIN_BOX_EDGE:
+            raise SceneError(
+                f"size of box {name!r} must be at least {MIN_BOX_EDGE:g} m, not {size}"
+            )
+        T = _planar_pose(xyz, yaw)
+        return cls(name, category, T, Articulated(box_urdf(name, (x, y, z))))
+
+    @classmethod
+    def of_wall(cls, name: str, wall: Wall) -> SceneObject:
+        """Return the solid box of a wall."""
+        box = cls.box(name, wall.size, wall.center, yaw=wall.yaw, category="wall")
+        return replace(box, wall=wall)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        name: str,
+        vertices: object,
+        faces: object,
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        category: str = "",
+    ) -> SceneObject:
+        """Return a rigid object from the triangles of its surface.
+
+        Its collision shape is the convex hull of the mesh. An object of several hulls is made by
+        `from_trimesh` from a scene, or as several objects.
+
+        Args:
+            name: Unique name in its scene.
+            vertices: Corners (v, 3) in the object's frame, z up [m].
+            faces: Triangles (f, 3) as indices of vertices, from 0.
+            xyz: Origin of its frame in the world [m].
+            yaw: Rotation about the world's z [rad].
+            category: For example "table".
+
+        Raises:
+            InputError: The vertices or faces are no mesh.
+            UrdfError: The mesh has no volume and no area.
+        """
+        model = Articulated(mesh_model(name, [(vertices, faces)]))
+        return cls(name, category, _planar_pose(xyz, yaw), model)
+
+    @classmethod
+    def from_trimesh(
+        cls,
+        name: str,
+        mesh: object,
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        category: str = "",
+    ) -> SceneObject:
+        """Return a rigid object from a `trimesh.Trimesh` or a `trimesh.Scene`.
+
+        Each placed mesh of a scene gets a convex hull of its own.
+
+        Args:
+            name: Unique name in its scene.
+            mesh: The mesh or scene in the object's frame, z up. If it declares units, it is
+                converted to meters.
+            xyz: Origin of its frame in the world [m].
+            yaw: Rotation about the world's z [rad].
+            category: For example "table".
+
+        Raises:
+            InputError: The mesh is none, or its vertices, faces or units are invalid.
+            UrdfError: A mesh has no volume and no area.
+        """
+        model = Articulated(mesh_model(name, trimesh_parts(name, mesh)))
+        return cls(name, category, _planar_pose(xyz, yaw), model)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        name: str,
+        path: str | Path,
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        scale: float = 1.0,
+        joints: Mapping[str, float] | None = None,
+        category: str = "",
+        visual_collisions: bool = True,
+    ) -> SceneObject:
+        """Return an object from a URDF, such as furniture or an appliance.
+
+        Args:
+            name: Unique name in its scene.
+            path: The URDF; its meshes are in its folder or below.
+            xyz: Origin of its root link in the world [m].
+            yaw: Rotation about the world's z [rad].
+            scale: Factor on all lengths [-].
+            joints: Values of joints that are not at rest [rad] or [m].
+            category: For example "fridge".
+            visual_collisions: Whether visual shapes stand in where collision shapes are missing;
+                `model.urdf.notes` names the links. If not, such a file is an error.
+
+        Raises:
+            UrdfError: The URDF is invalid.
+            UnknownNameError: A joint does not exist.
+        """
+        scale = finite_number("scale", scale, MIN_SCALE)
+        file = as_path("path", path)
+        model = Articulated(read_furniture(file, scale=scale, visual_collisions=visual_collisions))
+        for joint in joints or {}:
+            model.joint(joint)
+        T = _planar_pose(xyz, yaw)
+        return cls(name, category, T, model, dict(joints or {}))
+
+    def __repr__(self) -> str:
+        joints = ", ".join(f"{name} {value:.4g}" for name, value in self.joints.items())
+        x, y, z = self.T_world_object[:3, 3]
+        at = f"at ({x:.3f}, {y:.3f}, {z:.3f})"
+        return f"<SceneObject {self.name!r} ({self.category}) {at}{joints and f', {joints}'}>"
+
+    def joint(self, name: str) -> Joint:
+        """Return a movable joint by name.
+
+        Raises:
+            UnknownNameError: The joint does not exist; the message names the object.
+        """
+        return self.model.joint(name, self.name)
+
+    def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Return all joint values, some of them changed."""
+        return self.model.all_values({**self.joints, **(change or {})})
+
+    def link_poses(
+        self, change: Mapping[str, float] | None = None
+    ) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """World poses of the links, with some joints changed."""
+        if not change:
+            return self._poses
+        poses = self.model.link_poses(self.values(change))
+        return {name: self.T_world_object @ T for name, T in poses.items()}
+
+    @cached_property
+    def _poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
+        poses = self.model.link_poses(self.values())
+        return {name: self.T_world_object @ T for name, T in poses.items()}
+
+    def posed_model(self, joint: str) -> Articulated:
+        """Return the model with what a joint moves at rest as it is in this scene.
+
+        Other joints of the part, such as that of its lever, may have values of their own.
+        """
+        model = self.model
+        inside = {one.name for one in model.joints.values() if one.child in model.moved_by(joint)}
+        values = {
+            name: value
+            for name, value in self.joints.items()
+            if name in inside and name != joint and abs(value - model.rest[name]) > SAME_VALUE
+        }
+        return _posed(model, tuple(sorted(values.items()))) if values else model
+
+    def moving_poses(
+        self, joint: str, values: Float[np.ndarray, " v"]
+    ) -> dict[str, Float[np.ndarray, "v 4 4"]]:
+        """World poses of the links that a joint moves, at values of the joint [rad] or [m]."""
+        return self.model.moving_poses(joint, values, self.joints, self._poses)
+
+    @cached_property
+    def static_boxes(self) -> dict[str, Boxes]:
+        """Boxes of the links that have any, in the world, where they stand still."""
+        found = {}
+        for link, T in self.link_poses().items():
+            boxes = [element.boxes for element in self.model.static_elements[link]]
+            if boxes:
+                found[link] = Boxes(
+                    np.concatenate([b.center @ T[:3, :3].T + T[:3, 3] for b in boxes]),
+                    np.concatenate([T[:3, :3] @ b.rotation for b in boxes]),
+                    np.concatenate([b.half for b in boxes]),
+                )
+        return found
+
+    def static_labels(self, link: str) -> list[str]:
+        """Return the names of a link's boxes in `static_boxes`, with the object."""
+        labels = []
+        for element in self.model.static_elements[link]:
+            labels += [f"{self.name}/{element.label(link, static=True)}"] * len(element.boxes)
+        return labels
+
+    @cached_property
+    def vertices(self) -> Float[np.ndarray, "v 3"]:
+        """Vertices of all hulls in the world [m]; the origin if there is no geometry."""
+        points = [
+            apply(T, hull.vertices)
+            for name, T in self.link_poses().items()
+            for hull in self.model.hulls[name]
+        ]
+        return np.concatenate(points) if points else self.T_world_object[None, :3, 3]
+
+    @cached_property
+    def box_proxy(self) -> SceneObject:
+        """The object as one rigid upright box, with the object's yaw."""
+        if self.wall is not None:
+            return self
+        R = upright_frame(self.T_world_object[:3, :3])
+        local = self.vertices @ R
+        low, high = local.min(0), local.max(0)
+        x, y, z = np.maximum(high - low, MIN_BOX_EDGE).tolist()
+        model = Articulated(box_urdf(self.name, (x, y, z)))
+        return SceneObject(self.name, self.category, pose(R @ ((low + high) / 2), R), model)
+
+    @cached_property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Lower and upper corner of the world-aligned bounding box [m]."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+
+@lru_cache(maxsize=MAX_POSED_MODELS)
+def _posed(model: Articulated, values: tuple[tuple[str, float], ...]) -> Articulated:
+    return model.changed(held={**model.held, **dict(values)})
+
+
+def _planar_pose(xyz: Sequence[float], yaw: float) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of an upright frame at a point."""
+    x, y, z = finite_array("xyz", xyz, (3,)).tolist()
+    T = pose_planar(np.array([x, y, finite_number("yaw", yaw)]))
+    T[2, 3] = z
+    return T
+
+
+def upright_boxes(items: Sequence[SceneObject]) -> Boxes:
+    """Return the upright box around each object, aligned with the object's frame."""
+    boxed = [item.box_proxy for item in items]
+    T = np.array([item.T_world_object for item in boxed]).reshape(-1, 4, 4)
+    size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
+    half = np.array(size, float).reshape(-1, 3) / 2
+    return Boxes(T[:, :3, 3].copy(), T[:, :3, :3].copy(), half)
