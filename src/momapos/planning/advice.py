@@ -1,94 +1,143 @@
-"""Find the smallest change that makes an infeasible task feasible, by trying changes."""
+"""Find a small change that makes an infeasible task feasible, by trying changes."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Clock, Stopwatch
+from momapos.core import Clock
 from momapos.model.records import ANYWHERE, RULED_OUT, ReachScorer
 from momapos.model.robots import Robot
+from momapos.model.scene import SceneObject
 from momapos.planning.grasps import hand_path
 
-from .max_opening_plan import by_samples
-from .plan import plan_to_value
+from .moved_objects import smallest_move
 from .query import PlacementQuery
 from .result import PlacementResult
+from .trials import Trials
+from .wider_regions import relaxed_restriction
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+    from momapos.model.urdf import Joint
 
 NEAR_OBJECTS = 1.2
 """Objects whose boxes are this near the hand's path can keep the robot away: half a base and an
 arm's reach, less what the arm must bend [m]."""
 MAX_OBJECTS = 8
 """Maximum number of objects that are removed for a trial, one at a time [-]."""
+MAX_JOINTS = 6
+"""Maximum number of joints that are put at another end for a trial, one at a time [-]."""
 MIN_TIME = 1.0
 """Time for the trials even after a quick refusal [s]."""
+SAME_VALUE = 0.01
+"""A joint that would move less is there already [rad] or [m]."""
 _FIXED = ("wall", "floor", "ceiling", "window")
-"""Categories that no user moves."""
+"""Categories that no user removes."""
 
-Change: TypeAlias = "tuple[str, Callable[[], PlacementQuery]]"
-"""A change in words, which begin with "without" or "with", and the query with it."""
+Change: TypeAlias = "tuple[str, PlacementResult]"
+"""A change in words, and an answer with a plan."""
+Robots: TypeAlias = "Iterable[tuple[str, Callable[[], tuple[Robot, ReachScorer]]]]"
+"""Names of robots, and functions that load each with its reachability map."""
 
 
 def with_advice(
-    answer: PlacementResult,
-    others: Iterable[tuple[str, Callable[[], tuple[Robot, ReachScorer]]]] = (),
-    *,
-    clock: Clock = time.perf_counter,
+    answer: PlacementResult, others: Robots = (), *, clock: Clock = time.perf_counter
 ) -> PlacementResult:
     """Add to an infeasible answer the first change with which a plan exists.
 
-    The changes, in this order: without the restrictions of the base pose, without one of the
-    objects near the part, with another robot. Each trial is a search by samples, whose plan passes
-    the exact check. All together take as long as the answer itself did, at least `MIN_TIME`.
+    The changes, in this order: a wider restriction of the base pose; a door or drawer of
+    furniture that is hit at its other end; one of the objects near the part moved, as little as
+    trials show, or else removed; another robot. Each trial is a search by samples, whose plan
+    passes the exact check. All together take as long as the answer itself did, at least `MIN_TIME`.
 
     Args:
         answer: The answer; returned unchanged unless it is infeasible and has its query.
-        others: Names of other robots, and functions that load each with its reachability map.
+        others: Other robots.
         clock: Measures the time.
     """
     query = answer.query
     if query is None or answer.plan.status != "infeasible":
         return answer
-    watch = Stopwatch(clock)
     limit = max(MIN_TIME, answer.plan.timing.get("total", 0.0))
-    began = clock()
-    for words, changed in _changes(answer, query, others):
-        left = limit - (clock() - began)
-        if left <= 0.0:
-            break
-        config = replace(by_samples(query.config), timeout=left)
-        trial = replace(changed(), config=config, watch=Stopwatch(watch.clock))
-        found = plan_to_value(trial).plan
-        if found.status == "solved" and found.base_pose is not None:
-            x, y, yaw = found.base_pose
-            pose = f"({x:.3f}, {y:.3f}, {np.degrees(yaw):.1f} deg)"
-            return replace(
-                answer, plan=replace(answer.plan, advice=f"feasible {words}, from {pose}")
-            )
-    return answer
+    change = next(_changes(answer, query, others, Trials(clock, clock() + limit)), None)
+    base = None if change is None else change[1].plan.base_pose
+    if change is None or base is None:
+        return answer
+    x, y, yaw = base
+    advice = f"feasible {change[0]}, from ({x:.3f}, {y:.3f}, {np.degrees(yaw):.1f} deg)"
+    return replace(answer, plan=replace(answer.plan, advice=advice))
 
 
 def _changes(
-    answer: PlacementResult,
-    query: PlacementQuery,
-    others: Iterable[tuple[str, Callable[[], tuple[Robot, ReachScorer]]]],
+    answer: PlacementResult, query: PlacementQuery, others: Robots, trials: Trials
 ) -> Iterator[Change]:
-    rejected = set(answer.plan.candidates.rejections)
-    if query.region != ANYWHERE and rejected & {status.value for status in RULED_OUT}:
-        yield "without the restrictions of the base pose", lambda: replace(query, region=ANYWHERE)
+    rejections = answer.plan.candidates.rejections
+    if query.region != ANYWHERE and set(rejections) & {status.value for status in RULED_OUT}:
+        relaxed = relaxed_restriction(query, trials)
+        if relaxed is not None:
+            yield relaxed
+    yield from _with_other_joints(query, " ".join(rejections), trials)
     for name in objects_in_the_way(answer, query):
-        yield f"without {name}", partial(_without, query, name)
+        without = trials.solve(_without(query, name))
+        if without is not None:
+            move = smallest_move(query, name, without, trials)
+            yield (f"without {name}", without) if move is None else (move.words(name), move.answer)
     if query.keep_grasps is None:
         for name, load in others:
-            yield f"with {name}", partial(_with_robot, query, load)
+            if trials.over:
+                return
+            robot, reach = load()
+            found = trials.solve(replace(query, robot=robot, reach=reach))
+            if found is not None:
+                yield f"with {name}", found
+
+
+def _with_other_joints(query: PlacementQuery, reasons: str, trials: Trials) -> Iterator[Change]:
+    """Yield answers with a joint at its other end, for furniture that the reasons name.
+
+    Joints whose parts are named come first.
+    """
+    task = query.task
+    found: list[tuple[bool, SceneObject, Joint]] = []
+    for item in query.scene.objects:
+        if not _names(reasons, f"{item.name}/"):
+            continue
+        for name, joint in item.model.joints.items():
+            if (item.name, name) != (task.object, task.joint) and joint.mimic is None:
+                links = item.model.moved_by(name)
+                hit = any(_names(reasons, f"{item.name}/{link}") for link in links)
+                found.append((not hit, item, joint))
+    for _, item, joint in sorted(found, key=lambda one: one[0])[:MAX_JOINTS]:
+        for end in _other_ends(item, joint):
+            scene = query.scene.with_joint(item.name, joint.name, end)
+            answer = trials.solve(replace(query, scene=scene))
+            if answer is not None:
+                slides = joint.kind == "prismatic"
+                to = f"{100 * end:.0f} cm" if slides else f"{np.degrees(end):.0f} deg"
+                yield f"with {item.name}/{joint.name} at {to}", answer
+
+
+def _other_ends(item: SceneObject, joint: Joint) -> list[float]:
+    """Return the limits of a joint at which it is not now, the farther one first [rad] or [m]."""
+    now = item.values()[joint.name]
+    ends = sorted((joint.lower, joint.upper), key=lambda end: -abs(end - now))
+    return [end for end in ends if SAME_VALUE < abs(end - now) < np.inf]
+
+
+def _names(reasons: str, label: str) -> bool:
+    """Return whether the reasons name a link, or an object by its name and a slash.
+
+    A longer name that contains the label does not count.
+    """
+    end = "" if label.endswith("/") else r"(?!\w)"
+    return re.search(rf"(?<![\w/]){re.escape(label)}{end}", reasons) is not None
 
 
 def objects_in_the_way(answer: PlacementResult, query: PlacementQuery) -> list[str]:
@@ -105,7 +154,7 @@ def objects_in_the_way(answer: PlacementResult, query: PlacementQuery) -> list[s
     ]
     gaps = {item.name: _gap(item.bounds, path) for item in movable}
     words = " ".join(answer.plan.candidates.rejections)
-    hit = {name for name in gaps if f"{name}/" in words}
+    hit = {name for name in gaps if _names(words, f"{name}/")}
     near = [name for name, gap in gaps.items() if name in hit or gap < NEAR_OBJECTS]
     return sorted(near, key=lambda name: (name not in hit, gaps[name]))[:MAX_OBJECTS]
 
@@ -119,10 +168,3 @@ def _gap(bounds: Float[np.ndarray, "2 3"], points: Float[np.ndarray, "k 3"]) -> 
 def _without(query: PlacementQuery, name: str) -> PlacementQuery:
     objects = tuple(item for item in query.scene.objects if item.name != name)
     return replace(query, scene=replace(query.scene, objects=objects))
-
-
-def _with_robot(
-    query: PlacementQuery, load: Callable[[], tuple[Robot, ReachScorer]]
-) -> PlacementQuery:
-    robot, reach = load()
-    return replace(query, robot=robot, reach=reach)

@@ -201,7 +201,9 @@ def _with_free_grasp(
             enclosing = enclosed_by(robot, world, usable)
             if not enclosing:
                 return usable, world, other.refusal
-            why = f"{enclosing} enclose the hand in every grasp"
+            *others, last = enclosing
+            names = f"{', '.join(others)} and {last} enclose" if others else f"{last} encloses"
+            why = f"{names} the hand in every grasp"
         else:
             why = NO_OTHER_GRASP if is_free.any() else _all_collide(other, obstacle)
         found.append((other, world, other.refusal or why))

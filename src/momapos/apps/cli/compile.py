@@ -17,6 +17,7 @@ ANSWER = (
     "momapos.model.collision.collision_world._first_hits",
     "momapos.planning.arm_motion.arm_path._shortest",
     "momapos.planning.arm_motion.arm_path._track",
+    "momapos.planning.arm_motion.enclosure._enclosing",
     "momapos.planning.arm_motion.hand_clearance._hand_hits",
     "momapos.planning.arm_motion.ik_layers._solve_layers",
     "momapos.planning.grasps.swept_boxes._surface",
