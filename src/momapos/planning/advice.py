@@ -67,7 +67,7 @@ def with_advice(
         config = replace(by_samples(query.config), timeout=left)
         trial = replace(changed(), config=config, watch=Stopwatch(watch.clock))
         found = plan_to_value(trial).plan
-        if found.status == "solved" and found.base_pose is not None:
+        if found.feasible and found.base_pose is not None:
             x, y, yaw = found.base_pose
             pose = f"({x:.3f}, {y:.3f}, {np.degrees(yaw):.1f} deg)"
             return replace(

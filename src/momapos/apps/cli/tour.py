@@ -200,7 +200,7 @@ def _summary(tour: Tour, options: Options) -> str:
     from .console import pose_text, summary, task_text
 
     name = tour.steps[0].plan.robot_name
-    done = [step for step in tour.steps if step.plan.status == "solved"]
+    done = [step for step in tour.steps if step.plan.feasible]
     stops = max(tour.stops[: len(done)], default=0)
     counted = f"{len(done)} tasks from {stops} base pose{'s' if stops != 1 else ''}"
     lines = [f"{name}: {counted}: {tour.status}", ""]
@@ -217,7 +217,7 @@ def _summary(tour: Tour, options: Options) -> str:
         lines += [f"    note: {words}" for words in step.notes]
     lines += [f"  assumed     {words}" for words in tour.assumed]
     lines += [f"  time        {1000 * tour.seconds:.0f} ms"]
-    if tour.status != "solved":
+    if not tour.steps[-1].plan.feasible:
         lines += ["", summary(tour.steps[-1], None)]
     if options.out is not None:
         files = [f"{options.out.stem}_{k}.json" for k in range(1, 1 + len(tour.steps))]

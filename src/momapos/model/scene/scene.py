@@ -365,6 +365,11 @@ class Scene:
         raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
 
     @property
+    def is_assumed(self) -> bool:
+        """Whether a joint moves by another hypothesis than its most probable one."""
+        return any(index for taken in self.hypotheses_set.values() for index in taken.values())
+
+    @property
     def walls(self) -> tuple[Wall, ...]:
         """Return the walls of the room; boxes that only look like walls are none."""
         return tuple(item.wall for item in self.objects if item.wall is not None)
