@@ -15,6 +15,7 @@ from tests.real import CASES
 from tests.rooms import Everywhere
 from tests.workflows.guessed_rooms import BLOCKS_ONE, BLOCKS_TWO, Odds, room
 
+from momapos.apps.cli.console import summary
 from momapos.apps.cli.main import main
 from momapos.apps.web.words import answer_text, run_text
 from momapos.core.errors import InputError
@@ -113,6 +114,25 @@ def test_of_equal_probabilities_only_the_joint_of_the_scene_file_is_solved(
     assert answer_in(room(tmp_path / "turned", turned, post=BLOCKS_ONE), robot).plan.status == (
         "solved"
     )
+
+
+def test_a_plan_for_a_joint_below_one_half_is_assumed_even_if_no_other_is_as_probable(
+    tmp_path: Path, robot: Robot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    odds: Odds = (("drawer", 0.45), ("door_right", 0.3), ("door_left", 0.25))
+    answer = answer_in(room(tmp_path / "three", odds), robot)
+    plan, found = answer.plan, answer.plan.assumption
+    assert (plan.status, plan.scene_hypotheses) == ("assumed", {})
+    assert found is not None
+    assert found.is_first
+    assert plan.assumes == "cupboard/drawer_slide is a drawer (45 %)"
+    assert "joint type  drawer (45 %), assumed: the most probable one, but" in summary(answer, None)
+    write_plan(plan, tmp_path / "plan.json")
+    data = json.loads((tmp_path / "plan.json").read_text())
+    (tmp_path / "claims.json").write_text(json.dumps(data | {"status": "solved"}))
+    for name in ("plan.json", "claims.json"):
+        assert main(["verify", str(tmp_path / name)]) == 1
+        assert "cupboard/drawer_slide is a drawer (45 %)\n" in capsys.readouterr().out
 
 
 def test_any_plan_in_a_scene_with_a_less_probable_joint_is_assumed(
@@ -285,3 +305,20 @@ def test_a_scanned_freezer_door_is_not_solved_as_a_drawer(
     assert "door_2_hinge to 30 cm: assumed" in shown
     assert "joint type  drawer (1.5 %)" in shown
     assert "probable    door_right (96 %): feasible to 73 deg" in shown
+
+
+def test_a_tour_with_an_improbable_joint_is_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    odds: Odds = (("drawer", 0.45), ("door_right", 0.3), ("door_left", 0.25))
+    scene = room(tmp_path / "three", odds)
+    words = ["place", "open", str(scene.path), "cupboard", "--to", "10cm", "--robot", ROBOT]
+    words += ["--no-tolerance", "--out", str(tmp_path / "tour.json")]
+    words += ["then", "close", "cupboard"]
+    assert main(words) == 3
+    shown = capsys.readouterr().out
+    assert shown.splitlines()[0].endswith(": assumed")
+    assert "assumed: cupboard/drawer_slide is a drawer (45 %)" in shown
+    assert main(["verify", str(tmp_path / "tour.json")]) == 1
+    assert main(["verify", str(tmp_path / "tour.json"), "--allow-assumed"]) == 0
+    assert main(["run", str(tmp_path / "tour.json")]) == 2

@@ -377,6 +377,7 @@ def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     out = tmp_path / "new" / "solved"
     words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
     words += ["--max-frames", "20", "--out", str(out), "--json", "--no-pictures"]
+    words += ["--world", "kitchen_small"]
     assert main(words) == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["status"], record["done"]) == ("solved", True)
@@ -390,7 +391,9 @@ def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     assert plan["tolerance"]["samples"] == 100
     assert plan["tolerance"]["radius"] > 0.0
     assert main(["verify", str(out / record["plan"])]) == 0
-    assert json.loads((out / record["run"]).read_text())["success"]
+    run = json.loads((out / record["run"]).read_text())
+    assert run["success"]
+    assert (run["true_task"]["object"], run["true_task"]["joint"]) == ("fridge", "door_hinge")
 
 
 @pytest.mark.slow

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import require, version_of
-from momapos.model.records import CostTerm, JointResistance, PlacementPlan, Status, Tolerance
+from momapos.model.records import (
+    Assumption,
+    CostTerm,
+    JointResistance,
+    PlacementPlan,
+    Status,
+    Tolerance,
+)
 from momapos.model.robots import Robot
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
@@ -158,7 +165,8 @@ def plan_of(
     solved = found.motion is not None and base is not None
     status: Status = "timeout" if found.timed_out else "infeasible"
     if solved:
-        status = "assumed" if query.scene.is_assumed else "solved"
+        assumed = query.scene.is_assumed(query.task.object, query.task.joint)
+        status = "assumed" if assumed else "solved"
     return PlacementPlan(
         scene=str(query.scene.path) if query.scene.path else query.scene.name,
         robot_name=robot.name,
@@ -174,6 +182,7 @@ def plan_of(
         robot_amended=robot.amended,
         scene_joints=query.scene.joints_set,
         scene_hypotheses=query.scene.hypotheses_set,
+        assumption=_improbable(query) if status == "assumed" else None,
         resistance=_resistance(prepared),
         joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
@@ -188,6 +197,14 @@ def plan_of(
         region=query.region,
         versions={name: version_of(name) for name in DEPENDS_ON},
     )
+
+
+def _improbable(query: PlacementQuery) -> Assumption | None:
+    """Describe the joint if its most probable motion is improbable; None if another is assumed."""
+    scene, task = query.scene, query.task
+    if scene.hypotheses_set or task.joint is None:
+        return None
+    return Assumption.of_first(scene.object(task.object).hypotheses[task.joint][0])
 
 
 def _resistance(prepared: PreparedTask) -> dict[str, dict[str, JointResistance]]:

@@ -71,28 +71,28 @@ def verify_files(
     report = verifier.check(plan.base_pose, plan.motion)
     drive = verifier.drive_checks(plan) if len(plan.motion.approach) else ()
     checks, notes = [*report.checks, *drive], [*scene.warnings, *report.notes, *assumed]
-    if plan.status == "assumed" and not allow_assumed:
+    if (assumed or plan.status == "assumed") and not allow_assumed:
         checks.insert(0, verdict("status is solved", False, "; ".join(assumed) or "assumed"))
     return Report(tuple(checks), tuple(notes), report.gripper_depth)
 
 
 def _assumed(scene: Scene, plan: PlacementPlan) -> list[str]:
-    """Describe each joint for which a plan assumes another motion than the most probable one.
+    """Describe each joint for which a plan assumes an improbable or less probable motion.
 
     Raises:
         UnknownNameError, SceneError: See `as_planned`.
     """
-    found = []
-    for name, taken in plan.scene_hypotheses.items():
-        for joint, index in taken.items():
-            ways = scene.object(name).hypotheses.get(joint, ())
-            if 0 < index < len(ways):
-                first, way = ways[0], ways[index]
-                found.append(
-                    f"the plan assumes that {name}/{joint} is a {way.kind} "
-                    f"({100 * way.probability:.2g} %), not a {first.kind} "
-                    f"({100 * first.probability:.2g} %)"
-                )
+    task, found = plan.task, []
+    taken = {(name, j): k for name, some in plan.scene_hypotheses.items() for j, k in some.items()}
+    if task.joint is not None:
+        taken.setdefault((task.object, task.joint), 0)
+    for (name, joint), index in taken.items():
+        ways = scene.object(name).hypotheses.get(joint, ())
+        if 0 <= index < len(ways) and (index > 0 or not ways[0].is_probable):
+            first, way = ways[0], ways[index]
+            other = f", not a {first.kind} ({100 * first.probability:.2g} %)" if index else ""
+            words = f"the plan assumes that {name}/{joint} is a {way.kind}"
+            found.append(f"{words} ({100 * way.probability:.2g} %){other}")
     return found
 
 

@@ -240,7 +240,8 @@ class MostProbable:
     def or_next(self, plan: PlanTask) -> tuple[Scene, Task, Sequence[PlacementResult]]:
         """Return these answers, or those for the next probable hypothesis with a plan.
 
-        A plan for another than the first hypothesis is `assumed`, also if it is as probable.
+        A plan for another than the first hypothesis is `assumed`, also if it is as probable; so is
+        a plan for the first if it is improbable.
 
         Args:
             plan: Plans a task in a scene, with every arm.

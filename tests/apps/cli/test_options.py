@@ -11,6 +11,7 @@ import pytest
 from momapos import ImportanceConfig, PipelineConfig, PlaceConfig
 from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
+from momapos.planning.importance.config import GraphConfig
 from momapos.planning.settings import list_fields
 
 PLACE = ("place", "open", "kitchen_small", "fridge/door_hinge")
@@ -187,5 +188,11 @@ def test_the_scorer_depends_on_the_method_unless_it_is_set() -> None:
     assert PipelineConfig(place=paper).ranking.weights == "printed"
     scaled = ImportanceConfig(weights="scaled")
     assert PipelineConfig(place=paper, importance=scaled).ranking.weights == "scaled"
+    assert not PipelineConfig().ranking.exceed
+    printed = PipelineConfig(place=paper).ranking
+    assert (printed.exceed, printed.graph.neighbors) == (True, 0)
+    near = ImportanceConfig(exceed=False, graph=GraphConfig(neighbors=4))
+    chosen = PipelineConfig(place=paper, importance=near)
+    assert (chosen.ranking.exceed, chosen.ranking.graph.neighbors) == (False, 4)
     with pytest.raises(InputError, match="count"):
         PlaceConfig(count=-1)

@@ -150,6 +150,8 @@ def _joint_type(answer: PlacementResult) -> list[str]:
     found = answer.plan.assumption
     if found is None:
         return [f"  assumed     {answer.plan.assumes}"] if answer.plan.assumes else []
+    if found.is_first:
+        return [f"  joint type  {found}, assumed: the most probable one, but improbable"]
     return [
         f"  joint type  {found}, assumed: the most probable one has no feasible base pose",
         f"  probable    {found.instead}",

@@ -235,8 +235,8 @@ def summary(record: RunRecord) -> str:
     lines = [f"{record.robot}: {task.verb} {what}: {record.verdict}"]
     if record.assumed and record.success:
         lines.append(
-            f"  assumed     the part is a {record.assumed}, which is not its most probable type; "
-            "whether the true part moves so is unknown"
+            f"  assumed     the part is a {record.assumed}, which is improbable; whether the true "
+            "part moves so is unknown"
         )
     if record.reason:
         lines.append(f"  reason      {record.reason}")

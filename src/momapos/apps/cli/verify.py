@@ -41,7 +41,7 @@ def verify(
 
     compile_once(VERIFY)
     if is_tour(plan):
-        reports = verify_tour(plan, scene_root, cache=user_cache())
+        reports = verify_tour(plan, scene_root, allow_assumed=allow_assumed, cache=user_cache())
         valid = all(report.valid for report in reports.values())
         if json:
             files = {name: report_to_dict(report) for name, report in reports.items()}

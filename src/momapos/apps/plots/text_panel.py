@@ -123,7 +123,8 @@ def _write_facts(column: TextColumn, answer: PlacementResult) -> None:
     rows = []
     if plan.assumption is not None:
         rows.append(("joint type", str(plan.assumption)))
-        rows.append(("most probable", plan.assumption.instead.partition(":")[0]))
+        if not plan.assumption.is_first:
+            rows.append(("most probable", plan.assumption.instead.partition(":")[0]))
     if plan.base_pose is not None:
         x, y, yaw = plan.base_pose
         rows.append(("base pose", f"({x:.2f}, {y:.2f}) m, {np.degrees(yaw):.0f}°"))

@@ -65,7 +65,8 @@ def answer_text(answer: PlacementResult) -> str:
     if plan.motion is not None and plan.base_pose is not None:
         if plan.assumption is not None:
             lines.append(f"- assumed joint type: {escaped(str(plan.assumption))}")
-            lines.append(f"- most probable: {escaped(plan.assumption.instead)}")
+            if not plan.assumption.is_first:
+                lines.append(f"- most probable: {escaped(plan.assumption.instead)}")
         lines.append(f"- base pose: {pose_text(plan.base_pose)}")
         if plan.navigation_cost is not None:
             lines.append(f"- driving length: {plan.navigation_cost:.2f} m")

@@ -15,7 +15,7 @@ from momapos.core import compare_by_content
 
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
 from .resistances import JointResistance
-from .scans import PartKind
+from .scans import Hypothesis, PartKind
 from .tasks import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 Status = Literal["solved", "assumed", "infeasible", "timeout"]
-"""Answer to a query. "assumed": there is a plan, but only if a joint moves in another way than the
-most probable one, so it is not known whether the plan does the task."""
+"""Answer to a query. "assumed": there is a plan, but only if a joint moves in an improbable way or
+in another than the most probable one, so it is not known whether the plan does the task."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,21 @@ class Assumption:
     probability: float
     """Probability of that motion in the scene [-]."""
     instead_of: PartKind
-    """Most probable kind of the part, for which there is no plan."""
+    """Most probable kind of the part."""
     instead_probability: float
     feasible_to: float | None = None
     """Farthest feasible value found of the most probable joint [rad] or [m]; None if none was."""
+
+    @classmethod
+    def of_first(cls, hypothesis: Hypothesis) -> Assumption:
+        """Return the assumption of the most probable motion, which is still improbable."""
+        kind, probability = hypothesis.kind, hypothesis.probability
+        return cls(kind, probability, kind, probability)
+
+    @property
+    def is_first(self) -> bool:
+        """Whether the assumed motion is the most probable one."""
+        return (self.kind, self.probability) == (self.instead_of, self.instead_probability)
 
     def __str__(self) -> str:
         return f"{self.kind} ({100 * self.probability:.2g} %)"
@@ -236,10 +247,9 @@ class PlacementPlan:
         if self.assumption is None:
             return "a joint doesn't move in its most probable way"
         found = self.assumption
-        return (
-            f"{self.task.object}/{self.task.joint} is a {found}, "
-            f"not a {found.instead_of} ({100 * found.instead_probability:.2g} %)"
-        )
+        other = f", not a {found.instead_of} ({100 * found.instead_probability:.2g} %)"
+        words = f"{self.task.object}/{self.task.joint} is a {found}"
+        return words if found.is_first else words + other
 
     def __repr__(self) -> str:
         what = (
