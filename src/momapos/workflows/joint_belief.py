@@ -300,13 +300,13 @@ def save_learned(record: RunRecord, scene: Scene, out: Path) -> Scene | None:
         out: The new scene file.
 
     Returns:
-        The scene of that file; None if the run failed or moved no joint.
+        The scene of that file; None if the run failed, moved no joint, or only an assumed one.
 
     Raises:
         SceneError: See `save_with_part_motion`.
     """
     task, done = record.task, record.execution
-    if task.joint is None or done is None or not done.success or done.joint is None:
+    if task.joint is None or done is None or record.verdict != "done" or done.joint is None:
         return None
     target = scene.object(task.object)
     kind = record.kinds[-1] if record.kinds else None

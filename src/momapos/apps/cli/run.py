@@ -198,7 +198,8 @@ def _write_outputs(
             write_film(trace, film, ending=result.reason or result.verdict)
     if files.out_scene is not None and save_learned(result, scene, files.out_scene) is None:
         print(
-            f"momapos: {files.out_scene}: not written: no joint was moved as planned",
+            f"momapos: {files.out_scene}: not written: no joint was moved as planned, or only in a "
+            "room that is an assumption",
             file=sys.stderr,
         )
 

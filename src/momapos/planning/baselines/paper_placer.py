@@ -92,7 +92,7 @@ def samples_in_area(
 ) -> Float[np.ndarray, "n 3"]:
     """Return Latin Hypercube samples in A; fewer than `count` only if A is nearly empty.
 
-    A design over the disc is drawn anew with twice as many points until enough of them are in A.
+    If too few points of a design over the disc are in A, another has twice as many points.
     """
     radius = printed_radius(room.prepared.geometry)
     if radius is None:
