@@ -123,7 +123,7 @@ def solve_scan(
     spent, alphas, before = dict(seen.timing), [], tuple[Decision, ...]()
     while True:
         modeled = model_room(
-            seen, out, tools, scores=scores, alpha=selection.alpha,
+            seen, out, tools, scores=scores, alpha=selection.ranked.lowest_score(selection.alpha),
             known={one.detection.name: one for one in before}, given=given,
             config=scanning, progress=report, clock=clock,
         )  # fmt: skip

@@ -176,6 +176,11 @@ def test_solve_takes_the_options_of_a_scan(
     assert "no such scan" in refused([*words, "--set", "scan.voxel=0.02"], capsys)
     assert "--max-frames must be" in refused([*words, "--max-frames", "0"], capsys)
     assert "--set scan.voxel must be" in refused([*words, "--set", "scan.voxel=2"], capsys)
+    assert "kitchen_smal" in refused([*words, "--world", "kitchen_smal"], capsys)
+    no_run = [*words, "--world", "kitchen_small", "--no-run"]
+    pick = ["solve", words[1], "pick", *words[3:], "--world", "kitchen_small"]
+    for some in (no_run, pick):
+        assert "--world is the room in which a part is opened or closed" in refused(some, capsys)
 
 
 def test_the_scorer_depends_on_the_method_unless_it_is_set() -> None:

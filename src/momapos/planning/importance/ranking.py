@@ -77,8 +77,14 @@ class Importance:
         limit = self.alpha if alpha is None else alpha
         if not 0 <= limit <= 1:
             raise InputError(f"alpha must be between 0 and 1, not {limit:g}")
-        chosen = self.scores > limit if self.exceed else self.scores >= limit
-        return self.names[: max(1, int(np.count_nonzero(chosen)))]
+        return self.names[: int(np.count_nonzero(self.scores >= self.lowest_score(limit)))]
+
+    def lowest_score(self, alpha: float) -> float:
+        """Return the lowest score with which an object is in S, for a threshold alpha [-].
+
+        It is at most 1, so that the target is always in S.
+        """
+        return min(float(np.nextafter(alpha, 2.0)), 1.0) if self.exceed else alpha
 
     def score(self, name: str) -> float:
         """Return the score of one object.
