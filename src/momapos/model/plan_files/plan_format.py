@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +25,6 @@ from momapos.model.records import (
     BaseRegion,
     CostTerm,
     KeyObjects,
-    Motion,
     Outline,
     PlacementPlan,
     Status,
@@ -36,9 +34,10 @@ from momapos.model.records import (
 from momapos.model.robots import MAX_SRDF_BYTES, portable
 
 from . import plan_members as members
-from .holds import holds_to_dict, read_holds
+from .holds import holds_to_dict
 from .named_files import portable_name, sha256, sha256_of, write_text
 from .plan_candidates import candidates_to_dict, read_candidates
+from .plan_motion import read_array, read_motion
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -294,7 +293,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         status=_status(data),
         joints=tuple(data.joints),
         base_pose=_triple(data.base_pose),
-        motion=_motion(data, path),
+        motion=read_motion(data, path),
         navigation_cost=data.navigation_cost,
         cost={name: CostTerm(**msgspec.structs.asdict(term)) for name, term in data.cost.items()},
         candidates=read_candidates(data.candidates),
@@ -306,7 +305,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         start=_triple(data.start),
         base_path=None
         if data.base_path is None
-        else _array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
+        else read_array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
         robot_file=_robot_file(robot.file, folder),
         robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
         robot_rest=robot.rest,
@@ -359,58 +358,3 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # not a valid file name
         return False
-
-
-def _motion(data: members.Plan, path: Path) -> Motion | None:
-    motion, n = data.manipulation, len(data.joints)
-    if motion is None:
-        return None
-    approach = _array(data.approach, (n,), path, "approach")
-    q = _array(motion.q, (n,), path, "manipulation.q")
-    object_q = _array(motion.object_q, (), path, "manipulation.object_q")
-    Ts_world_tool = _array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool")
-    if not len(q) == len(object_q) == len(Ts_world_tool):
-        raise FileFormatError(
-            f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
-            f"{len(Ts_world_tool)} T_world_tool; each state needs one of each"
-        )
-    return Motion(
-        approach=approach,
-        q=q,
-        object_q=object_q,
-        Ts_world_tool=Ts_world_tool,
-        approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
-        times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
-        holds=read_holds(motion, path),
-        home=None if data.home is None else _array(data.home, (n,), path, "home"),
-    )
-
-
-def _read_times(
-    times: list[float] | None, count: int, path: Path, key: str
-) -> Float[np.ndarray, " m"] | None:
-    if times is None:
-        return None
-    values = _array(times, (), path, key)
-    if len(values) != count or (np.diff(values) < 0).any():
-        raise FileFormatError(f"{path}: {key} must be {count} non-decreasing times [s]")
-    return values
-
-
-def _array(
-    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str, each: str = "one per joint"
-) -> Float[np.ndarray, "..."]:
-    if not rows:
-        return np.empty((0, *shape))
-    size = " x ".join(map(str, shape))
-    try:
-        array = np.array(rows, float)
-    except ValueError as error:
-        raise FileFormatError(f"{path}: {key} has rows of different length; need {size}") from error
-    if array.shape[1:] != shape:
-        found = " x ".join(map(str, array.shape[1:]))
-        raise FileFormatError(
-            f"{path}: {key} has rows of {found} numbers; need {size}"
-            + (f", {each}" if len(shape) == 1 else "")
-        )
-    return array
