@@ -30,7 +30,8 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
         query: The question; its task must name a value.
 
     Yields:
-        Solved answers; none if the task is infeasible, for which `plan_placement` gives reasons.
+        Answers with a plan; none if the task is infeasible, for which `plan_placement` gives
+            reasons.
 
     Raises:
         SceneError: The robot collides at its start pose.
@@ -47,7 +48,7 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
     watch = Stopwatch(lambda: clock() - away)
     query = replace(query, watch=watch)
     first = plan_to_value(query)
-    if first.plan.status != "solved":
+    if not first.plan.feasible:
         return
     left = clock()
     yield first

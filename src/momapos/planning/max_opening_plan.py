@@ -38,7 +38,7 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
     task, config, watch = query.task, query.config, query.watch
     assert task.to is not None
     at_once = _answer_to(query, answer, task.to, by_samples(config))
-    if at_once.plan.status == "solved":
+    if at_once.plan.feasible:
         best, sure = at_once, True
     else:
         values = np.append(values_short_of(query), task.to)
@@ -47,7 +47,7 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
             sure = True
         left = max(config.timeout - watch.total, MIN_TIMEOUT)
         best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
-    known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
+    known = replace(best.plan.task, farthest=sure and best.plan.feasible)
     timing = watch.timing
     return replace(best, plan=replace(best.plan, task=known, timing=timing))
 
@@ -87,7 +87,7 @@ def find_max_opening(
         result = _answer_to(query, answer, value, how)
         if result.prepared.blocked:
             stopped = min(stopped, abs(value - values[0]))
-        return result if result.plan.status == "solved" else None
+        return result if result.plan.feasible else None
 
     waypoint = values_per_waypoint(config.motion, slides=slides(query.scene, query.task))
     best = farthest_answer(evaluate, values, waypoint=waypoint, within=within)

@@ -57,7 +57,7 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
     selection = initial_selection(query, ranked, motion)
     while True:
         result = _search(query, selection, motion)
-        if result.plan.status == "solved":
+        if result.plan.feasible:
             selection, valid = refine_model(query, selection, result)
             if valid:
                 break

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import require, version_of
-from momapos.model.records import CostTerm, JointResistance, PlacementPlan, Tolerance
+from momapos.model.records import (
+    Assumption,
+    CostTerm,
+    JointResistance,
+    PlacementPlan,
+    Status,
+    Tolerance,
+)
 from momapos.model.robots import Robot
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
@@ -122,9 +129,9 @@ def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> P
 
     def rank(result: PlacementResult) -> tuple[int, float, float]:
         plan = result.plan
-        order = ("solved", "timeout", "infeasible").index(plan.status)
+        order = ("solved", "assumed", "timeout", "infeasible").index(plan.status)
         solved_to = plan.task.to if farthest else None
-        to = solved_to if plan.status == "solved" else plan.feasible_to
+        to = solved_to if plan.feasible else plan.feasible_to
         return order, -_moved(result, to), plan.navigation_cost or 0.0
 
     return min(results, key=rank)
@@ -156,6 +163,10 @@ def plan_of(
     """
     robot, base = query.robot, found.base
     solved = found.motion is not None and base is not None
+    status: Status = "timeout" if found.timed_out else "infeasible"
+    if solved:
+        assumed = query.scene.is_assumed(query.task.object, query.task.joint)
+        status = "assumed" if assumed else "solved"
     return PlacementPlan(
         scene=str(query.scene.path) if query.scene.path else query.scene.name,
         robot_name=robot.name,
@@ -163,7 +174,7 @@ def plan_of(
         base_link=robot.base_link,
         tool_link=robot.tool_link,
         task=query.task,
-        status="solved" if solved else "timeout" if found.timed_out else "infeasible",
+        status=status,
         robot_file=robot.source,
         robot_srdf=_named_srdf(robot),
         robot_rest=robot.model.held,
@@ -171,6 +182,7 @@ def plan_of(
         robot_amended=robot.amended,
         scene_joints=query.scene.joints_set,
         scene_hypotheses=query.scene.hypotheses_set,
+        assumption=_improbable(query) if status == "assumed" else None,
         resistance=_resistance(prepared),
         joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
@@ -185,6 +197,14 @@ def plan_of(
         region=query.region,
         versions={name: version_of(name) for name in DEPENDS_ON},
     )
+
+
+def _improbable(query: PlacementQuery) -> Assumption | None:
+    """Describe the joint if its most probable motion is improbable; None if another is assumed."""
+    scene, task = query.scene, query.task
+    if scene.hypotheses_set or task.joint is None:
+        return None
+    return Assumption.of_first(scene.object(task.object).hypotheses[task.joint][0])
 
 
 def _resistance(prepared: PreparedTask) -> dict[str, dict[str, JointResistance]]:

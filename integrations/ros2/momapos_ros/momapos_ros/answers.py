@@ -61,7 +61,8 @@ class Answer:
             found = self.plan.tolerance
             tolerance = "" if found is None else f"; tolerance {found}"
             pose = f"x {base[0]:.3f} m, y {base[1]:.3f} m, yaw {base[2]:.3f} rad"
-            return f"base pose {pose}{tolerance}"
+            assumed = f"assumed that {self.plan.assumes}; " if self.plan.assumes else ""
+            return f"{assumed}base pose {pose}{tolerance}"
         most = sorted(count.rejections.items(), key=lambda item: -item[1])[:3]
         reasons = ", ".join(f"{number} x {reason}" for reason, number in most)
         return f"{self.plan.status}: {reasons or 'no base pose was sampled'}"

@@ -59,7 +59,8 @@ class ObjectReader:
         closed = self.joint_values("closed", model)
         if closed:
             model = model.changed(closed=closed)
-        found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
+        slides = {name: joint.kind == "prismatic" for name, joint in model.joints.items()}
+        found = read_hypotheses(self.item.get("hypotheses", {}), slides, self.where)
         sure = read_confidence(self.item.get("confidence"), names, self.where)
         followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
         known = read_resistance(self.item.get("resistance", {}), followers, self.where)
