@@ -121,6 +121,8 @@ class CollisionAvoidance:
                 model.body_pos[body] = T[:3, 3]
                 model.body_quat[body] = matrix_quat(T[:3, :3])
             data.qpos[known.part_q] = value
+            if known.latch is not None:
+                known.latch.place(data.qpos, value)
             set_followers(model, data.qpos)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)

@@ -30,7 +30,8 @@ def carry_out(run: ExecutionRun, approach: PacedTrajectory, stretches: Sequence[
     ending = ending or come_in(run, approach)
     for stretch in stretches:
         free = place or (stretch.hold is None and run.belief is not None)
-        ending = ending or (run.let_go() if free else _grasp(run, stretch))
+        if not stretch.goes_on:
+            ending = ending or (run.let_go() if free else _grasp(run, stretch))
         ending = ending or _move(run, stretch)
     if ending not in (None, *AT_END):
         return ending
@@ -77,7 +78,8 @@ def _move(run: ExecutionRun, stretch: Stretch) -> Ending | None:
     plan = stretch.plan
     if stretch.between is not None:
         return go_between(run, stretch.between)
-    if run.belief is None or not run.belief.alone or stretch.hold is None:
+    free = run.belief is None or not run.belief.alone or stretch.hold is None
+    if free or stretch.turns_latch:
         offset = run.arm.q - plan.q[0]  # keep the object as it came into the hand
         for q, v, a in zip(plan.q, plan.v, plan.a, strict=True):
             run.arm.go(q + offset, v, a)

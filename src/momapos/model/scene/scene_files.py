@@ -33,6 +33,7 @@ from .code_models import box_edges, save_model
 from .confidence import confidence_to_json, read_confidence
 from .floor_areas import MAX_DISTANCE, read_areas, read_floor, read_numbers, read_start
 from .hypotheses import hypotheses_to_json, read_hypotheses
+from .latches import read_latch
 from .map_room import read_map_scene, with_map
 from .model_copies import model_files
 from .object_models import ObjectModels
@@ -215,7 +216,8 @@ class _ObjectReader:
         sure = read_confidence(self.item.get("confidence"), names, self.where)
         followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
         known = read_resistance(self.item.get("resistance", {}), followers, self.where)
-        return SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
+        item = SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
+        return replace(item, latch=read_latch(self.item.get("latch"), model, self.where))
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         pose = self.item.get("pose")
@@ -351,6 +353,8 @@ def object_members(item: SceneObject) -> dict[str, Any]:
         members["closed"] = dict(item.model.closed)
     if item.resistance:
         members["resistance"] = {name: one.members() for name, one in item.resistance.items()}
+    if item.latch is not None:
+        members["latch"] = item.latch.members()
     if item.confidence is not None:
         members["confidence"] = confidence_to_json(item.confidence)
     if item.hypotheses:

@@ -91,9 +91,18 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
     return part_path(item, CarriedPart(item.model, joint, handle.carrier), handle.center, to)
 
 
-def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
-    """Return the first handle of `find_handles`."""
-    return find_handles(model, joint, sign)[0]
+def find_handle(model: Articulated, joint: str, sign: float, latch: str | None = None) -> Handle:
+    """Return the first handle of a part, or of a latch on it; see `handles_in_turn`.
+
+    Raises:
+        TaskError: The part has no geometry, or no hand holds the latch.
+    """
+    if latch is None:
+        return find_handles(model, joint, sign)[0]
+    handle = next(handles_in_turn(model, joint, sign, latch), None)
+    if handle is None:
+        raise TaskError(f"nothing on the latch {latch!r} fits into a hand; check its shapes")
+    return handle
 
 
 @lru_cache(maxsize=_MODELS)
@@ -132,8 +141,22 @@ def _named_first(handles: list[Handle]) -> list[Handle]:
     return sorted(handles, key=lambda handle: handle.found is not HandleSource.NAME)
 
 
-def handles_in_turn(model: Articulated, joint: str, sign: float) -> Iterator[Handle]:
-    """Yield the handles, the most probable first; split meshes only when needed."""
+def handles_in_turn(
+    model: Articulated, joint: str, sign: float, latch: str | None = None
+) -> Iterator[Handle]:
+    """Yield the handles, the most probable first; split meshes only when needed.
+
+    Args:
+        model: The object.
+        joint: The joint.
+        sign: Its opening direction (+1 or -1), which the handles face.
+        latch: A link of the part; its handles alone count, without edges.
+    """
+    if latch is not None:
+        part = CarriedPart(model, joint, latch)
+        yield from handles_by_hulls(part, sign)
+        yield from handles_by_pieces(part, sign)
+        return
     found = find_handles(model, joint, sign)
     yield from (h for h in found if not h.edge)
     for part in parts_moved_by(model, joint):
