@@ -34,6 +34,30 @@ def latch_to_turn(item: SceneObject, joint: str) -> Latch | None:
     return None if turned or ajar else latch
 
 
+def latch_value(item: SceneObject, latch: Latch) -> str:
+    """Return the value of a turned latch in words."""
+    if item.joint(latch.joint).kind == "prismatic":
+        return f"{100 * latch.to:.3g} cm"
+    return f"{math.degrees(latch.to):.3g} deg"
+
+
+def part_values(
+    item: SceneObject, joint: str | None, value: float, latch: float | None = None
+) -> dict[str, float]:
+    """Return joint values of an object that a task moves, for `SceneObject.link_poses`.
+
+    Args:
+        item: The object.
+        joint: The joint that the task moves; None if it moves none.
+        value: Value of the joint [rad] or [m].
+        latch: Value of the object's latch [rad] or [m]; None as in the scene.
+    """
+    if joint is None:
+        return {}
+    turned = {} if item.latch is None or latch is None else {item.latch.joint: float(latch)}
+    return {joint: float(value), **turned}
+
+
 def read_latch(value: object, model: Articulated, where: str) -> Latch | None:
     """Read the latch of an object, `{"joint": NAME, "to": VALUE, "holds": NAME}`.
 
