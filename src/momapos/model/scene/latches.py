@@ -103,12 +103,15 @@ def _value(value: object, joint: Joint, where: str) -> float:
         raise SceneError(f"{where} must be a number or a text such as '40deg'")
     try:
         quantity = parse_quantity(value) if isinstance(value, str) else Quantity(value, "", "")
-        number = float(joint_value(joint, quantity, "it"))
-    except (InputError, OverflowError) as error:
+    except InputError as error:
         raise SceneError(f"{where}: {error}") from error
+    try:
+        number = joint_value(joint, quantity, where)
+    except InputError as error:
+        raise SceneError(str(error)) from error
     if not (math.isfinite(number) and joint.lower - 1e-6 <= number <= joint.upper + 1e-6):
         raise SceneError(
-            f"{where}: {number:g} is outside the limits of {joint.name!r}, {joint.lower:g} to "
+            f"{where} {value} is outside the limits of {joint.name!r}, {joint.lower:g} to "
             f"{joint.upper:g}"
         )
     return min(max(number, joint.lower), joint.upper)
