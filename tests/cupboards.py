@@ -201,6 +201,13 @@ LATCHES: Mapping[str, tuple[list[str], float]] = {
         ],
         -0.7,
     ),
+    "a knob": (
+        [
+            carcass(), DOOR, HINGE, link("grip", ((0.06, 0.03, 0.03), (-0.04, 0, 0))),
+            turning("revolute", (1, 0, 0), (-1.2, 1.2)),
+        ],
+        0.9,
+    ),
     "a lever on a drawer": (
         [
             carcass(), tray(None), SLIDE, link("grip", SPINDLE, GRIP),

@@ -96,6 +96,11 @@ def select_latch_grasps(
     lean = np.abs(np.einsum("gi,gi->g", R @ hand.closing, way))
     capacity = pinch_capacity(robot.grip_force, config.friction, lean)
     levers = np.maximum(lever_arms(part, point), MIN_LEVER)
+    if model.joint(latch.joint).kind != "prismatic":
+        # Both pads turn a knob on whose axis the hand is: each is half the width away from it.
+        axis = model.joint(latch.joint).axis
+        across = np.linalg.norm(np.cross(R @ hand.closing, axis), axis=1)
+        levers = np.hypot(levers, across * chosen.grasps.width / 2)
     usual = float(np.median(levers))
     needed = resistance_along(target, latch.joint, values, usual, config.resistance).largest
     need = config.grasp_margin * needed / levers
