@@ -27,12 +27,12 @@ class RunMotion:
     """Values of the robot's moving joints by name: arm and fingers [rad] or [m]."""
     part: tuple[float, ...] = ()
     """Value of the joint that the task moves [rad] or [m]; empty for movable objects."""
-    latch: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """Values of the part's latch by the name of its joint [rad] or [m]; empty if none is turned."""
     poses: tuple[tuple[float, ...], ...] = ()
     """Pose of a movable object's root link in the world: x, y, z [m], then quaternion wxyz."""
     forces: tuple[Triple, ...] = ()
     """Force of the held object on the hand, in the world [N]; 0 without a grasp."""
+    latch: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Values of the part's latch by the name of its joint [rad] or [m]; empty if none is turned."""
 
     def __post_init__(self) -> None:
         """Check the lengths and the times."""

@@ -60,11 +60,11 @@ class Motion:
     holds: tuple[Hold, ...] = ()
     """Phases in which the hand holds a joint's part, in order; empty for one hold over all states
     without a turn. Between two holds the part does not move."""
+    home: Float[np.ndarray, "h n"] | None = None
+    """Arm states of the path home after the manipulation; None if the arm stays there."""
     latch_q: Float[np.ndarray, " m"] | None = None
     """Value of the object's latch at each state [rad] or [m]; None if no latch is turned. The hand
     holds the latch from the first state on, and the first hold begins where the part moves."""
-    home: Float[np.ndarray, "h n"] | None = None
-    """Arm states of the path home after the manipulation; None if the arm stays there."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
