@@ -267,3 +267,15 @@ def test_a_long_bar_is_a_latch_as_well(robots: Callable[[str], Robot], tmp_path:
     item = replace(scene.objects[0], latch=Latch("turn", -0.4, "hinge"))
     scene = save_scene(replace(scene, objects=(item,)), tmp_path / "scene.json")
     assert motion_of(answer_of(scene, robots("fetch"))).latch_q is not None
+
+
+def test_a_tour_takes_another_grasp_once_a_latched_door_is_ajar(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene = latched_room(tmp_path, "a T-handle")
+    tour = plan_tour(
+        scene, robots("segway_ur5e"),
+        [Request("open", "cupboard", to="10deg"), Request("open", "cupboard")], config=CONFIG,
+    )  # fmt: skip
+    assert tour.status == "solved"
+    assert [motion_of(step).latch_q is None for step in tour.steps] == [False, True]
