@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 
 from .config import AVOID_RATE, ComplianceConfig
+from .followers import set_followers
 from .geoms import HAND, ROBOT, Kind, matrix_quat
-from .simulation import Simulation, set_followers
+from .simulation import Simulation
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

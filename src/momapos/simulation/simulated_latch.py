@@ -56,6 +56,12 @@ class SimulatedLatch:
         q[self.value_q] = self.start if value == self.closed else self.to
 
 
+def carriers_of(item: SceneObject, joint: str) -> dict[str, str]:
+    """Return the links that a joint moves, each with the link whose body carries it in physics."""
+    latch = latch_to_turn(item, joint)
+    return item.model.rigid_groups(joint, *(() if latch is None else (latch.joint,)))
+
+
 def add_lock(spec: Any, part: str) -> None:
     """Add the constraint that keeps a part's joint at its value in the scene.
 

@@ -25,7 +25,7 @@ from momapos.model.urdf import Geometry, Hull, Joint, opening_of, opens_both_way
 from .config import WELD_TIME, ExecutionConfig, FurnitureConfig
 from .dynamics import hull_volume, volume
 from .geoms import Kind, add_hull, add_shape, dress, place_body
-from .simulated_latch import add_friction, add_lock
+from .simulated_latch import add_friction, add_lock, carriers_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -254,12 +254,6 @@ def add_part(
         shapes.add(spec, body, carrier, [link for link, on in groups.items() if on == carrier])
     if latch is not None:
         add_lock(spec, PART)
-
-
-def carriers_of(item: SceneObject, joint: str) -> dict[str, str]:
-    """Return the links that a joint moves, each with the link whose body carries it in physics."""
-    latch = latch_to_turn(item, joint)
-    return item.model.rigid_groups(joint, *(() if latch is None else (latch.joint,)))
 
 
 def set_masses(

@@ -18,6 +18,7 @@ from momapos.model.scene import Scene, SceneObject
 
 from .config import PAD_TIME, TOUCH_DISTANCE, WELD_TIME, ExecutionConfig
 from .dynamics import Dynamics
+from .followers import couplings, set_followers
 from .geoms import HAND, ROBOT, Kind, matrix_quat
 from .simulated_hand import Finger, SimulatedHand
 from .simulated_latch import SimulatedLatch, find_latch
@@ -86,7 +87,7 @@ class Simulation:
         larger values [Nm] or [N]."""
         weight = self.data.qfrc_gravcomp - self.data.qfrc_bias
         found = float(weight[self.part_v])
-        for follower, leader, ratio in _couplings(self.model):
+        for follower, leader, ratio in couplings(self.model):
             if leader == PART:
                 found += ratio * float(weight[self.model.joint(follower).dofadr[0]])
         return found
@@ -270,26 +271,6 @@ def _values(model: Any, values: dict[str, float | None]) -> Any:
     set_followers(model, data.qpos)
     mujoco.mj_forward(model, data)
     return data
-
-
-def set_followers(model: Any, q: Float[np.ndarray, " q"]) -> None:
-    """Set the mimic joints of the part to where its joint takes them."""
-    for follower, leader, ratio in _couplings(model):
-        x, y = model.joint(leader).qposadr[0], model.joint(follower).qposadr[0]
-        q[y] = model.qpos0[y] + ratio * (q[x] - model.qpos0[x])
-
-
-def _couplings(model: Any) -> list[tuple[str, str, float]]:
-    """Return the mimic joints of the part, with their leader and ratio."""
-    return [
-        (
-            model.joint(model.eq_obj1id[i]).name,
-            model.joint(model.eq_obj2id[i]).name,
-            float(model.eq_data[i, 1]),
-        )
-        for i in range(model.neq)
-        if is_part(model.equality(i).name)
-    ]
 
 
 def _part_bodies(model: Any) -> list[str]:
