@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from momapos.model.records.latches import Latch
+from momapos.model.records.resistances import JointResistance
 from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import save_scene
 from momapos.model.scene.scene_object import SceneObject
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -148,3 +152,82 @@ FOLDING_DOOR = [
 ]  # fmt: skip
 """A folding door, whose handle is on the leaf that follows."""
 FOLLOWERS["a folding door"] = (FOLDING_DOOR, "fold", "hinge")
+
+
+def turning(
+    kind: str, axis: tuple[float, float, float], limits: tuple[float, float], mimic: str = "",
+    *, name: str = "turn", child: str = "grip", x: float = 0.0,
+) -> str:  # fmt: skip
+    """Return the joint of a latch on the door."""
+    return joint(name, kind, ("door", child), (x, 0.52, 0.1), axis, limits, mimic)
+
+
+SPINDLE: Box = ((0.05, 0.02, 0.02), (-0.035, 0, 0))
+GRIP: Box = ((0.02, 0.13, 0.02), (-0.06, -0.055, 0))
+TEE_BAR: Box = ((0.02, 0.02, 0.14), (-0.055, 0, 0))
+BOLT_ROD: Box = ((0.02, 0.16, 0.02), (-0.02, 0, 0))
+BOLT_KNOB: Box = ((0.04, 0.02, 0.02), (-0.045, 0, 0))
+INNER: tuple[Box, Box] = (
+    ((0.05, 0.02, 0.02), (0.035, 0, 0)), ((0.02, 0.13, 0.02), (0.06, -0.055, 0)),
+)  # fmt: skip
+LATCHES: Mapping[str, tuple[list[str], float]] = {
+    "a lever": (
+        [
+            carcass(), DOOR, HINGE, link("grip", SPINDLE, GRIP),
+            turning("revolute", (1, 0, 0), (-0.8, 0)),
+        ],
+        -0.7,
+    ),
+    "a T-handle": (
+        [
+            carcass(), DOOR, HINGE, link("grip", ((0.04, 0.02, 0.02), (-0.03, 0, 0)), TEE_BAR),
+            turning("revolute", (1, 0, 0), (0, 1.57)),
+        ],
+        1.4,
+    ),
+    "a sliding bolt": (
+        [
+            carcass(), DOOR, HINGE, link("grip", BOLT_ROD, BOLT_KNOB),
+            turning("prismatic", (0, -1, 0), (0, 0.08)),
+        ],
+        0.06,
+    ),
+    "a lever with another inside": (
+        [
+            carcass(), DOOR, HINGE, link("grip", SPINDLE, GRIP), link("inside", *INNER),
+            turning("revolute", (1, 0, 0), (-0.8, 0)),
+            turning(
+                "revolute", (1, 0, 0), (-0.8, 0), 'joint="turn"', name="other", child="inside",
+            ),
+        ],
+        -0.7,
+    ),
+    "a knob": (
+        [
+            carcass(), DOOR, HINGE, link("grip", ((0.06, 0.03, 0.03), (-0.04, 0, 0))),
+            turning("revolute", (1, 0, 0), (-1.2, 1.2)),
+        ],
+        0.9,
+    ),
+    "a lever on a drawer": (
+        [
+            carcass(), tray(None), SLIDE, link("grip", SPINDLE, GRIP),
+            joint("turn", "revolute", ("tray", "grip"), (-0.272, 0.05, 0), (1, 0, 0), (-0.8, 0)),
+        ],
+        -0.6,
+    ),
+}  # fmt: skip
+"""Parts with a latch `turn`, and its value from which on the part is free."""
+
+
+def latched_room(
+    folder: Path, kind: str, resistance: Mapping[str, JointResistance] | None = None
+) -> Scene:
+    """Write a room with a latch, and return it as its file says."""
+    parts, to = LATCHES[kind]
+    scene = furniture_room(folder, parts)
+    held = "slide" if kind.endswith("drawer") else "hinge"
+    item = replace(
+        scene.objects[0], latch=Latch("turn", to, held), resistance=dict(resistance or {})
+    )
+    return save_scene(replace(scene, objects=(item,)), folder / "scene.json")

@@ -20,6 +20,7 @@ from momapos.model.records import (
     Tolerance,
 )
 from momapos.model.robots import Robot
+from momapos.model.scene import latch_value
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
 from momapos.planning.placement import OURS, Search, cost_terms
@@ -85,6 +86,15 @@ class PlacementResult:
             return tuple(hold.words for hold in found.holds)
         away = np.abs(motion.Ts_world_tool[:, motion.grasp_step] - found.Ts_world_tool[0])
         return (motion.grasps.describe(int(away.sum((1, 2)).argmin())),)
+
+    @property
+    def latch(self) -> str:
+        """Return what the hand turns before the part moves, in words; "" for nothing."""
+        found, target = self.plan.motion, self.prepared.scene.object(self.plan.task.object)
+        if found is None or found.latch_q is None or target.latch is None:
+            return ""
+        value = latch_value(target, target.latch)
+        return f"{target.latch.joint} to {value} first; the hand holds on and keeps it there"
 
     @property
     def touched_after(self) -> str:

@@ -215,13 +215,16 @@ class RunRecord:
 
 def run_to_dict(record: RunRecord) -> dict[str, Any]:
     """Convert a record to the content of its file."""
+    members = asdict(record)
+    if record.motion is not None and not record.motion.latch:
+        del members["motion"]["latch"]
     return {
         "format": FORMAT,
         "version": VERSION,
         "success": record.success,
         "reason": record.reason,
         "driven": record.driven,
-        **asdict(record),
+        **members,
     }
 
 

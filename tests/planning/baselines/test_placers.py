@@ -16,7 +16,8 @@ from momapos.core.geometry.planar import compose, local_points, place_points
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.baselines.by_method import PLACERS
 from momapos.planning.baselines.habitat_placer import HINGED, habitat
 from momapos.planning.baselines.m3_placer import HINGED as REGIONS

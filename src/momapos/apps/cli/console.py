@@ -136,6 +136,8 @@ def _grasps(answer: PlacementResult) -> list[str]:
     """A line for each grasp; those after the first say where the part is then."""
     motion = answer.plan.motion
     lines = [f"  grasp       {words}" for words in answer.holds[:1]]
+    if answer.latch:
+        lines.append(f"  latch       {answer.latch}")
     if motion is not None:
         later = zip(motion.holds[1:], answer.holds[1:], strict=True)
         lines += [

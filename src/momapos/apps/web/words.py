@@ -71,6 +71,7 @@ def answer_text(answer: PlacementResult) -> str:
         if plan.navigation_cost is not None:
             lines.append(f"- driving length: {plan.navigation_cost:.2f} m")
         lines += [f"- grasp: {escaped(words)}" for words in answer.holds]
+        lines += [f"- latch: {escaped(answer.latch)}"] if answer.latch else []
         lines.append("- collision-free: base, arm and moving part along the whole motion")
         lines += tolerance_lines(plan)
         lines += [f"- note: {escaped(words)}" for words in answer.notes]

@@ -1,3 +1,4 @@
+from .latches import Latch as Latch
 from .open_leaf import UP as UP
 from .open_leaf import OpenLeaf as OpenLeaf
 from .outcomes import NO_PATH as NO_PATH

@@ -6,7 +6,7 @@ All values are in SI units, in the world frame unless a field names another.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -103,9 +103,18 @@ class Motion:
     without a turn. Between two holds the part does not move."""
     home: Float[np.ndarray, "h n"] | None = None
     """Arm states of the path home after the manipulation; None if the arm stays there."""
+    latch_q: Float[np.ndarray, " m"] | None = None
+    """Value of the object's latch at each state [rad] or [m]; None if no latch is turned. The hand
+    holds the latch from the first state on, and the first hold begins where the part moves."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
+
+    @property
+    def grasps(self) -> tuple[Hold, ...]:
+        """Return the phases in which the hand holds the part or its latch, in order."""
+        holds = self.holds or (Hold(0, len(self.q) - 1),)
+        return holds if self.latch_q is None else (replace(holds[0], first=0), *holds[1:])
 
 
 @compare_by_content

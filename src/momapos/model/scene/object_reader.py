@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from momapos.model.urdf import Articulated, box_urdf
 from .confidence import read_confidence
 from .floor_areas import MAX_DISTANCE, read_numbers
 from .hypotheses import read_hypotheses
+from .latches import read_latch
 from .object_models import ObjectModels
 from .resistance_members import read_resistance
 from .scene_object import SceneObject
@@ -64,7 +66,8 @@ class ObjectReader:
         sure = read_confidence(self.item.get("confidence"), names, self.where)
         followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
         known = read_resistance(self.item.get("resistance", {}), followers, self.where)
-        return SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
+        item = SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
+        return replace(item, latch=read_latch(self.item.get("latch"), model, self.where))
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         """Return the pose of its frame in the world."""

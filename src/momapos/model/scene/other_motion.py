@@ -46,9 +46,14 @@ def with_part_motion(item: SceneObject, joint: str, way: Hypothesis) -> SceneObj
     cache = item.model.cache
     text = _urdf_text(item, joint, way)
     urdf = read_furniture(path, scale=item.model.urdf.scale, cache=cache, text=text)
-    model = Articulated(urdf, item.model.held, cache)
+    model = Articulated(urdf, item.model.held, cache, _closed_without(item.model, joint))
     others = {name: value for name, value in item.joints.items() if name != joint}
     return replace(item, model=model, joints=others)
+
+
+def _closed_without(model: Articulated, joint: str) -> dict[str, float]:
+    """Return the closed values of a model's joints, without that of a joint that is replaced."""
+    return {name: value for name, value in model.closed.items() if name != joint}
 
 
 def scene_with_part_motion(scene: Scene, name: str, joint: str, way: Hypothesis) -> Scene:
@@ -177,7 +182,9 @@ def save_with_part_motion(
         except OSError as error:
             raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
         model = Articulated(
-            read_furniture(file, root=out.resolve().parent, scale=item.model.urdf.scale)
+            read_furniture(file, root=out.resolve().parent, scale=item.model.urdf.scale),
+            item.model.held,
+            closed=_closed_without(item.model, joint),
         )
         known = replace(
             item,

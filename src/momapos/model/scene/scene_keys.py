@@ -35,6 +35,7 @@ _OBJECT: Keys = {
     "joints": Named(None),
     "closed": Named(None),
     "resistance": Named(None),
+    "latch": dict.fromkeys(("joint", "to", "holds")),
     "hypotheses": Named(_HYPOTHESIS),
     "confidence": {"object": None, "label": None, "joints": Named(None), "handles": Named(None)},
 }

@@ -91,9 +91,18 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
     return part_path(item, CarriedPart(item.model, joint, handle.carrier), handle.center, to)
 
 
-def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
-    """Return the first handle of `find_handles`."""
-    return find_handles(model, joint, sign)[0]
+def find_handle(model: Articulated, joint: str, sign: float, latch: str | None = None) -> Handle:
+    """Return the first handle of a part, or of a latch on it; see `handles_in_turn`.
+
+    Raises:
+        TaskError: The part or the latch has no geometry.
+    """
+    if latch is None:
+        return find_handles(model, joint, sign)[0]
+    handle = next(handles_in_turn(model, joint, sign, latch), None)
+    if handle is None:
+        raise TaskError(f"the latch {latch!r} has no shape; give its link a collision element")
+    return handle
 
 
 @lru_cache(maxsize=_MODELS)
@@ -132,8 +141,24 @@ def _named_first(handles: list[Handle]) -> list[Handle]:
     return sorted(handles, key=lambda handle: handle.found is not HandleSource.NAME)
 
 
-def handles_in_turn(model: Articulated, joint: str, sign: float) -> Iterator[Handle]:
-    """Yield the handles, the most probable first; split meshes only when needed."""
+def handles_in_turn(
+    model: Articulated, joint: str, sign: float, latch: str | None = None
+) -> Iterator[Handle]:
+    """Yield the handles, the most probable first; split meshes only when needed.
+
+    Args:
+        model: The object.
+        joint: The joint.
+        sign: Its opening direction (+1 or -1), which the handles face.
+        latch: A link of the part; its handles alone count, the last of which is all of it.
+    """
+    if latch is not None:
+        part = CarriedPart(model, joint, latch)
+        yield from handles_by_hulls(part, sign)
+        yield from handles_by_pieces(part, sign)
+        whole = _as_handle(part, sign)
+        yield from (h for h in whole if h not in handles_by_hulls(part, sign))
+        return
     found = find_handles(model, joint, sign)
     yield from (h for h in found if not h.edge)
     for part in parts_moved_by(model, joint):
@@ -155,7 +180,7 @@ def handles_by_hulls(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     if any(h.found is HandleSource.NAME for h in handles) or (handles and not named):
         return tuple(_named_first(handles))
     if not named and _is_hand_sized(part, own):
-        return (replace(_of(HandleSource.SHAPE, list(own), part, sign, (), None), whole=True),)
+        return _as_handle(part, sign)
     faces, in_plane = _side_faces(own, opens)
     aside = next(filter(None, (_on_face(named, part, sign, own, f, f) for f in faces)), [])
     aside = [h for h in aside if not (named or _is_panel(h, own)) or h.found is HandleSource.NAME]
@@ -172,6 +197,15 @@ def _is_panel(handle: Handle, own: tuple[Element, ...]) -> bool:
 def _face_area(element: Element) -> float:
     """Return the area of the largest face of the box around an element [m^2]."""
     return float(np.prod(np.sort(np.ptp(element.convex.vertices, axis=0))[1:]))
+
+
+@lru_cache(maxsize=_MODELS)
+def _as_handle(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
+    """Return a part as its own handle; empty without geometry."""
+    own = list(own_elements(part))
+    if not own:
+        return ()
+    return (replace(_of(HandleSource.SHAPE, own, part, sign, (), None), whole=True),)
 
 
 def _is_hand_sized(part: CarriedPart, own: tuple[Element, ...]) -> bool:

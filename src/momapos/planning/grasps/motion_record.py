@@ -55,6 +55,8 @@ class TaskMotion:
     """Why a better handle is not used; "" if there is none."""
     resistance: JointResistance | None = None
     """Resistance of the part, which the grasps transmit; None for rigid objects."""
+    latch_q: Float[np.ndarray, " d"] | None = None
+    """Value of the object's latch at each step [rad] or [m]; None if no latch is turned."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -141,7 +143,16 @@ class TaskMotion:
         axis = self.turning.axis_of(mode)
         words = self.grasps.describe(grasp, turns=axis is not None)
         family = str(self.grasps.family[grasp])
-        return (Hold(0, last - self.grasp_step, axis, family, words),)
+        return (
+            Hold(self.turned_step - self.grasp_step, last - self.grasp_step, axis, family, words),
+        )
+
+    @property
+    def turned_step(self) -> int:
+        """Step from which on the latch is turned and the part moves; the grasp without a latch."""
+        if self.latch_q is None:
+            return self.grasp_step
+        return int(np.argmax(self.latch_q == self.latch_q[-1]))
 
     def executed_steps(
         self, mode: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
