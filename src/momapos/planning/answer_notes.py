@@ -1,10 +1,11 @@
-"""Notes on an answer: where the floor ends the motion, or the motion leaves the floor."""
+"""Notes on an answer: how far the hand is open, and where the floor ends the motion."""
 
 from __future__ import annotations
 
 import math
 
 from momapos.model.records import PlacementPlan
+from momapos.model.robots import Robot
 from momapos.verification import meets_floor_at
 
 from .task_setup import PreparedTask
@@ -23,7 +24,18 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
     if plan.motion is None or plan.base_pose is None:
         return ()
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
-    return tuple(note for note in (_floor_note(plan, prepared), outside) if note)
+    notes = (_hand_note(prepared.robot), _floor_note(plan, prepared), outside)
+    return tuple(note for note in notes if note)
+
+
+def _hand_note(robot: Robot) -> str:
+    """Return how far the hand is open, if it is not fully open."""
+    if robot.fully_open is None:
+        return ""
+    return (
+        f"the hand is opened to {100 * robot.opening:.1f} cm before the robot drives, not to "
+        f"{100 * robot.fully_open.opening:.1f} cm: a fully open hand has no room"
+    )
 
 
 def _floor_note(plan: PlacementPlan, prepared: PreparedTask) -> str:

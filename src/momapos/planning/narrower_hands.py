@@ -1,0 +1,140 @@
+"""Try hands that do not come fully open, if a task fails because of the room that a hand needs.
+
+Fully open fingers can hit the panel behind a handle, a neighbor or a post. A hand that is open to
+a width between the handle's thickness and its own opening passes them. The width is chosen by the
+hand alone: that with the most approach lines on which it is free and the open hand is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.model.robots import Robot, opened_to
+from momapos.planning.grasps import TaskMotion
+
+from .query import PlacementQuery
+from .result import PlacementResult
+from .task_setup import PreparedTask, prepare
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+OPENINGS = 4
+"""Number of openings that are tried, evenly spaced [-]; the step is about a finger's thickness."""
+MIN_SLACK = 0.016
+"""Smallest opening beyond a handle's thickness [m]: 8 mm on each side, since bases stop within
+5 mm of their goals and open hands keep 4 mm from everything."""
+SIMILAR_SHARE = 1 / 3
+"""Of openings with at least this share of the most lines the widest is tried first, since a wide
+hand forgives more; then the one with the most [-]."""
+_SAME_LINE = 1e-3
+"""Difference below which approach lines and openings are the same [m] or [-]."""
+
+
+def with_narrower_hand(
+    query: PlacementQuery,
+    answer: PlacementResult,
+    plan: Callable[[PlacementQuery], PlacementResult],
+) -> PlacementResult:
+    """Return the answer for a hand that is not fully open, if there is one.
+
+    Args:
+        query: The question.
+        answer: Its infeasible answer, with every object modeled.
+        plan: Answers a question.
+    """
+    for other in narrower_hands(query, answer.prepared):
+        found = plan(other)
+        if found.plan.status != "infeasible":
+            return replace(found, query=replace(other, keep_grasps=query.keep_grasps))
+    return answer
+
+
+def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> Iterator[PlacementQuery]:
+    """Yield the question for hands that are not fully open, and only for grasps that these add.
+
+    Args:
+        query: The question.
+        prepared: Its task in the scene as it is modeled, for the open hand.
+    """
+    robot = query.robot
+    if robot.fully_open is not None or prepared.blocked:
+        return
+    keep = partial(_added, prepared, query)
+    found: list[tuple[int, Robot]] = []
+    for width in _openings(prepared):
+        hand = opened_to(robot, width)
+        if hand is None:
+            return
+        ready = prepare(
+            prepared.scene, hand, query.task, query.config,
+            clearance=query.config.place.clearance, keep_grasps=keep,
+        )  # fmt: skip
+        found.append((0 if ready.no_grasp else len(ready.motion.grasps), hand))
+    most = max((count for count, _ in found), default=0)
+    if not most:
+        return
+    firsts = (SIMILAR_SHARE * most, most)
+    hands = [next(hand for count, hand in found if count >= least) for least in firsts]
+    for hand in dict.fromkeys(hands):
+        yield replace(query, robot=hand, keep_grasps=keep)
+
+
+def _openings(prepared: PreparedTask) -> list[float]:
+    """Return openings between the thinnest handle and the open hand, the widest first [m]."""
+    motion, widest = prepared.motion, prepared.robot.opening
+    thin = min((h.thickness for h in motion.grasps.handles), default=_thickness(prepared))
+    steps = np.arange(1, OPENINGS + 1) / OPENINGS
+    widths = np.floor(1e3 * (widest - steps * (widest - thin - MIN_SLACK))) / 1e3
+    return [float(width) for width in widths if width < widest - _SAME_LINE]
+
+
+def _thickness(prepared: PreparedTask) -> float:
+    """Return the smallest extent of a rigid object [m]."""
+    target = prepared.scene.object(prepared.task.object)
+    poses = target.model.rest_poses
+    points = [
+        hull.vertices @ poses[link][:3, :3].T + poses[link][:3, 3]
+        for link in target.model.links
+        for hull in target.model.hulls[link]
+    ]
+    return float(2 * target.model.box_around(np.concatenate(points))[2].min())
+
+
+def _added(
+    prepared: PreparedTask, query: PlacementQuery, motion: TaskMotion
+) -> Bool[np.ndarray, " g"]:
+    """Return which grasps of a hand the open hand does not have.
+
+    These are grasps of handles on lines on which the open hand is not free. The free edges of a
+    part count only if the open hand has no grasp, or holds them, too.
+    """
+    known = prepared.motion
+    added = np.ones(len(motion.grasps), bool)
+    if not prepared.no_grasp:
+        edges = np.array([handle.edge for handle in motion.grasps.handles], bool)
+        if len(edges) and not any(handle.edge for handle in known.grasps.handles):
+            added &= ~edges[motion.grasps.handle]
+        added &= ~_have_line(motion, known, prepared.robot.approach_axis)
+    return added if query.keep_grasps is None else added & query.keep_grasps(motion)
+
+
+def _have_line(
+    motion: TaskMotion, other: TaskMotion, approach: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, " g"]:
+    """Return which grasps of a motion are on the approach line of a grasp of another."""
+    from scipy.spatial import cKDTree
+
+    lines = []
+    for Ts in (m.Ts_world_tool[:, m.grasp_step] for m in (motion, other)):
+        R, p = Ts[:, :3, :3], Ts[:, :3, 3]
+        direction = R @ approach
+        foot = p - np.einsum("gi,gi->g", p, direction)[:, None] * direction
+        lines.append(np.concatenate([R.reshape(-1, 9), foot], axis=1))
+    nearest, _ = cKDTree(lines[1]).query(lines[0], p=np.inf, distance_upper_bound=_SAME_LINE)
+    return np.isfinite(nearest)
