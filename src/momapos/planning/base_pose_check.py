@@ -135,8 +135,9 @@ def _look_with_any_hand(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> 
     if look.attempt.motion is None and look.attempt.outcome not in BASE_OUTCOMES.values():
         for other in narrower_hands(query, look.prepared):
             again = _look(other, base, how_far=False)
-            if again.attempt.motion is not None:
-                return again
+            if again.attempt.motion is None:
+                break
+            look = again
     return look
 
 

@@ -7,7 +7,7 @@ hand alone: that with the most approach lines on which it is free and the open h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -30,8 +30,7 @@ MIN_SLACK = 0.016
 """Smallest opening beyond a handle's thickness [m]: 8 mm on each side, since bases stop within
 5 mm of their goals and open hands keep 4 mm from everything."""
 SIMILAR_SHARE = 1 / 3
-"""Of openings with at least this share of the most lines the widest is tried first, since a wide
-hand forgives more; then the one with the most [-]."""
+"""The widest opening with at least this share of the most lines is preferred [-]."""
 _SAME_LINE = 1e-3
 """Difference below which approach lines and openings are the same [m] or [-]."""
 
@@ -50,13 +49,18 @@ def with_narrower_hand(
     """
     for other in narrower_hands(query, answer.prepared):
         found = plan(other)
-        if found.plan.status != "infeasible":
-            return replace(found, query=replace(other, keep_grasps=query.keep_grasps))
+        if found.plan.status == "infeasible":
+            break
+        answer = replace(found, query=replace(other, keep_grasps=query.keep_grasps))
     return answer
 
 
-def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> Iterator[PlacementQuery]:
-    """Yield the question for hands that are not fully open, and only for grasps that these add.
+def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> list[PlacementQuery]:
+    """Return the question for hands that are not fully open, and only for grasps that these add.
+
+    The hand with the most approach lines comes first, then a wider one, which forgives more. The
+    lines of a wider hand are nearly always among those of a narrower one, so if the first hand
+    fails, the second would.
 
     Args:
         query: The question.
@@ -64,25 +68,24 @@ def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> Iterator[Pl
     """
     robot = query.robot
     if robot.fully_open is not None or prepared.blocked:
-        return
+        return []
     keep = partial(_added, prepared, query)
     found: list[tuple[int, Robot]] = []
     for width in _openings(prepared):
         hand = opened_to(robot, width)
         if hand is None:
-            return
+            return []
         ready = prepare(
             prepared.scene, hand, query.task, query.config,
             clearance=query.config.place.clearance, keep_grasps=keep,
         )  # fmt: skip
         found.append((0 if ready.no_grasp else len(ready.motion.grasps), hand))
     most = max((count for count, _ in found), default=0)
-    if not most:
-        return
-    firsts = (SIMILAR_SHARE * most, most)
-    hands = [next(hand for count, hand in found if count >= least) for least in firsts]
-    for hand in dict.fromkeys(hands):
-        yield replace(query, robot=hand, keep_grasps=keep)
+    hands = [
+        next(hand for count, hand in found if count >= least)
+        for least in ((most, SIMILAR_SHARE * most) if most else ())
+    ]
+    return [replace(query, robot=hand, keep_grasps=keep) for hand in dict.fromkeys(hands)]
 
 
 def _openings(prepared: PreparedTask) -> list[float]:

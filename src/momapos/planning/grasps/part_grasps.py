@@ -38,6 +38,9 @@ MIN_OVERLAP = 0.003
 """Minimum depth of the fingertips beyond the near side of the handle [m]."""
 FREE_TILTS = (50.0, -50.0)
 """Further tilts along a handle with a free end, around which there is room for the hand [deg]."""
+STEEP_TURNS = {75.0: {60.0, 90.0}, -75.0: {-60.0, -90.0}}
+"""Further turns of a hand that is not fully open, if its neighbors are tried [deg]: behind a bar near
+a panel there is most room for a finger that leans a little, for 43 mm at 72 to 80 degrees."""
 HOOK_SHARE = 0.8
 """Share of the pull along the closing axis above which a grasp is a hook [-]."""
 _PARTS = 512
@@ -128,7 +131,9 @@ def approach_lines(robot: Robot, handle: Handle, config: GraspConfig) -> Approac
             rolls = np.array([0, np.pi, np.pi / 2, -np.pi / 2])
     free = handle.kind in (HandleKind.LEVER, HandleKind.KNOB)
     tilts = np.radians(sorted({*config.tilts, *(FREE_TILTS if free else ())}, key=abs))
-    turns = np.radians(config.turns)
+    steep = {t for t, near in STEEP_TURNS.items() if near <= {*config.turns}}
+    between = sorted(steep - {*config.turns}) if robot.fully_open is not None else ()
+    turns = np.radians((*config.turns, *between))
     grid = np.stack(np.meshgrid(rolls, _points(handle), tilts, turns, indexing="ij"), -1)
     roll, point, tilt, turn = grid.reshape(-1, 4).T
     R_turn = rotation_about(handle.long, turn)
@@ -240,9 +245,15 @@ def elements_near_handle(
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """Return the elements near a handle, and which of them the pads may touch."""
     part = CarriedPart(model, joint, handle.carrier)
-    around = part_pieces(part) if handle.in_pieces else part_elements(part)
-    near = near_elements(around, handle.center, HAND_REACH + handle.half_length)
     own = {id(e) for e in handle.elements}
+    if handle.in_pieces:
+        around = part_pieces(part)
+    else:  # pieces of the handle itself replace its hull
+        cut = {(e.link, e.index) for e in handle.elements}
+        around = tuple(
+            e for e in part_elements(part) if id(e) in own or (e.link, e.index) not in cut
+        )
+    near = near_elements(around, handle.center, HAND_REACH + handle.half_length)
     extra = tuple(e for e in handle.elements if not any(e is other for other in near))
     elements = (*near, *extra)
     return elements, np.array([id(e) in own for e in elements], bool)
