@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.model.records import PoseStatus
 from momapos.model.robots import Robot, opened_to
-from momapos.planning.grasps import TaskMotion
+from momapos.planning.grasps import TaskMotion, held_thickness
 
 from .query import PlacementQuery
 from .result import PlacementResult
@@ -47,12 +48,20 @@ def with_narrower_hand(
         answer: Its infeasible answer, with every object modeled.
         plan: Answers a question.
     """
+    if not answer.prepared.no_grasp and _is_infeasible_beforehand(answer):
+        return answer  # no way to drive there, for example
     for other in narrower_hands(query, answer.prepared):
         found = plan(other)
-        if found.plan.status == "infeasible":
+        if found.plan.status == "infeasible" or answer.plan.status == "solved" != found.plan.status:
             break
         answer = replace(found, query=replace(other, keep_grasps=query.keep_grasps))
     return answer
+
+
+def _is_infeasible_beforehand(answer: PlacementResult) -> bool:
+    """Return whether no base pose was checked, since none can work."""
+    outcomes = (outcome for group in answer.search.outcomes for outcome in group)
+    return all(outcome.status is PoseStatus.TASK_INFEASIBLE for outcome in outcomes)
 
 
 def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> list[PlacementQuery]:
@@ -90,23 +99,11 @@ def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> list[Placem
 
 def _openings(prepared: PreparedTask) -> list[float]:
     """Return openings between the thinnest handle and the open hand, the widest first [m]."""
-    motion, widest = prepared.motion, prepared.robot.opening
-    thin = min((h.thickness for h in motion.grasps.handles), default=_thickness(prepared))
+    task, widest = prepared.task, prepared.robot.opening
+    thin = held_thickness(prepared.scene.object(task.object), task.joint)
     steps = np.arange(1, OPENINGS + 1) / OPENINGS
     widths = np.floor(1e3 * (widest - steps * (widest - thin - MIN_SLACK))) / 1e3
     return [float(width) for width in widths if width < widest - _SAME_LINE]
-
-
-def _thickness(prepared: PreparedTask) -> float:
-    """Return the smallest extent of a rigid object [m]."""
-    target = prepared.scene.object(prepared.task.object)
-    poses = target.model.rest_poses
-    points = [
-        hull.vertices @ poses[link][:3, :3].T + poses[link][:3, 3]
-        for link in target.model.links
-        for hull in target.model.hulls[link]
-    ]
-    return float(2 * target.model.box_around(np.concatenate(points))[2].min())
 
 
 def _added(

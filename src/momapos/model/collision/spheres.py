@@ -146,9 +146,7 @@ def build_spheres(
     )
 
 
-def reposed(
-    spheres: Spheres, model: Articulated, before: Segments, after: Segments
-) -> Spheres:
+def reposed(spheres: Spheres, model: Articulated, before: Segments, after: Segments) -> Spheres:
     """Return the spheres of a robot whose links rest elsewhere, such as its fingers.
 
     Args:

@@ -113,7 +113,7 @@ def narrower(
     for names, states in [] if _has_thumb(sides) else _strokes(model, sides):
         gap, holds = _holding_gaps(model, tool, sides, names, states, axes)
         first = holds[int(np.argmax(gap[holds]))]
-        step = 1 if first < len(gap) // 2 else -1
+        step = 1 if int(np.argmin(gap)) > first else -1
         rows = np.arange(first, len(gap) if step > 0 else -1, step)
         shrinks = np.isin(rows, holds) & (np.diff(gap[rows], prepend=np.inf) < 0.0)
         rows = rows[: len(rows) if shrinks.all() else int(np.argmin(shrinks))]

@@ -59,7 +59,9 @@ def opened_as(robot: Robot, rest: Mapping[str, float]) -> Robot:
     """
     joints = {name: robot.model.joint(name) for name in _finger_joints(robot)}
     at = {n: float(np.clip(rest.get(n, 0.0), j.lower, j.upper)) for n, j in joints.items()}
-    if not rest.keys() & at.keys() or all(abs(at[name] - robot.model.rest[name]) < SAME_VALUE for name in at):
+    if not rest.keys() & at.keys() or all(
+        abs(at[name] - robot.model.rest[name]) < SAME_VALUE for name in at
+    ):
         return robot
     names, states, gaps = _closing(robot)
     if not len(gaps) or not at.keys() >= set(names):
@@ -76,7 +78,9 @@ def _finger_joints(robot: Robot) -> tuple[str, ...]:
     """Return the joints that move fingers, but not the tool, and follow no other."""
     fingers, model = finger_links(robot), robot.model
     moved = {j.name: set(model.moved_by(j.name)) for j in model.joints.values() if not j.mimic}
-    return tuple(n for n, links in moved.items() if links & fingers and robot.tool_link not in links)
+    return tuple(
+        n for n, links in moved.items() if links & fingers and robot.tool_link not in links
+    )
 
 
 @lru_cache(maxsize=64)

@@ -92,6 +92,17 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
     return part_path(item, CarriedPart(item.model, joint, handle.carrier), handle.center, to)
 
 
+def held_thickness(item: SceneObject, joint: str | None) -> float:
+    """Return the thickness of a part's thinnest handle, else of its edges, or of an object [m]."""
+    if joint is None:
+        poses = item.link_poses()
+        hulls = [apply(poses[n], h.vertices) for n in poses for h in item.model.hulls[n]]
+        return float(2 * item.model.box_around(np.concatenate(hulls))[2].min())
+    found = find_handles(item.posed_model(joint), joint, opening_of(item.model, joint).sign)
+    handles = [handle for handle in found if not handle.edge] or found
+    return min(handle.thickness for handle in handles)
+
+
 def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
     """Return the first handle of `find_handles`."""
     return find_handles(model, joint, sign)[0]

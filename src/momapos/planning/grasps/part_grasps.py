@@ -18,7 +18,14 @@ from .fronts import front_face, front_part
 from .hand_boxes import Hand, empty_handed, hand_of
 from .handle_core import HandleKind
 from .handle_records import Handle, HandleSource
-from .handle_shapes import CarriedPart, Element, corners, part_elements, part_pieces
+from .handle_shapes import (
+    CarriedPart,
+    Element,
+    corners,
+    in_pieces,
+    part_elements,
+    part_pieces,
+)
 from .part_motion import motion_directions
 from .pinch_grasps import (
     advance,
@@ -39,8 +46,8 @@ MIN_OVERLAP = 0.003
 FREE_TILTS = (50.0, -50.0)
 """Further tilts along a handle with a free end, around which there is room for the hand [deg]."""
 STEEP_TURNS = {75.0: {60.0, 90.0}, -75.0: {-60.0, -90.0}}
-"""Further turns of a hand that is not fully open, if its neighbors are tried [deg]: behind a bar near
-a panel there is most room for a finger that leans a little, for 43 mm at 72 to 80 degrees."""
+"""Further turns of a hand that is not fully open, if both turns next to them are tried [deg].
+Behind a bar near a panel a finger has most room if it leans: at 72 to 80 degrees for 43 mm."""
 HOOK_SHARE = 0.8
 """Share of the pull along the closing axis above which a grasp is a hook [-]."""
 _PARTS = 512
@@ -245,13 +252,16 @@ def elements_near_handle(
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """Return the elements near a handle, and which of them the pads may touch."""
     part = CarriedPart(model, joint, handle.carrier)
-    own = {id(e) for e in handle.elements}
+    own, whole = {id(e) for e in handle.elements}, part_elements(part)
     if handle.in_pieces:
         around = part_pieces(part)
-    else:  # pieces of the handle itself replace its hull
-        cut = {(e.link, e.index) for e in handle.elements}
+    else:
+        hulls = {id(e) for e in whole}
+        cut = {(e.link, e.index) for e in handle.elements if id(e) not in hulls}
         around = tuple(
-            e for e in part_elements(part) if id(e) in own or (e.link, e.index) not in cut
+            piece
+            for e in whole
+            for piece in (in_pieces(part, [e]) if (e.link, e.index) in cut else [e])
         )
     near = near_elements(around, handle.center, HAND_REACH + handle.half_length)
     extra = tuple(e for e in handle.elements if not any(e is other for other in near))
