@@ -184,4 +184,4 @@ def test_no_hand_is_tried_where_none_helps(tmp_path: Path, robots: Callable[[str
     query = replace(query, scene=blocked, task=task)
     result = plans.plan_placement(query)
     assert result.prepared.blocked
-    assert narrower_hands(query, result.prepared) == []
+    assert not list(narrower_hands(query, result.prepared))

@@ -1,21 +1,22 @@
 """Try hands that do not come fully open, if a task fails because of the room that a hand needs.
 
 Fully open fingers can hit the panel behind a handle, a neighbor or a post. A hand that is open to
-a width between the handle's thickness and its own opening passes them. The width is chosen by the
-hand alone: that with the most approach lines on which it is free and the open hand is not.
+a width between the handle's thickness and its own opening passes them. Which widths help is known
+from the hand alone: those with approach lines on which it is free and the open hand is not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.model.records import PoseStatus
-from momapos.model.robots import Robot, opened_to
+from momapos.model.robots import opened_to
 from momapos.planning.grasps import TaskMotion, held_thickness
 
 from .query import PlacementQuery
@@ -31,7 +32,7 @@ MIN_SLACK = 0.016
 """Smallest opening beyond a handle's thickness [m]: 8 mm on each side, since bases stop within
 5 mm of their goals and open hands keep 4 mm from everything."""
 SIMILAR_SHARE = 1 / 3
-"""The widest opening with at least this share of the most lines is preferred [-]."""
+"""Of the openings with at least this share of the narrowest one's lines, the widest is used [-]."""
 _SAME_LINE = 1e-3
 """Difference below which approach lines and openings are the same [m] or [-]."""
 
@@ -52,8 +53,9 @@ def with_narrower_hand(
         return answer  # no way to drive there, for example
     for other in narrower_hands(query, answer.prepared):
         found = plan(other)
-        if found.plan.status == "infeasible" or answer.plan.status == "solved" != found.plan.status:
-            break
+        if found.plan.status != "solved":
+            undecided = found.plan.status == "timeout" and answer.plan.status == "infeasible"
+            return found if undecided else answer
         answer = replace(found, query=replace(other, keep_grasps=query.keep_grasps))
     return answer
 
@@ -64,46 +66,46 @@ def _is_infeasible_beforehand(answer: PlacementResult) -> bool:
     return all(outcome.status is PoseStatus.TASK_INFEASIBLE for outcome in outcomes)
 
 
-def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> list[PlacementQuery]:
-    """Return the question for hands that are not fully open, and only for grasps that these add.
+def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> Iterator[PlacementQuery]:
+    """Yield the question for hands that are not fully open, and only for grasps that these add.
 
-    The hand with the most approach lines comes first, then a wider one, which forgives more. The
-    lines of a wider hand are nearly always among those of a narrower one, so if the first hand
-    fails, the second would.
+    The narrowest hand comes first: the lines of a wider hand are nearly always among its lines, so
+    if it fails, wider ones would. Then comes the widest with similarly many, which forgives more.
 
     Args:
         query: The question.
         prepared: Its task in the scene as it is modeled, for the open hand.
     """
-    robot = query.robot
-    if robot.fully_open is not None or prepared.blocked:
-        return []
-    keep = partial(_added, prepared, query)
-    found: list[tuple[int, Robot]] = []
-    for width in _openings(prepared):
-        hand = opened_to(robot, width)
-        if hand is None:
-            return []
-        ready = prepare(
-            prepared.scene, hand, query.task, query.config,
-            clearance=query.config.place.clearance, keep_grasps=keep,
-        )  # fmt: skip
-        found.append((0 if ready.no_grasp else len(ready.motion.grasps), hand))
-    most = max((count for count, _ in found), default=0)
-    hands = [
-        next(hand for count, hand in found if count >= least)
-        for least in ((most, SIMILAR_SHARE * most) if most else ())
+    if query.robot.fully_open is not None or prepared.blocked:
+        return
+    hands = [opened_to(query.robot, width) for width in _openings(prepared)]
+    queries = [
+        replace(query, robot=hand, keep_grasps=partial(_added, prepared, query))
+        for hand in hands
+        if hand is not None
     ]
-    return [replace(query, robot=hand, keep_grasps=keep) for hand in dict.fromkeys(hands)]
+    most = _lines(queries[0], prepared) if queries else 0
+    if most:
+        yield queries[0]
+        wider = reversed(queries[1:])
+        yield from islice((q for q in wider if _lines(q, prepared) >= SIMILAR_SHARE * most), 1)
+
+
+def _lines(query: PlacementQuery, prepared: PreparedTask) -> int:
+    """Return the number of approach lines on which a hand is free, of those that it adds."""
+    ready = prepare(
+        prepared.scene, query.robot, query.task, query.config,
+        clearance=query.config.place.clearance, keep_grasps=query.keep_grasps,
+    )  # fmt: skip
+    return 0 if ready.no_grasp else len(ready.motion.grasps)
 
 
 def _openings(prepared: PreparedTask) -> list[float]:
-    """Return openings between the thinnest handle and the open hand, the widest first [m]."""
+    """Return openings between the thinnest handle and the open hand, the narrowest first [m]."""
     task, widest = prepared.task, prepared.robot.opening
     thin = held_thickness(prepared.scene.object(task.object), task.joint)
-    steps = np.arange(1, OPENINGS + 1) / OPENINGS
-    widths = np.floor(1e3 * (widest - steps * (widest - thin - MIN_SLACK))) / 1e3
-    return [float(width) for width in widths if width < widest - _SAME_LINE]
+    widths = np.linspace(thin + MIN_SLACK, widest, OPENINGS, endpoint=False)
+    return [round(width, 3) for width in widths.tolist() if width < widest - _SAME_LINE]
 
 
 def _added(
