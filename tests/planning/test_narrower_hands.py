@@ -27,6 +27,7 @@ from momapos.apps.export.phases import PhaseKind, phases_of
 from momapos.apps.export.ros2 import messages
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import save_scene
 from momapos.planning import plan as plans
 from momapos.planning.base_pose_check import plan_at_pose
@@ -78,7 +79,7 @@ def test_a_handle_without_room_is_held_by_a_hand_that_is_less_open(
     assert solved.query is not None
     assert solved.query.robot is robot
     (note,) = solved.notes
-    assert f"the hand is opened to {100 * robot.opening:.1f} cm" in note
+    assert f"the hand opens to {100 * robot.opening:.1f} cm before the robot drives" in note
 
 
 def test_an_open_hand_cannot_do_it(
@@ -144,6 +145,27 @@ def test_a_plan_at_a_pose_may_use_a_hand_that_is_less_open(
     again = plan_at_pose(replace(solved.query, robot=whole), pose)
     assert again.plan.status == "solved"
     assert again.plan.robot_rest == again.prepared.robot.model.held != whole.model.held
+
+
+@pytest.mark.parametrize(
+    ("verb", "when"), [("pick", "before the robot drives"), ("place", "lets go")]
+)
+def test_an_object_among_others_is_taken_by_a_hand_that_is_less_open(
+    robots: Callable[[str], Robot], verb: str, when: str
+) -> None:
+    grid = [(0.07 * i, 0.07 * j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    size = (0.04, 0.04, 0.12)
+    cans = [
+        SceneObject.box("can" if x == y == 0.0 else f"{x},{y}", size, (0.75 + x, y, 0.762))
+        for x, y in grid
+    ]
+    table = SceneObject.box("table", (0.6, 1.2, 0.7), (0.8, 0.0, 0.35))
+    scene = Scene("shelf", (table, *cans), start=np.array([-1.5, 0.0, 0.0]))
+    query = PlacementQuery.of(scene, robots("fetch"), make_task(scene, verb, "can"))
+    result = plans.plan_placement(query)
+    assert result.plan.status == "solved"
+    assert result.prepared.robot.fully_open is robots("fetch")
+    assert when in result.notes[0]
 
 
 def test_the_farthest_opening_is_that_of_any_hand(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from momapos.model.records import PlacementPlan
-from momapos.model.robots import Robot
 from momapos.verification import meets_floor_at
 
 from .task_setup import PreparedTask
@@ -24,16 +23,18 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
     if plan.motion is None or plan.base_pose is None:
         return ()
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
-    notes = (_hand_note(prepared.robot), _floor_note(plan, prepared), outside)
+    notes = (_hand_note(prepared), _floor_note(plan, prepared), outside)
     return tuple(note for note in notes if note)
 
 
-def _hand_note(robot: Robot) -> str:
-    """Return how far the hand is open, if it is not fully open."""
+def _hand_note(prepared: PreparedTask) -> str:
+    """Return how far the hand opens, if not fully."""
+    robot = prepared.robot
     if robot.fully_open is None:
         return ""
+    when = "as it lets go" if prepared.task.verb == "place" else "before the robot drives"
     return (
-        f"the hand is opened to {100 * robot.opening:.1f} cm before the robot drives, not to "
+        f"the hand opens to {100 * robot.opening:.1f} cm {when}, not to "
         f"{100 * robot.fully_open.opening:.1f} cm: a fully open hand has no room"
     )
 
