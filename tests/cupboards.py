@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from tests.meshes import triangles_of, write_obj
 
 from momapos.model.records.latches import Latch
 from momapos.model.records.resistances import JointResistance
@@ -231,3 +232,63 @@ def latched_room(
         scene.objects[0], latch=Latch("turn", to, held), resistance=dict(resistance or {})
     )
     return save_scene(replace(scene, objects=(item,)), folder / "scene.json")
+
+
+def niche(gap: float) -> list[str]:
+    """Return a drawer with a bar in a slot of its front, which is flush with a frame.
+
+    Nothing else can be grasped: the front has no free edge.
+
+    Args:
+        gap: Height of the slot [m].
+    """
+    depth, block = 0.07, (0.2 - gap) / 2
+    x = depth / 2 - 0.25
+    jambs = (((depth, 0.555, block), (x, 0, side * (gap + block) / 2)) for side in (1, -1))
+    back, bottom = ((0.02, 0.555, 0.2), (x + 0.045, 0, 0)), ((0.3, 0.5, 0.02), (0.05, 0, -0.08))
+    handle: Box = ((0.016, 0.2, 0.016), (-0.238, 0, 0))
+    rails_around = [((0.1, 0.56, 0.02), (-0.2, 0, 0.6 + side * 0.115)) for side in (1, -1)]
+    return [
+        fixed_to_carcass(*rails_around),
+        link("tray", back, bottom, *jambs, handle=handle),
+        SLIDE,
+    ]
+
+
+def between_posts(gap: float) -> list[str]:
+    """Return a pull-out of 9 cm between two fixed posts that stand out as far as its bar.
+
+    Args:
+        gap: Distance between the posts [m].
+    """
+    posts = [((0.1, 0.3, 0.9), (-0.31, side * (gap / 2 + 0.15), 0.45)) for side in (1, -1)]
+    front, bottom = ((0.02, 0.09, 0.8), (-0.262, 0, -0.15)), ((0.4, 0.08, 0.02), (-0.05, 0, -0.5))
+    bar: Box = ((0.02, 0.02, 0.2), (-0.32, 0, 0.1))
+    return [fixed_to_carcass(*posts), link("tray", front, bottom, handle=bar), SLIDE]
+
+
+def fixed_to_carcass(*boxes: Box) -> str:
+    """Return the carcass with further boxes."""
+    extra = link("body", *boxes).removeprefix('<link name="body">')
+    return carcass().removesuffix("</link>") + extra
+
+
+def oven_door(folder: Path, gap: float, low: float = 0.15) -> list[str]:
+    """Return a drop-down door that is one mesh with its bow, and writes the mesh.
+
+    Args:
+        folder: Where the mesh is written.
+        gap: Distance of the bow's bar from the door [m].
+        low: Height of the hinge [m].
+    """
+    x, z, t, half = -0.01, 0.44, 0.016, 0.22
+    bow = (
+        ((x - gap - t, -half, z - t / 2), (x - gap, half, z + t / 2)),
+        ((x - gap, -half, z - t / 2), (x, t - half, z + t / 2)),
+        ((x - gap, half - t, z - t / 2), (x, half, z + t / 2)),
+    )
+    write_obj(folder / "door.obj", triangles_of((((-0.01, -0.29, 0.0), (0.01, 0.29, 0.5)), *bow)))
+    mesh = '<collision><geometry><mesh filename="door.obj"/></geometry></collision>'
+    ends, at = ("body", "door"), (-0.262, 0.0, low)
+    hinge = joint("hinge", "revolute", ends, at, (0, -1, 0), (0, 1.6))
+    return [carcass(), f'<link name="door">{mesh}</link>', hinge]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tests.cupboards import LATCHES, furniture_room, latched_room, link
 from tests.real import TOOLS
+from tests.shapes import unchecked
 
 from momapos.apps.export.phases import PhaseKind, phases_of
 from momapos.apps.export.tables import write_csv
@@ -24,7 +25,7 @@ from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.latches import Latch
 from momapos.model.records.plans import Hold, Motion
 from momapos.model.records.resistances import JointResistance
-from momapos.model.robots.robot import Robot
+from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.planning.config import PipelineConfig
@@ -161,8 +162,12 @@ def test_the_exact_check_wants_the_latch_turned_by_the_hand_before_the_part_move
     assert plan.base_pose is not None
     verifier = PlanVerifier(lever_room, robots("fetch"), plan.task)
     assert verifier.check(plan.base_pose, motion).valid
-    for name, wrong in broken(motion).items():
-        report = verifier.check(plan.base_pose, wrong)
+    with unchecked():
+        wrong_motions = broken(motion)
+        reports = {
+            name: verifier.check(plan.base_pose, wrong) for name, wrong in wrong_motions.items()
+        }
+    for name, report in reports.items():
         assert name in {check.name for check in report.violations}, name
     plain = replace(lever_room.object("cupboard"), latch=None)
     other = PlanVerifier(replace(lever_room, objects=(plain,)), robots("fetch"), plan.task)
@@ -196,7 +201,7 @@ def test_a_latch_too_thick_for_the_hand_is_a_no(
 def test_a_hand_without_fingers_cannot_turn_a_latch(
     robots: Callable[[str], Robot], lever_room: Scene
 ) -> None:
-    cup = replace(robots("fetch"), grips="suction")
+    cup = replace(robots("fetch"), grips=Grip.SUCTION)
     answer = answer_of(lever_room, cup)
     assert answer.plan.status == "infeasible"
 

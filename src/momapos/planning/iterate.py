@@ -53,6 +53,8 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
     left = clock()
     yield first
     away += clock() - left
+    robot = first.prepared.robot  # its hand may be less open than the query's
+    query = replace(query, robot=robot)
     motion = task_motion(scene, robot, task, config.motion)
     ready = prepare_search(query, scene, motion)
     for found in iter_searches(ready.problem, config.place, np.random.default_rng(query.seed)):

@@ -16,7 +16,7 @@ import numpy as np
 
 from momapos.core import Clock, InputError, SceneError, Stopwatch, version_of
 from momapos.model.records import Motion, PlacementPlan, ReachScorer
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, opened_as
 from momapos.model.scene import Scene
 from momapos.planning import PipelineConfig, start_pose
 from momapos.planning.grasps import task_motion
@@ -83,7 +83,7 @@ def run_plan(
     Args:
         plan: A solved plan for this scene and robot.
         scene: The scene, as the robot believes it.
-        robot: The robot.
+        robot: The robot; its hand is as open as in the plan.
         reach: The robot's reachability map, for replanning.
         start: Initial base pose; by default the plan's, else the scene's.
         world: The true world, in the frame of `scene`; the scene by default. The robot plans and
@@ -114,7 +114,7 @@ def run_plan(
         raise InputError(f"the plan is 'assumed' ({plan.assumes}); allow_assumed=True executes it")
     if not plan.feasible or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
-    scene = scene.with_resistance(plan.resistance)
+    scene, robot = scene.with_resistance(plan.resistance), opened_as(robot, plan.robot_rest)
     # A replanned motion must open the part exactly as far as planned.
     plan = replace(plan, task=replace(plan.task, farthest=False))
     there = None

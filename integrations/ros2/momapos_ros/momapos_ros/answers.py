@@ -12,6 +12,7 @@ import momapos
 from momapos.apps.export.phases import Phase, PhaseKind, phases_of
 from momapos.apps.export.ros2 import messages
 from momapos.core.errors import TaskError
+from momapos.model.robots.hand_openings import opened_as
 
 scene_of = cache(momapos.load_scene)
 robot_of = cache(momapos.load_robot)
@@ -102,7 +103,8 @@ def answer_at(given: Answer, reached: Pose) -> Answer:
         TaskError: There is no motion from there; the message states the reason.
     """
     question = given.question
-    scene, robot = scene_of(question.scene), robot_of(question.robot)
+    scene = scene_of(question.scene)
+    robot = opened_as(robot_of(question.robot), given.plan.robot_rest)
     attempt = momapos.check_base_pose(
         scene, robot, task_of(question), reached, map_of(question.robot), how_far=False
     )

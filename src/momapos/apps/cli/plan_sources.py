@@ -152,13 +152,13 @@ def open_run(
 
 
 def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:
-    """Load the robot of a plan.
+    """Load the robot of a plan, its hand as open as in the plan.
 
     Raises:
         RobotError: There is no robot file, or it describes another robot.
     """
     from momapos.core import RobotError, user_cache
-    from momapos.model.robots import find_named_robot, library_names, load_robot
+    from momapos.model.robots import find_named_robot, library_names, load_robot, opened_as
 
     nearby = urdf.with_suffix(".toml")
     if given is not None:
@@ -183,4 +183,4 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
             f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
             f"joints {', '.join(content.joints)}; {robot.path} describes another robot"
         )
-    return robot
+    return opened_as(robot, content.robot_rest)

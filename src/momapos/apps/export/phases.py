@@ -11,7 +11,7 @@ import numpy as np
 from momapos.core import InputError
 from momapos.model import DEFAULT, SpeedConfig, time_motion, time_path
 from momapos.model.records import Motion, PlacementPlan, Verb
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, opened_as
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -54,8 +54,8 @@ def phases_of(
 ) -> tuple[Phase, ...]:
     """Return the phases of a solved plan, in order.
 
-    The base drives along its path with the arm at home. Then the arm moves, and rests while the
-    gripper closes or opens.
+    A hand that is not fully open in the plan is opened to that width first. The base drives along
+    its path with the arm at home. Then the arm moves, and rests while the gripper closes or opens.
 
     Args:
         plan: A solved plan.
@@ -69,8 +69,14 @@ def phases_of(
     if plan.motion is None or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: it has no motion to export")
     motion, base, verb = plan.motion, np.array(plan.base_pose), plan.task.verb
-    phases = [] if plan.base_path is None else [_drive(plan.base_path, motion, robot, step)]
+    robot = opened_as(robot, plan.robot_rest)
     q, now = _first(motion), _Now.of(motion)
+    phases: list[Phase] = []
+    if robot.fully_open is not None and verb != "place":
+        begin = base if plan.base_path is None else plan.base_path[0]
+        phases.append(_gripper(PhaseKind.OPEN, begin, q, now))
+    if plan.base_path is not None:
+        phases.append(_drive(plan.base_path, motion, robot, step))
     if verb == "place":
         phases.append(_gripper(PhaseKind.CLOSE, base, q, now))
     for part in _parts(verb, motion):

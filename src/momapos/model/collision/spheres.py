@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import apply
+from momapos.core.geometry import apply, invert
 from momapos.model.kinematics import Segments, SphereArrays
 from momapos.model.urdf import Articulated, Boxes
 
@@ -144,6 +144,24 @@ def build_spheres(
         exact=np.zeros(len(pairs), bool),
         base_exact=np.zeros_like(against),
     )
+
+
+def reposed(spheres: Spheres, model: Articulated, before: Segments, after: Segments) -> Spheres:
+    """Return the spheres of a robot whose links rest elsewhere, such as its fingers.
+
+    Args:
+        spheres: The robot.
+        model: The robot with the other rest values.
+        before, after: The poses of its links.
+    """
+    Ts = np.array(
+        [after.T_segment_link[n] @ invert(before.T_segment_link[n]) for n in spheres.links]
+    )
+    each = np.repeat(Ts, np.diff(spheres.start), axis=0)
+    center = np.einsum("sij,sj->si", each[:, :3, :3], spheres.center) + each[:, :3, 3]
+    bound = np.einsum("gij,gj->gi", Ts[:, :3, :3], spheres.bound_center) + Ts[:, :3, 3]
+    hulls = link_hulls(model, after, spheres.links, _standing(model, after))
+    return replace(spheres, center=center, bound_center=bound, hulls=hulls)
 
 
 def _role(model: Articulated, link: str, gripper_links: set[str]) -> int:

@@ -26,6 +26,7 @@ from .handle_shapes import (
     clusters,
     corners,
     front_along,
+    in_pieces,
     longest_name,
     named_elements,
     named_shapes,
@@ -91,6 +92,17 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
     return part_path(item, CarriedPart(item.model, joint, handle.carrier), handle.center, to)
 
 
+def held_thickness(item: SceneObject, joint: str | None) -> float:
+    """Return the thickness of a part's thinnest handle, else of its edges, or of an object [m]."""
+    if joint is None:
+        poses = item.link_poses()
+        hulls = [apply(poses[n], h.vertices) for n in poses for h in item.model.hulls[n]]
+        return float(2 * item.model.box_around(np.concatenate(hulls))[2].min())
+    found = find_handles(item.posed_model(joint), joint, opening_of(item.model, joint).sign)
+    handles = [handle for handle in found if not handle.edge] or found
+    return min(handle.thickness for handle in handles)
+
+
 def find_handle(model: Articulated, joint: str, sign: float, latch: str | None = None) -> Handle:
     """Return the first handle of a part, or of a latch on it; see `handles_in_turn`.
 
@@ -128,10 +140,10 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
     bodies = [part for part in parts if own_elements(part)]
     if not bodies and not known:
         raise TaskError(f"joint {joint!r} moves no geometry; it must move a link with a shape")
-    taken = {id(e) for handle in known for e in handle.elements}
+    taken = {(e.link, e.index) for handle in known for e in handle.elements}
     edges: list[Handle] = []
     for part in bodies:
-        bare = tuple(e for e in own_elements(part) if id(e) not in taken)
+        bare = tuple(e for e in own_elements(part) if (e.link, e.index) not in taken)
         edges += free_edges(bare or own_elements(part), part, sign)
     cut = () if known else (h for part in parts for h in handles_by_pieces(part, sign))
     return (*known, *cut, *edges)
@@ -161,8 +173,10 @@ def handles_in_turn(
         return
     found = find_handles(model, joint, sign)
     yield from (h for h in found if not h.edge)
+    known = {id(e) for h in found for e in h.elements}
     for part in parts_moved_by(model, joint):
-        yield from (h for h in handles_by_pieces(part, sign) if h not in found)
+        cut = (h for h in handles_by_pieces(part, sign) if h not in found)
+        yield from (h for h in cut if not known >= {id(e) for e in h.elements})
     yield from (h for h in found if h.edge)
 
 
@@ -235,7 +249,7 @@ def _on_face(
     front = front_along(panel, face) if panel else -np.inf
     out = [g for g in clusters(named) if (corners(g) @ face).max() > front + MIN_PROTRUSION]
     handles = [_of(HandleSource.NAME, group, part, sign, own, facing) for group in out[:1]]
-    known = {id(e) for handle in handles for e in handle.elements}
+    known = {id(e) for group in out[:1] for e in group}
     shaped = protrusions(own, face) or protrusions((*own, *visual_elements(part)), face)
     groups = [group for group in shaped if not known & {id(e) for e in group}]
     return handles + _by_shape(groups, part, sign, own, facing)
@@ -326,6 +340,11 @@ def _of(
     length = float(half[along])
     others = [e for e in own if not any(e is mine for mine in group)]
     core = core_of(center, long * length, out, float(half[out_axis]), group, others)
+    if core.kind is HandleKind.LIP and len(cut := in_pieces(part, group)) > len(group):
+        # The hull of a bow fills the space behind its bar.
+        bow = core_of(center, long * length, out, float(half[out_axis]), cut, others)
+        if bow.kind is not HandleKind.LIP:
+            core, group = bow, cut
     kind = core.kind if length >= KNOB_ELONGATION * half[side] else HandleKind.KNOB
     thickness = 2 * float(min(half[side], half[along]))
     return Handle(
