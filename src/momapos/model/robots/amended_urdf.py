@@ -117,8 +117,8 @@ class Amendments:
         """
         text = self.text(urdf)
         if text is None:
-            return read_urdf(urdf, cache=cache, visuals=False), None
-        model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path)
+            return read_urdf(urdf, cache=cache, visuals=False, actuated=True), None
+        model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path, actuated=True)
         check_coupled(model, self.coupled, f"{urdf} (coupled)")
         return model, text
 

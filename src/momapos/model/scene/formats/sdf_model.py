@@ -13,9 +13,18 @@ import numpy as np
 
 from momapos.core import FileFormatError
 from momapos.core.geometry import invert, pose, pose_rpy, rotation_of
-from momapos.model.urdf import Geometry, Joint, JointKind, Link, Mesh, Urdf, mesh_triangles
+from momapos.model.urdf import (
+    Geometry,
+    Joint,
+    JointKind,
+    Link,
+    Mesh,
+    Urdf,
+    capsule_shapes,
+    mesh_triangles,
+)
 
-from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
+from .composed_shapes import MIN_FLOOR_NORMAL_Z, ellipsoid, plane
 from .imported_room import ImportReport, JointDynamics, Names, RoomObject
 
 if TYPE_CHECKING:
@@ -269,7 +278,7 @@ class Model:
             return [Geometry("cylinder", tuple(sizes("radius", "length")), T, name)]
         if shape.tag == "capsule":
             radius, length = sizes("radius", "length")
-            return capsule(radius, length, T, name)
+            return capsule_shapes(radius, length, T, name)
         if shape.tag == "ellipsoid":
             a, b, c = sizes("radii")
             self.report.approximated["ellipsoids as meshes"] += solid
