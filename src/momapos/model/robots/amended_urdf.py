@@ -1,4 +1,4 @@
-"""URDFs with the additions of a robot file: frames, a mount, package folders and mimic joints."""
+"""URDFs with the additions of a robot file: frames, a mount, packages, mimic joints, limits."""
 
 from __future__ import annotations
 
@@ -68,13 +68,16 @@ class Amendments:
     """Package folders by name."""
     coupled: Mapping[str, Mimic] = field(default_factory=dict)
     """Mimic joints by name; they replace those of the URDF."""
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Limits of joints, by joint and by name as in `<limit>`; they replace those of the URDF."""
     content: str | None = None
     """Content of the URDF, if it is not in a file yet."""
 
     @property
     def none(self) -> bool:
         """Whether the URDF is used unchanged."""
-        return not (self.frames or self.mount or self.packages or self.coupled or self.content)
+        changes = self.frames, self.mount, self.packages, self.coupled, self.limits, self.content
+        return not any(changes)
 
     def text(self, urdf: Path) -> str | None:
         """Return the URDF with all additions and absolute mesh paths; None if it is unchanged.
@@ -104,6 +107,7 @@ class Amendments:
             _fix(tree, frame.parent, frame.name, frame.xyz, frame.rpy)
             links.append(frame.name)
         _couple(tree, self.coupled, urdf)
+        _limit(tree, self.limits, urdf)
         return tostring(tree, encoding="unicode")
 
     def read(self, urdf: Path, cache: Cache | None = None) -> tuple[Urdf, str | None]:
@@ -153,6 +157,26 @@ def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
     every = mimics(tree, urdf, 1.0)
     for name in follows:
         leader_of(name, every, where, RobotError)
+
+
+def _limit(tree: Element, limits: Mapping[str, Mapping[str, float]], urdf: Path) -> None:
+    """Replace limits of joints. A range replaces soft limits, and ends the turns of a joint."""
+    movable = {j.get("name", ""): j for j in tree.findall("joint") if j.get("type") != "fixed"}
+    for name, values in limits.items():
+        joint = movable.get(name)
+        if joint is None:
+            raise unknown_name("movable joint", name, movable, f"{urdf} (limits)")
+        limit = joint.find("limit")
+        limit = SubElement(joint, "limit") if limit is None else limit
+        for key, value in values.items():
+            limit.set(key, f"{value:.17g}")
+        if "acceleration" in values:
+            limit.attrib.pop("deceleration", None)
+        if values.keys() & {"lower", "upper"}:
+            for safety in joint.findall("safety_controller"):
+                joint.remove(safety)
+            if joint.get("type") == "continuous":
+                joint.set("type", "revolute")
 
 
 def portable(text: str, folder: Path, what: str) -> str:

@@ -28,14 +28,17 @@ from .base_guess import (
     find_drive,
     find_footprint,
     lift_as_base,
+    refuse_car,
     refuse_without_base,
 )
+from .drive_guess import drive_of
 from .fingers import find_force, jaws
 from .gripper_guess import find_grip, find_grips, find_tool, listed
 from .joint_tree import MIN_ARM_JOINTS, ArmChain, find_anchor, find_arms
 from .never_checked import NESTED, nested_pairs, rigid_pairs, without
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
+from .running_gear import RunningGear, find_running_gear, mesh_names
 from .srdf import Srdf, find_srdf, srdf_next_to
 
 if TYPE_CHECKING:
@@ -111,16 +114,19 @@ def derive_robot(
     report(0.0, "reading")
     amendments = Amendments(mount=source.mount, packages=source.packages, content=source.content)
     model = Articulated(amendments.read(urdf, cache)[0], cache=cache)
+    notes = list(model.urdf.notes)
     if len(model.links) > MAX_LINKS:
         raise RobotError(f"{urdf}: {len(model.links)} links; a robot has at most {MAX_LINKS}")
-    notes: list[str] = []
     anchor = find_anchor(model, notes)
     srdf = find_srdf(source.near or urdf, model.urdf.name)
     report(0.1, "geometry")
-    chains = _chains(model, anchor, source, srdf, notes)
+    gear = find_running_gear(model, anchor, mesh_names(source.content, urdf))
+    guess = drive_of(gear)
+    refuse_car(model, guess)
+    chains = _chains(model, anchor, source, srdf, gear, notes)
     couplings = {name: mimic for chain in chains for name, mimic in chain.coupled}
     firsts = [chain.joints[0] for chain in chains]
-    base_link, floor = find_base_link(model, anchor, firsts, notes)
+    base_link, floor = find_base_link(model, anchor, firsts, gear, guess, notes)
     names = _arm_names(model, chains)
     arms = {
         name: _tool(model, chain, name, notes) for name, chain in zip(names, chains, strict=True)
@@ -129,7 +135,7 @@ def derive_robot(
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
     model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
     footprint = find_footprint(model, base_link, firsts, notes)
-    drive = find_drive(model, anchor, source.mount is not None, notes)
+    drive = find_drive(model, anchor, source.mount is not None, guess, notes)
     pairs: dict[tuple[str, str], str] = {}
     for index, name in enumerate(names):
         report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")
@@ -163,17 +169,22 @@ def derive_robot(
 
 
 def _chains(
-    model: Articulated, anchor: str, source: RobotSource, srdf: Srdf, notes: list[str]
+    model: Articulated,
+    anchor: str,
+    source: RobotSource,
+    srdf: Srdf,
+    gear: RunningGear,
+    notes: list[str],
 ) -> list[ArmChain]:
     """Find the arms, without a lift that belongs to the base.
 
     Raises:
         RobotError: There is no arm, or no base below it.
     """
-    chains = find_arms(model, anchor, _fingers(model, srdf), notes)
+    chains = find_arms(model, anchor, _fingers(model, srdf), gear.joints, notes)
     _note_groups(model, chains, srdf, notes)
     if source.mount is None:
-        refuse_without_base(model, anchor, [chain.joints[0] for chain in chains])
+        refuse_without_base(model, anchor, [chain.joints[0] for chain in chains], gear)
     return [replace(chain, joints=lift_as_base(model, chain.joints, notes)) for chain in chains]
 
 

@@ -108,6 +108,7 @@ class RobotText:
         for frame in self.frames:
             lines += ["", f"[frames.{quoted(frame.name)}]", key("parent", frame.parent)]
             lines += [f"xyz = {listed(np.array(frame.xyz))}"]
+            lines += [f"rpy = {listed(np.array(frame.rpy))}"] if any(frame.rpy) else []
         if self.packages:
             lines += ["", "[packages]"]
             lines += [f"{quoted(name)} = {quoted(path)}" for name, path in self.packages.items()]
