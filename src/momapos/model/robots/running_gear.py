@@ -153,12 +153,8 @@ class _Finder:
         self.model, self.meshes = model, meshes
         T = invert(model.rest_poses[anchor])
         self.poses = {link: T @ pose for link, pose in model.rest_poses.items()}
-        low = [
-            apply(self.poses[n], h.vertices)[:, 2].min()
-            for n in model.links
-            for h in model.hulls[n]
-        ]
-        self.ground = float(min(low, default=0.0))
+        body = [apply(self.poses[n], h.vertices) for n in model.links for h in model.hulls[n]]
+        self.ground = float(min((points[:, 2].min() for points in body), default=0.0))
 
     def wheels(self, joint: Joint, above: tuple[Joint, ...]) -> list[Wheel] | None:
         """Return the wheels that a joint carries; None if it carries something else, too."""
