@@ -27,17 +27,15 @@ MAX_NAMED = 4
 class JointReader:
     """Converts `<joint>` elements to records, and collects what it reads differently."""
 
-    def __init__(self, path: Path, scale: float, *, actuated: bool, version: str) -> None:
+    def __init__(self, path: Path, scale: float, *, actuated: bool) -> None:
         """Set what all joints share.
 
         Args:
             path: The URDF.
             scale: Factor of lengths [-].
             actuated: Whether motors move the joints, so that soft limits count.
-            version: Its version; from 1.2 on, a soft limit that is left out is none, not 0.
         """
         self.path, self.scale, self.actuated = path, scale, actuated
-        self.open = ("-inf", "inf") if version >= "1.2" else ("0", "0")
         self.without_axis: list[str] = []
         self.notes: dict[str, list[str]] = {}
 
@@ -89,8 +87,8 @@ class JointReader:
         """Return the joint within the soft limits of its `<safety_controller>`; zeros mean none."""
         if safety is None or not self.actuated or not joint.movable:
             return joint
-        lower = factor * numbers(safety, "soft_lower_limit", self.open[0])[0]
-        upper = factor * numbers(safety, "soft_upper_limit", self.open[1])[0]
+        keys = ("soft_lower_limit", "soft_upper_limit")
+        lower, upper = (factor * numbers(safety, key, "0")[0] for key in keys)
         if any(numbers(safety, key, "0")[0] for key in ("k_position", "k_velocity")):
             self._note(_GAINS, joint.name)
         if lower == upper == 0.0:

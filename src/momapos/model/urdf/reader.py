@@ -29,7 +29,7 @@ from .urdf_tree import (
     fix_root_joints,
     mimics,
     read_tree,
-    version_of,
+    version_notes,
 )
 
 __all__ = [
@@ -110,14 +110,14 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
 def _parse(text: str, path: Path, scale: float, *, actuated: bool) -> tuple[Urdf, tuple[str, ...]]:
     """Return a checked URDF without mesh files, and the names of these in order."""
     tree = read_tree(text, path)
-    version, notes = version_of(tree)
+    notes = version_notes(tree)
     rigid, follows = fix_root_joints(tree), mimics(tree, path, scale)
     elements = {link.get("name", ""): link for link in tree.findall("link")}
     if not elements:
         raise UrdfError(f"{path}: has no links")
     if len(elements) != len(tree.findall("link")):
         raise UrdfError(f"{path}: two links share a name; link names must be unique")
-    by_joint = JointReader(path, scale, actuated=actuated, version=version)
+    by_joint = JointReader(path, scale, actuated=actuated)
     joints = [by_joint.joint(element) for element in tree.findall("joint")]
     duplicate = next((n for n, k in Counter(joint.name for joint in joints).items() if k > 1), None)
     if duplicate is not None:

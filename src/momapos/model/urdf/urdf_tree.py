@@ -186,18 +186,16 @@ def link_of(joint: Element, end: str) -> str:
     return "" if element is None else element.get("link", "")
 
 
-def version_of(tree: Element) -> tuple[str, list[str]]:
-    """Return the version of a URDF, and in words what it says differently from the file's content.
+def version_notes(tree: Element) -> list[str]:
+    """Return in words how the version of a URDF differs from its content.
 
-    A feature of a later version is read in a file of any version.
+    Every known feature is read in a file of any version.
     """
     stated = tree.get("version", VERSIONS[0])
     if stated not in VERSIONS:
-        return VERSIONS[-1], [
-            f"version {stated!r:.40} of <robot> is unknown; the file is read as {VERSIONS[-1]}"
-        ]
+        return [f"version {stated!r:.40} of <robot> is unknown; the file is read as {VERSIONS[-1]}"]
     if stated > VERSIONS[0]:
-        return stated, []
+        return []
     later = [
         word
         for word, found in (
@@ -207,7 +205,7 @@ def version_of(tree: Element) -> tuple[str, list[str]]:
         if found
     ]
     words = f"{' and '.join(later)} are of URDF 1.1, but <robot> states no version above 1.0; they"
-    return stated, [f"{words} are read, while ROS leaves them out"] if later else []
+    return [f"{words} are read, while ROS leaves them out"] if later else []
 
 
 def mimics(tree: Element, path: Path, scale: float) -> dict[str, Mimic]:
