@@ -95,6 +95,7 @@ def robot_check(
     on_box: BoxArg = None,
     package: PackagesArg = (),
     xacro_arg: XacroArg = (),
+    visual_hulls: Flag = False,
     plot: OptionalFile = None,
     json: Flag = False,
 ) -> int:
@@ -109,6 +110,7 @@ def robot_check(
         on_box: Put an arm without a base on a driving box of this size, LENGTHxWIDTHxHEIGHT [m].
         package: Folder of a ROS package that the file names, as NAME=DIR.
         xacro_arg: An argument of a xacro file, as NAME=VALUE.
+        visual_hulls: Let the hulls of what is drawn stand in for bodies without collision shapes.
         plot: Draw the robot at home, from above and from its right (PNG, SVG or PDF).
         json: Print one JSON object instead of text.
     """
@@ -118,9 +120,10 @@ def robot_check(
     args, box = _pairs(xacro_arg, "--xacro-arg"), _box(on_box)
     derives = file.suffix.lower() in DERIVED_FROM
     if not derives:
-        if (out, on_box, package, xacro_arg) != (None, None, (), ()):
+        if (out, on_box, package, xacro_arg, visual_hulls) != (None, None, (), (), False):
             raise RobotError(
-                f"--out, --on-box, --package and --xacro-arg need a URDF; {file} is a robot file"
+                "--out, --on-box, --package, --xacro-arg and --visual-hulls need a URDF; "
+                f"{file} is a robot file"
             )
         find_named_robot(str(file))
     for name, folder in packages.items():
@@ -137,7 +140,7 @@ def robot_check(
             from momapos.model.robots import Mount, RobotSource, write_robot
 
             mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
-            source = RobotSource(file, mount, packages)
+            source = RobotSource(file, mount, packages, visual_hulls=visual_hulls)
             file, derived = write_robot(source, out, args=args, cache=cache, report=report)
             guesses = derived.assumptions
         arms = load_arms(file, cache=cache)

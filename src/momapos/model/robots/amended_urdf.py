@@ -19,6 +19,7 @@ from momapos.model.urdf import (
     check_coupled,
     fix_root_joints,
     leader_of,
+    link_of,
     mimics,
     read_tree,
     read_urdf,
@@ -70,14 +71,16 @@ class Amendments:
     """Mimic joints by name; they replace those of the URDF."""
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Limits of joints, by joint and by name as in `<limit>`; they replace those of the URDF."""
+    visual_hulls: bool = False
+    """Whether bodies without collision shapes get the hulls of what is drawn."""
     content: str | None = None
     """Content of the URDF, if it is not in a file yet."""
 
     @property
     def none(self) -> bool:
         """Whether the URDF is used unchanged."""
-        changes = self.frames, self.mount, self.packages, self.coupled, self.limits, self.content
-        return not any(changes)
+        tables = self.frames, self.mount, self.packages, self.coupled, self.limits
+        return not (any(tables) or self.visual_hulls or self.content)
 
     def text(self, urdf: Path) -> str | None:
         """Return the URDF with all additions and absolute mesh paths; None if it is unchanged.
@@ -133,12 +136,29 @@ class Amendments:
         )
         tree = read_tree(text, urdf)
         finder = MeshFinder(urdf, packages=self.packages)
+        if self.visual_hulls:
+            _draw_collisions(tree)
         for link in tree.iter("link"):
             for visual in link.findall("visual"):  # not used, and their meshes are often missing
                 link.remove(visual)
+        finder.check_packages(mesh.get("filename", "") for mesh in tree.iter("mesh"))
         for mesh in tree.iter("mesh"):
             mesh.set("filename", str(finder.find(mesh.get("filename", ""))))
         return tree
+
+
+def _draw_collisions(tree: Element) -> None:
+    """Give bodies without collision shapes those that are drawn; fixed joints join a body."""
+    body = {link.get("name", ""): link.get("name", "") for link in tree.findall("link")}
+    for joint in tree.findall("joint"):
+        if joint.get("type") == "fixed":
+            one, other = (body.get(link_of(joint, end), "") for end in ("parent", "child"))
+            body = {name: one if root == other else root for name, root in body.items()}
+    solid = {body[link.get("name", "")] for link in tree.findall("link[collision]")}
+    for link in tree.findall("link[visual]"):
+        if body[link.get("name", "")] not in solid:
+            for visual in link.findall("visual"):
+                visual.tag = "collision"
 
 
 def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,7 +38,7 @@ from .joint_tree import MIN_ARM_JOINTS, ArmChain, find_anchor, find_arms
 from .never_checked import NESTED, nested_pairs, rigid_pairs, without
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
-from .running_gear import RunningGear, find_running_gear, mesh_names
+from .running_gear import RunningGear, drawn_meshes, find_running_gear
 from .srdf import Srdf, find_srdf, srdf_next_to
 
 if TYPE_CHECKING:
@@ -61,6 +61,8 @@ class RobotSource:
     """Package folders by name."""
     content: str | None = None
     """Content of the URDF, if it is not in a file yet."""
+    visual_hulls: bool = False
+    """Whether bodies without collision shapes get the hulls of what is drawn."""
     near: Path | None = None
     """File whose folder is searched for an SRDF; None for the URDF."""
 
@@ -112,7 +114,10 @@ def derive_robot(
         source = RobotSource(source)
     urdf, out = source.urdf, out or source.urdf.with_suffix(".toml")
     report(0.0, "reading")
-    amendments = Amendments(mount=source.mount, packages=source.packages, content=source.content)
+    amendments = Amendments(
+        mount=source.mount, packages=source.packages, visual_hulls=source.visual_hulls,
+        content=source.content,
+    )  # fmt: skip
     model = Articulated(amendments.read(urdf, cache)[0], cache=cache)
     notes = list(model.urdf.notes)
     if len(model.links) > MAX_LINKS:
@@ -120,7 +125,8 @@ def derive_robot(
     anchor = find_anchor(model, notes)
     srdf = find_srdf(source.near or urdf, model.urdf.name)
     report(0.1, "geometry")
-    gear = find_running_gear(model, anchor, mesh_names(source.content, urdf))
+    drawn = drawn_meshes(source.content, urdf)
+    gear = find_running_gear(model, anchor, drawn)
     guess = drive_of(gear)
     refuse_car(model, guess)
     chains = _chains(model, anchor, source, srdf, gear, notes)
@@ -129,7 +135,8 @@ def derive_robot(
     base_link, floor = find_base_link(model, anchor, firsts, gear, guess, notes)
     names = _arm_names(model, chains)
     arms = {
-        name: _tool(model, chain, name, notes) for name, chain in zip(names, chains, strict=True)
+        name: _tool(model, chain, name, drawn, notes)
+        for name, chain in zip(names, chains, strict=True)
     }
     frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
@@ -161,6 +168,7 @@ def derive_robot(
         coupled=couplings,
         frames=frames,
         mount=source.mount,
+        visual_hulls=source.visual_hulls,
         mount_urdf="" if mount_urdf is None else _relative(mount_urdf, out),
         packages={name: _relative(folder, out) for name, folder in source.packages.items()},
     )
@@ -268,12 +276,14 @@ def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
     return [f"arm{index + 1}" for index in range(len(chains))]
 
 
-def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _Arm:
+def _tool(
+    model: Articulated, chain: ArmChain, name: str, drawn: Collection[str], notes: list[str]
+) -> _Arm:
     """Return the tool of an arm, as far as it does not depend on states of the arm."""
     mine: list[str] = []
     link, gripper, fingers = find_tool(model, chain.last, mine)
     grip = find_grip(model, chain.last, link, fingers, mine)
-    grips = find_grips(model, chain.last, fingers, mine)
+    grips = find_grips(model, chain.last, fingers, drawn, mine)
     force = None
     if fingers and grips == "fingers":
         sides = jaws(model, link, fingers, grip.closing)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -276,10 +276,23 @@ def _one_jaw(
     return GripperGeometry(approach, closing, opening, grasp, rest)
 
 
-def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: list[str]) -> str:
+def find_grips(
+    model: Articulated,
+    last: str,
+    fingers: Sequence[str],
+    drawn: Collection[str],
+    notes: list[str],
+) -> str:
     """Return what a tool holds with, as in robot files: fingers, suction or hook.
 
     Moving fingers close; a tool without any is a suction cup or a hook by its name.
+
+    Args:
+        model: The robot.
+        last: Link that the arm's last joint moves.
+        fingers: First links of its fingers.
+        drawn: Links with a shape, drawn ones too.
+        notes: Receives the assumptions.
     """
     names = " ".join(fixed_to(model, last))
     shaped = [name for name in fingers if any(model.hulls[n] for n in model.links_below(name))]
@@ -290,9 +303,16 @@ def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: lis
     elif not moving and _HOOK.search(names):
         grips = "hook"
     if grips == "fingers" and not moving:
+        only = [n for name in fingers for n in model.links_below(name) if n in drawn]
+        help_ = (
+            f"its fingers ({', '.join(only)}) are only drawn: with --visual-hulls of momapos robot "
+            "check, or visual_hulls = true in the robot file, the hulls of their drawings count"
+            if only
+            else "use a URDF with the gripper, or set grips to suction or hook"
+        )
         notes.append(
             "IMPORTANT: grips: no finger with a collision shape moves, so the tool holds nothing; "
-            "use a URDF with the gripper, or set grips to suction or hook"
+            + help_
         )
     else:
         notes.append(f"grips: {grips}, {'which close' if grips == 'fingers' else 'by its name'}")

@@ -66,10 +66,11 @@ def check_version(table: TomlTable) -> None:
 
 
 def amendments_of(table: TomlTable) -> Amendments:
-    """Return the additions to the URDF: tables frames, mount, packages, coupled and limits."""
+    """Return the additions to the URDF: visual_hulls, and the tables named here."""
     return Amendments(
-        _frames(table), _mount(table), _packages(table), _couplings(table), _limits(table)
-    )
+        _frames(table), _mount(table), _packages(table), _couplings(table), _limits(table),
+        table.flag("visual_hulls"),
+    )  # fmt: skip
 
 
 def _frames(table: TomlTable) -> tuple[AddedFrame, ...]:

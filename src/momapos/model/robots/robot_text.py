@@ -51,6 +51,7 @@ class RobotText:
     coupled: Mapping[str, Mimic]
     frames: Sequence[AddedFrame]
     mount: Mount | None
+    visual_hulls: bool
     mount_urdf: str
     packages: Mapping[str, str]
 
@@ -64,6 +65,7 @@ class RobotText:
             f"name = {quoted(self.name)}",
             key("urdf", self.urdf),
             *([key("srdf", self.srdf)] if self.srdf else []),
+            *(["visual_hulls = true"] if self.visual_hulls else []),
             f"base_link = {quoted(self.base_link)}",
             *([] if one is None else _arm(one)),
             "",

@@ -124,8 +124,8 @@ def find_running_gear(
     )
 
 
-def mesh_names(content: str | None, urdf: Path) -> dict[str, list[str]]:
-    """Return the file names of meshes by link, as a URDF states them; drawn ones too.
+def drawn_meshes(content: str | None, urdf: Path) -> dict[str, list[str]]:
+    """Return the links that have a shape, drawn ones too, with the file names of their meshes.
 
     Args:
         content: The URDF's content; None to read it.
@@ -134,7 +134,8 @@ def mesh_names(content: str | None, urdf: Path) -> dict[str, list[str]]:
     text = read_text_bounded(urdf, MAX_URDF_BYTES, error=UrdfError) if content is None else content
     return {
         link.get("name", ""): [mesh.get("filename", "") for mesh in link.iter("mesh")]
-        for link in read_tree(text, urdf).iter("link")
+        for link in read_tree(text, urdf).findall("link")
+        if link.find("visual") is not None or link.find("collision") is not None
     }
 
 

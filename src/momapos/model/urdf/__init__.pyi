@@ -41,5 +41,6 @@ from .urdf_records import joint_motion as joint_motion
 from .urdf_tree import MAX_LINKS as MAX_LINKS
 from .urdf_tree import MAX_URDF_BYTES as MAX_URDF_BYTES
 from .urdf_tree import fix_root_joints as fix_root_joints
+from .urdf_tree import link_of as link_of
 from .urdf_tree import mimics as mimics
 from .urdf_tree import read_tree as read_tree

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -91,7 +91,10 @@ def read_urdf(
         lambda: _parse(content, path, scale, actuated=actuated),
         (Urdf, Link, Joint, Geometry, Mimic),
     )  # fmt: skip
-    find = find_mesh or MeshFinder(path, root).find
+    finder = MeshFinder(path, root)
+    if find_mesh is None:
+        finder.check_packages(_needed(urdf, meshes, visuals=visuals and find_visual is None))
+    find = find_mesh or finder.find
     drawn = find_visual or (lambda _, name: find(name))
     urdf = _with_meshes(urdf, path, iter(meshes), find, drawn if visuals else lambda *_: None)
     if visuals:
@@ -140,6 +143,18 @@ def _parse(text: str, path: Path, scale: float, *, actuated: bool) -> tuple[Urdf
         without_axis=tuple(by_joint.without_axis),
     )  # fmt: skip
     return urdf, tuple(reader.meshes)
+
+
+def _needed(urdf: Urdf, meshes: Sequence[str], *, visuals: bool) -> list[str]:
+    """Return the names of the meshes that must exist, of all meshes in the order of the links."""
+    needed = [
+        shapes is link.collisions or visuals
+        for link in urdf.links.values()
+        for shapes in (link.collisions, link.visuals)
+        for shape in shapes
+        if shape.kind == "mesh"
+    ]
+    return [name for name, used in zip(meshes, needed, strict=True) if used]
 
 
 def _with_meshes(
