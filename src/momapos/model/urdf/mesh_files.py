@@ -101,7 +101,7 @@ class MeshFinder:
             looked = ", ".join(str(folder) for folder in self._folders)
             options = " ".join(f"--package {name}=DIR" for name in lost)
             raise UrdfError(
-                f"{self.path}: the packages {', '.join(map(repr, lost))} were not found (searched in "
+                f"{self.path}: packages {', '.join(map(repr, lost))} were not found (searched in "
                 f"{looked}); move them there, or give their folders: {options} of momapos robot "
                 "check, [packages] in a robot file"
             )
