@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from momapos.core import Cache, RobotError, UrdfError, parse_xml, read_text_bounded, unknown_name
+from momapos.core.geometry import rpy_of
 from momapos.model.urdf import (
     MAX_MESH_PARENTS,
     MAX_URDF_BYTES,
@@ -21,6 +22,7 @@ from momapos.model.urdf import (
     leader_of,
     link_of,
     mimics,
+    origin_pose,
     read_tree,
     read_urdf,
 )
@@ -136,6 +138,10 @@ class Amendments:
         )
         tree = read_tree(text, urdf)
         finder = MeshFinder(urdf, packages=self.packages)
+        for origin in tree.iter("origin"):
+            if origin.get("quat_xyzw") is not None:  # readers of plans may know URDF 1.0 only
+                origin.set("rpy", _words(rpy_of(origin_pose(origin)[:3, :3])))
+                del origin.attrib["quat_xyzw"]
         if self.visual_hulls:
             _draw_collisions(tree)
         for link in tree.iter("link"):
@@ -195,6 +201,8 @@ def _limit(tree: Element, limits: Mapping[str, Mapping[str, float]], urdf: Path)
         if values.keys() & {"lower", "upper"}:
             for safety in joint.findall("safety_controller"):
                 joint.remove(safety)
+            if joint.get("type") == "continuous" and not values.keys() >= {"lower", "upper"}:
+                raise RobotError(f"{urdf} (limits): {name!r} has no limits; give lower and upper")
             if joint.get("type") == "continuous":
                 joint.set("type", "revolute")
 
@@ -282,4 +290,4 @@ def _fix(tree: Element, parent: str, child: str, xyz: Triple, rpy: Triple) -> No
 
 
 def _words(values: Triple) -> str:
-    return " ".join(f"{value:.9g}" for value in values)
+    return " ".join(repr(float(value)) for value in values)
