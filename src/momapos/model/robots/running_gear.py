@@ -33,6 +33,8 @@ MIN_ROLLERS = 3
 """Number of joints below a wheel from which they are its rollers [-]."""
 WHEEL_TOLERANCE = 0.02
 """Difference between the radius of a wheel and the height of its axle [m]."""
+MAX_JOINTS_ABOVE = 3
+"""Number of joints, such as suspension and steering, beyond which only a name tells a wheel [-]."""
 MIN_ROUNDNESS = 0.8
 """Share of the radius that a round body reaches in each eighth of a turn [-]."""
 MIN_TRAIL = 0.01
@@ -103,13 +105,17 @@ def find_running_gear(
     """
     found: list[Wheel] = []
     gear: set[str] = set()
+    named: list[bool] = []
     finder = _Finder(model, anchor, meshes)
     for name in fixed_to(model, anchor):
         for joint in joints_below(model, name):
             below = finder.wheels(joint, ()) if joint.movable else None
             if below:
                 found += below
+                named += [bool(WHEEL.search(f"{w.joint} {w.link}")) for w in below]
                 gear |= {j.name for j in _joints_in(model, joint)}
+    if len(found) < 2 and not any(named):  # one round body on the floor is no base
+        return RunningGear()
     locked = tuple(
         joint.name
         for name in fixed_to(model, anchor)
@@ -159,7 +165,7 @@ class _Finder:
 
     def wheels(self, joint: Joint, above: tuple[Joint, ...]) -> list[Wheel] | None:
         """Return the wheels that a joint carries; None if it carries something else, too."""
-        if self._turns_a_wheel(joint):
+        if self._turns_a_wheel(joint, len(above)):
             return [self._wheel(joint, above)]
         below = [
             one
@@ -172,7 +178,7 @@ class _Finder:
             return None
         return [wheel for part in found if part is not None for wheel in part]
 
-    def _turns_a_wheel(self, joint: Joint) -> bool:
+    def _turns_a_wheel(self, joint: Joint, above: int) -> bool:
         named = bool(WHEEL.search(joint.name) or WHEEL.search(joint.child))
         if joint.kind == "prismatic" or joint.upper - joint.lower < ENDLESS:
             return False
@@ -183,7 +189,7 @@ class _Finder:
             )
         if abs(self._axis(joint)[2]) > LEVEL_COSINE:
             return False
-        return named or self._rolls(joint)
+        return named or (above <= MAX_JOINTS_ABOVE and self._rolls(joint))
 
     def _axis(self, joint: Joint) -> Float[np.ndarray, "3"]:
         return np.asarray(self.poses[joint.child][:3, :3] @ joint.axis)
