@@ -83,7 +83,8 @@ def robot_show(name: RobotArg, /, *, json: Flag = False) -> int:
     from momapos.model.robots import load_robot
 
     facts = describe(load_robot(name, cache=user_cache()))
-    print(json_format.dumps(facts, indent=1) if json else as_text(facts))
+    lines = [as_text(facts), *(f"  note      {text}" for text in facts["notes"])]
+    print(json_format.dumps(facts, indent=1) if json else "\n".join(lines))
     return SOLVED
 
 
@@ -175,6 +176,8 @@ def _print_checked(
         print("\n".join(first) + "\n")
     for robot in arms:
         print(as_text(describe(robot)))
+    notes = () if guesses else arms[0].model.urdf.notes  # the guesses include them
+    print("\n".join(f"  note      {text}" for text in notes), end="\n" * bool(notes))
     if guesses:
         print(f"\nwritten to {arms[0].path}; please check these assumptions:")
         print("\n".join(f"  - {text}" for text in guesses if text not in first))
@@ -297,6 +300,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "grips": str(robot.grips),
         "grip_force": robot.grip_force,
         "assumed": list(robot.assumed),
+        "notes": list(robot.model.urdf.notes),
     }
 
 
