@@ -52,13 +52,13 @@ def add_robot(
 ) -> None:
     """Add the robot to a world.
 
-    The arm's joints get motors; joints beside the arm that follow them are coupled to them; the
+    The arm's joints get motors; joints outside the chain that follow them are coupled to them; the
     fingers move only where the hold is `contact`. All other joints are locked where they rest. The
     engine's joints keep the URDF's names.
     """
     fingers = hand.fingers if config.hold == "contact" else ()
     followers = dict(hand.followers) if config.hold == "contact" else {}
-    for name in robot.segments.beside:
+    for name in robot.segments.side_followers:
         mimic = robot.model.joint(name).mimic
         assert mimic is not None
         followers[name] = mimic

@@ -1,4 +1,4 @@
-"""Links beside the arm that follow its joints, such as a head that follows the torso."""
+"""Links outside the chain of the arm that follow its joints, such as a head that follows the torso."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def test_a_swept_follower_contains_it_in_every_state(
     tmp_path: Path, kind: str, parent: str, leader: str, ratio: float
 ) -> None:
     robot = robot_of(tmp_path, with_mast(kind, parent, leader, ratio))
-    assert robot.segments.beside == ("mast_joint",)
+    assert robot.segments.side_followers == ("mast_joint",)
     assert "mast_joint" not in robot.moved_joints
-    model = with_swept_followers(robot.model, robot.segments.beside)
+    model = with_swept_followers(robot.model, robot.segments.side_followers)
     rng = np.random.default_rng(0)
     rest = robot.model.rest_poses
     for q in rng.uniform(robot.chain.lower, robot.chain.upper, (20, robot.chain.size)):
@@ -71,7 +71,7 @@ def test_a_swept_follower_contains_it_in_every_state(
 
 
 @pytest.mark.parametrize(("kind", "parent", "leader", "ratio"), KINDS[:2])
-def test_a_follower_beside_the_arm_changes_nothing_of_the_arm(
+def test_a_follower_outside_the_arm_changes_nothing_of_the_arm(
     tmp_path: Path, kind: str, parent: str, leader: str, ratio: float
 ) -> None:
     plain, more = tmp_path / "plain", tmp_path / "more"

@@ -232,5 +232,5 @@ def test_public_variants_have_the_kinematics_of_their_plain_twin(name: str) -> N
         values = {f"joint{k}": float(v) for k, v in enumerate(rng.uniform(-2.9, 2.9, 6))}
         one, other = (model.link_poses(values) for model in models)
         for link in ("link5", "palm") if name != "locked" else ("link5",):
-            assert_allclose(one[link], other[link], atol=1e-8)
+            assert_allclose(one[link], other[link], atol=5e-6)  # their files have 6 digits
     assert len(models[1].joints) - len(models[0].joints) == (name == "mast_follows")

@@ -1,4 +1,4 @@
-"""Links beside the arm that follow its joints, such as a head that follows the torso.
+"""Links outside the chain of the arm that follow its joints, such as a head that follows the torso.
 
 They move with no segment of the chain. For planning, their shapes are those of all their positions;
 the exact check and the simulation move them.
@@ -28,7 +28,7 @@ def with_swept_followers(model: Articulated, followers: Sequence[str]) -> Articu
 
     Args:
         model: The robot.
-        followers: Mimic joints beside the arm, as in `Segments.beside`.
+        followers: Mimic joints outside the chain, as in `Segments.side_followers`.
 
     Raises:
         RobotError: A leader has no limits, or a link has too many positions.

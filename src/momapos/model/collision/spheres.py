@@ -101,7 +101,7 @@ def build_spheres(
         disabled: Pairs of links that are never checked (SRDF).
         gripper_links: Links that may touch the grasped part.
     """
-    model = with_swept_followers(model, segments.beside)
+    model = with_swept_followers(model, segments.side_followers)
     moving = [link for link in model.links if segments.of_link[link] > 0 and model.hulls[link]]
     bodies = _bodies(model, segments)
     groups = []

@@ -136,7 +136,7 @@ class Segments:
     of_link: dict[str, int]
     T_segment_link: dict[str, Float[np.ndarray, "4 4"]]
     """Pose of the link relative to its segment's joint, in base axes at zero."""
-    beside: tuple[str, ...] = ()
+    side_followers: tuple[str, ...] = ()
     """Mimic joints that follow the chain but do not carry the tool, such as a head's."""
 
 
@@ -159,7 +159,7 @@ def build_chain(
     """Extract an arm from a robot, with all joints at rest except the arm's and their mimic joints.
 
     A mimic joint that does not carry the tool, such as a head that follows the torso, is not in the
-    chain; see `Segments.beside`.
+    chain; see `Segments.side_followers`.
 
     Args:
         model: The robot.
@@ -205,12 +205,12 @@ def build_chain(
         tool_offset=zero[tool_link][:3, 3] - origin[-1],
         tool_rotation=zero[tool_link][:3, :3].copy(),
     )
-    beside = tuple(
+    side_followers = tuple(
         joint.name
         for joint in model.joints.values()
         if joint.mimic is not None and joint.mimic.joint in names and joint.name not in joints
     )
-    return chain, replace(_segments(model, zero, joints, origin), beside=beside)
+    return chain, replace(_segments(model, zero, joints, origin), side_followers=side_followers)
 
 
 def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upper: float) -> Chain:

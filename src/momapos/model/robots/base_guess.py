@@ -108,7 +108,8 @@ def find_base_link(
     The wheels tell where up and ahead are. Without any, these are z and x of the root.
     """
     rigid = fixed_to(model, anchor)
-    preferred = [name for name in ("base_footprint", "base_link") if name in rigid]
+    usual: tuple[str, ...] = ("base_footprint", "base_link")
+    preferred = [name for name in usual if name in rigid]
     body = base_links(model, firsts)
     up, ahead, seen = _directions(model, anchor, firsts, gear, guess)
     forward = "it drives along x" if seen else "its x axis is assumed to point forward"

@@ -34,7 +34,7 @@ from .base_guess import (
 from .drive_guess import drive_of
 from .fingers import find_force, jaws
 from .gripper_guess import find_grip, find_grips, find_tool, listed
-from .joint_tree import MIN_ARM_JOINTS, ArmChain, find_anchor, find_arms
+from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_arms
 from .never_checked import NESTED, nested_pairs, rigid_pairs, without
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_LINKS = 500
-_SIDE = re.compile("left|right", re.I)
 ReportProgress = Callable[[float, str], None]
 """Receives the completed share of the work, and the current step."""
 
@@ -133,7 +132,7 @@ def derive_robot(
     couplings = {name: mimic for chain in chains for name, mimic in chain.coupled}
     firsts = [chain.joints[0] for chain in chains]
     base_link, floor = find_base_link(model, anchor, firsts, gear, guess, notes)
-    names = _arm_names(model, chains)
+    names = arm_names(model, chains)
     arms = {
         name: _tool(model, chain, name, drawn, notes)
         for name, chain in zip(names, chains, strict=True)
@@ -254,26 +253,6 @@ def _same_shapes(record: Urdf, model: Articulated, held: Mapping[str, float]) ->
         if what in vars(model):
             vars(again)[what] = {name: getattr(model, what).get(name, ()) for name in again.links}
     return again
-
-
-def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
-    """Name the arms: left and right by joint names or by their positions, else by number."""
-    if len(chains) == 1:
-        return [""]
-    own = [
-        next(
-            name for name in chain.joints if all(name not in c.joints for c in chains if c != chain)
-        )
-        for chain in chains
-    ]
-    aside = [float(model.rest_poses[model.joint(name).child][1, 3]) for name in own]
-    if len(chains) == 2 and all(_SIDE.search(name) for name in own):
-        sides = ["left" if re.search("left", name, re.I) else "right" for name in own]
-        if sides[0] != sides[1]:
-            return sides
-    if len(chains) == 2 and abs(aside[0] - aside[1]) > 0.02:
-        return ["left" if y == max(aside) else "right" for y in aside]
-    return [f"arm{index + 1}" for index in range(len(chains))]
 
 
 def _tool(

@@ -44,7 +44,7 @@ def drive_of(gear: RunningGear) -> DriveGuess | None:
     wheels = [wheel for wheel in gear.wheels if not wheel.caster]
     rolling = [wheel for wheel in wheels if not wheel.steering]
     steered = [wheel for wheel in wheels if wheel.steering]
-    if rolling:  # wheels that trail behind a free steering axis are casters beside others
+    if rolling:  # wheels that trail behind a free steering axis are casters next to others
         steered = [wheel for wheel in steered if not (wheel.free and wheel.trail > MIN_TRAIL)]
     limited = [wheel for wheel in steered if not wheel.free]
     if not rolling and not steered:

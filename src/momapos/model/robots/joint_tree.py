@@ -20,6 +20,7 @@ _LEG = re.compile(
     r"(^|_)(leg|hip|knee|ankle|foot|thigh|calf|shank|hfe|kfe|haa)s?(_|\d|$)|leg_", re.I
 )
 _GRIPPER = re.compile(r"gripper|hand", re.I)
+_SIDE = re.compile("left|right", re.I)
 _TURNS = re.compile(r"wrist|roll|yaw|pitch|flex|rotat|lift", re.I)
 MIN_ARM_JOINTS = 4
 """Minimum number of joints of an arm [-]."""
@@ -111,6 +112,26 @@ def find_arms(
         notes[-1] = notes[-1].replace("a chain that ends in a hand", "the longest chain")
         notes.append("no name indicates a hand or tool; the arm is the longest chain")
     return chains
+
+
+def arm_names(model: Articulated, chains: Sequence[ArmChain]) -> list[str]:
+    """Name the arms: left and right by joint names or by their positions, else by number."""
+    if len(chains) == 1:
+        return [""]
+    own = [
+        next(
+            name for name in chain.joints if all(name not in c.joints for c in chains if c != chain)
+        )
+        for chain in chains
+    ]
+    aside = [float(model.rest_poses[model.joint(name).child][1, 3]) for name in own]
+    if len(chains) == 2 and all(_SIDE.search(name) for name in own):
+        sides = ["left" if re.search("left", name, re.I) else "right" for name in own]
+        if sides[0] != sides[1]:
+            return sides
+    if len(chains) == 2 and abs(aside[0] - aside[1]) > 0.02:
+        return ["left" if y == max(aside) else "right" for y in aside]
+    return [f"arm{index + 1}" for index in range(len(chains))]
 
 
 def _paths(

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from momapos.core import UrdfError
 
 from .link_elements import numbers, origin_pose
-from .urdf_records import Joint, Mimic, joint_motion
+from .urdf_records import Joint, JointKind, Mimic, joint_motion
 from .urdf_tree import link_of
 
 MAX_NAMED = 4
@@ -65,7 +66,7 @@ class JointReader:
         factor = self.scale if kind == "prismatic" else 1.0
         lower, upper = _range(where, kind, limits, factor)
         joint = Joint(
-            name, kind, link_of(element, "parent"), link_of(element, "child"),
+            name, cast("JointKind", kind), link_of(element, "parent"), link_of(element, "child"),
             origin_pose(element.find("origin"), self.scale),
             axis / length if length > 1e-9 else axis, lower, upper,
             limits.get("velocity") or math.inf,

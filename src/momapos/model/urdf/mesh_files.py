@@ -49,10 +49,10 @@ class MeshFinder:
         if found is not None:
             return found
         if absolute:
-            folder = _package_of(relative)
+            lost = _package_of(relative)
             raise UrdfError(
                 f"{self.path}: mesh {filename!r} does not exist here, or is outside {self._root}; "
-                f"give the folder {folder!r} of that path: --package {folder}=DIR of momapos robot "
+                f"give the folder {lost!r} of that path: --package {lost}=DIR of momapos robot "
                 "check, [packages] in a robot file"
             )
         if outside:
