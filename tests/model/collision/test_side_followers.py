@@ -1,4 +1,4 @@
-"""Links outside the chain of the arm that follow its joints, such as a head that follows the torso."""
+"""Links outside the arm's chain that follow its joints, such as a head that follows the torso."""
 
 from __future__ import annotations
 
