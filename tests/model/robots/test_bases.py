@@ -282,3 +282,16 @@ def test_the_public_car_is_refused_with_its_radius(
     assert main(["robot", "check", str(path), "--json"]) == 2
     assert "least turning radius is 1.01 m" in capsys.readouterr().err
     assert json.dumps("car") not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["three wheels in a ring", "two wheels"])
+def test_a_robot_file_with_another_drive_than_its_wheels_is_doubted(
+    tmp_path: Path, name: str
+) -> None:
+    axles, drive, _ = DRIVES[name]
+    robot, _ = derived(tmp_path, rover(axles))
+    other = "differential" if drive == "omni" else "omni"
+    text = robot.path.read_text()
+    robot.path.write_text(text.replace(f'drive = "{drive}"', f'drive = "{other}"'))
+    (doubt,) = examine(load_robot(robot.path))
+    assert f"base.drive is '{other}', but the wheels are {drive}" in doubt
