@@ -127,5 +127,6 @@ def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = None) 
 
 def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None, cache: Cache | None) -> UrdfArm:
     disabled = read_srdf(srdf or urdf.with_suffix(".srdf"))
-    model = Articulated(read_urdf(urdf, cache=cache, visuals=False), plan.robot_rest, cache)
+    record = read_urdf(urdf, cache=cache, visuals=False, actuated=True)
+    model = Articulated(record, plan.robot_rest, cache)
     return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

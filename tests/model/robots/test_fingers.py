@@ -245,7 +245,7 @@ def test_hand_links_that_touch_at_rest_are_not_checked(
     tmp_path: Path,
 ) -> None:
     text = sliding("0").replace('size="0.04 0.01 0.02"', 'size="0.04 0.06 0.02"')
-    text = text.replace('upper="0.04"', 'upper="0.0"')
+    text = text.replace('upper="0.04"', 'upper="1e-6"')
     disabled = derived(tmp_path, text).disabled
     assert frozenset(("left_finger", "right_finger")) in disabled
     assert frozenset(("left_tip", "right_tip")) not in disabled

@@ -155,14 +155,17 @@ def _between(motion: Motion, first: int, last: int) -> _Section:
 
 
 def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: float) -> Phase:
+    """Time the drive. Limits of speed and acceleration hold for the norm of x and y."""
+    apart = robot.max_acceleration / np.sqrt(2.0)  # in x and in y, so that both together keep it
     speed = np.array([robot.max_speed, robot.max_speed, robot.max_yaw_rate])
-    limit = np.array([robot.max_acceleration, robot.max_acceleration, robot.max_yaw_acceleration])
+    limit = np.array([apart, apart, robot.max_yaw_acceleration])
     turned = path.copy()
     turned[:, 2] = np.unwrap(path[:, 2])
     turned[:, 2] += (
         path[-1, 2] - turned[-1, 2]
     )  # by whole turns, to end at the yaw of the arm phases
-    timed = time_path(turned, speed, limit, step)
+    place = np.pad(path[:, :2], ((0, 0), (0, 1)))
+    timed = time_path(turned, speed, limit, step, tool=place, tool_speed=robot.max_speed)
     rest, now = np.tile(_first(motion), (len(timed), 1)), _Now.of(motion)
     return Phase(
         PhaseKind.DRIVE, _times(len(timed), step), timed.q, rest, np.zeros_like(rest),

@@ -167,10 +167,17 @@ def _strokes(
 ) -> list[tuple[list[str], Float[np.ndarray, "m n"]]]:
     """Return the names of the finger joints, and their states from one end to the other."""
     inside = {link for side in sides for name in side for link in model.links_below(name)}
+    leaders = {
+        joint.name if joint.mimic is None else joint.mimic.joint
+        for joint in model.joints.values()
+        if joint.child in inside
+    }
     movers = [
         joint
         for joint in model.joints.values()
-        if joint.child in inside and joint.mimic is None and np.isfinite(joint.upper - joint.lower)
+        if joint.name in leaders
+        and np.isfinite(joint.upper - joint.lower)
+        and not inside.issubset(model.links_below(joint.child))  # it moves the whole hand
     ]
     lower, upper = (np.array([getattr(j, end) for j in movers]) for end in ("lower", "upper"))
     flipped = np.abs(lower) > np.abs(upper)

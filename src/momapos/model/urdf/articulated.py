@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 
 from momapos.core import Cache, unknown_name
-from momapos.core.geometry import rotation_about
 
 from .convex_pieces import pieces_of
 from .hulls import Boxes, Hull, cover_shape, fit_box, hull_of
 from .meshes import mesh_digest
 from .model_cache import freeze, once
-from .reader import Geometry, Joint, Urdf
 from .static_shapes import StaticElement, static_element
+from .urdf_records import Geometry, Joint, Urdf, joint_motion
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -300,16 +299,3 @@ class Articulated:
             shapes = list(link.collisions or link.visuals) if named else exact
             found += [(name, shape) for shape in shapes]
         return found
-
-
-def joint_motion(
-    joint: Joint, value: float | Float[np.ndarray, " *batch"]
-) -> Float[np.ndarray, "*batch 4 4"]:
-    """Return transforms of a joint's child at values [rad] or [m], in the joint's frame."""
-    values = np.asarray(value)
-    T = np.tile(np.eye(4), (*values.shape, 1, 1))
-    if joint.kind == "prismatic":
-        T[..., :3, 3] = values[..., None] * joint.axis
-    else:
-        T[..., :3, :3] = rotation_about(joint.axis, values)
-    return T

@@ -21,11 +21,12 @@ from momapos.model.urdf import (
     Mesh,
     Mimic,
     Urdf,
+    capsule_shapes,
     leader_of,
     mesh_triangles,
 )
 
-from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
+from .composed_shapes import MIN_FLOOR_NORMAL_Z, ellipsoid, plane
 from .imported_room import ImportReport, JointDynamics, Names, RoomObject
 from .sdf_values import number, numbers, pose_of, text_of
 
@@ -313,7 +314,7 @@ class Model:
             return [Geometry("cylinder", tuple(sizes("radius", "length")), T, name)]
         if shape.tag == "capsule":
             radius, length = sizes("radius", "length")
-            return capsule(radius, length, T, name)
+            return capsule_shapes(radius, length, T, name)
         if shape.tag == "ellipsoid":
             a, b, c = sizes("radii")
             self.report.approximated["ellipsoids as meshes"] += solid
