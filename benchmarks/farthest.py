@@ -15,6 +15,7 @@ import argparse
 import json
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -122,7 +123,7 @@ def main() -> None:
     parser.add_argument("--tasks", type=int, help="number of openings, drawn at random")
     parser.add_argument("--values", type=int, help="number of larger values to ask for")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", help="folder for farthest.json")
+    parser.add_argument("--out", type=Path, help="folder for farthest.json")
     args = parser.parse_args()
     robots = {name: load_robot(name) for name in args.robots}
     rows = []

@@ -39,7 +39,7 @@ from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
-from momapos.verification.plan_check import read_scene
+from momapos.verification.plan_check import find_file, read_scene
 from mutations import REFUSED, corrupted, loaded, ours, theirs
 from objects import SETS, set_of, tasks
 from placement import ROBOTS, SCENES, machine, scene_of, shared
@@ -167,7 +167,8 @@ def cause_of(why: str, their_why: str, file: Path, root: Path) -> str:
         return "the drive, which the other program does not check"
     if why == "grasp slips: rotation in the moved part":
         return "the axis about which the hand may turn, which is any for the other program"
-    scene = read_scene(Path(json.loads(file.read_text())["scene"]), root, user_cache())
+    name = json.loads(file.read_text())["scene"]
+    scene = read_scene(find_file("scene", name, [file.parent, root], file), root, user_cache())
     for item in scene.objects:
         for link, elements in item.model.static_elements.items():
             if f" in {item.name}/{link} by" in their_why:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
+_SAME = 1e-9
+"""Values that differ by less are the same [rad] or [m]."""
 MIN_TIMEOUT = 0.001
 """Searches start only with more time left than this [s]."""
 
@@ -82,7 +84,8 @@ def find_max_opening(
     def evaluate(value: float, thorough: bool) -> PlacementResult | None:
         nonlocal stopped
         left = timeout - query.watch.total
-        if left < MIN_TIMEOUT or value in excluded:
+        is_excluded = value in excluded or abs(value - values[0]) > stopped - _SAME
+        if left < MIN_TIMEOUT or is_excluded:
             return None
         how = replace(config if thorough else by_samples(config), timeout=left)
         result = _answer_to(query, answer, value, how)
@@ -98,9 +101,9 @@ def find_max_opening(
     best = farthest_answer(evaluate, values, waypoint=waypoint, within=within)
     if best is None:
         return None, False
-    open_to = int(np.searchsorted(np.abs(values - values[0]), stopped - 1e-9))
     known = _index_of(best, values)
-    best = last_of_all(lambda i: evaluate(values[i], True), known, open_to) or best
+    best = last_of_all(lambda i: evaluate(values[i], True), known, len(values)) or best
+    open_to = int(np.searchsorted(np.abs(values - values[0]), stopped - _SAME))
     return best, bool(_index_of(best, values) + 1 == open_to < len(values))
 
 
