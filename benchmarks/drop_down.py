@@ -119,10 +119,10 @@ def report(rows: list[dict[str, Any]]) -> str:
         if row["set"] != SETS[0]:
             continue
         solved = row["status"] == "solved"
-        stated = f"{row['stated']:.0f} deg" if solved else row["status"]
+        value = f"{row['stated']:.0f} deg" if solved else row["status"]
         runs = ", ".join(reached_words(run) for run in row.get("runs", ()))
         why = "; ".join(row["notes"]) if solved else row["reason"]
-        lines.append(f"| {row['object']} | {row['robot']} | {stated} | {runs} | {why} |")
+        lines.append(f"| {row['object']} | {row['robot']} | {value} | {runs} | {why} |")
     return "\n".join(lines)
 
 
@@ -145,10 +145,12 @@ def main() -> None:
     parser.add_argument("--plinth", type=float, default=0.0, help="raise the furniture [m]")
     parser.add_argument("--out", type=Path, help="folder for drop_down.json")
     args = parser.parse_args()
-    robots, rows = {name: load_robot(name) for name in args.robots}, []
+    robots = {name: load_robot(name) for name in args.robots}
+    rows: list[dict[str, Any]] = []
     for name, scene, joint in drop_down_doors(args.set, args.plinth):
         for robot in args.robots:
-            row = {"object": name, "joint": joint, "robot": robot, "set": set_of(name)}
+            row: dict[str, Any] = {"object": name, "joint": joint, "robot": robot}
+            row["set"] = set_of(name)
             try:
                 row |= confirmed(robots[robot], scene, joint, args.seeds)
             except MomaposError as error:

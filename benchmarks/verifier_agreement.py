@@ -21,6 +21,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,11 +78,13 @@ def small_inputs(robots: list[str]) -> Iterator[Question]:
         except MomaposError as error:
             print(f"{file.stem}: {error}", file=sys.stderr)
             continue
-        found = [("open", *pair) for pair in openable(scene)]
+        found: list[tuple[str, ...]] = [("open", *pair) for pair in openable(scene)]
         found += [("pick", item) for name, item in PICKED.items() if name == file.stem]
         for robot in robots:
             for request in found:
-                yield Question("cases", robot, file.stem, lambda _, s=scene: s, request, Path("/"))  # type: ignore[misc]
+                yield Question(
+                    "cases", robot, file.stem, partial(unchanged, scene), request, Path("/")
+                )
 
 
 def others(robots: list[str], sources: list[str], rng: np.random.Generator) -> list[Question]:
@@ -91,7 +94,7 @@ def others(robots: list[str], sources: list[str], rng: np.random.Generator) -> l
         root = shared() / "bestman"
         scenes = {Path(name).stem: scene_of(name) for name in (*builtin_names(), *SCENES)}
         kinds.append([
-            Question("kitchens", robot, name, lambda _, s=scene: s, ("open", *pair), root)
+            Question("kitchens", robot, name, partial(unchanged, scene), ("open", *pair), root)
             for name, scene in scenes.items()
             for pair in openable(scene)
             for robot in robots
@@ -100,13 +103,18 @@ def others(robots: list[str], sources: list[str], rng: np.random.Generator) -> l
         kinds.append([
             Question(
                 "objects", robot, name if set_of(name) == SETS[0] else "",
-                lambda folder, s=scene: saved(s, folder), ("open", "object", joint), Path("/"),
+                partial(saved, scene), ("open", "object", joint), Path("/"),
             )
             for robot, name, scene, joint in tasks(None, robots)
         ])  # fmt: skip
     shuffled = [[one[i] for i in rng.permutation(len(one))] for one in kinds]
     most = max(map(len, shuffled), default=0)
     return [one[i] for i in range(most) for one in shuffled if i < len(one)]
+
+
+def unchanged(scene: Scene, _folder: Path) -> Scene:
+    """Return a scene that was read from a file."""
+    return scene
 
 
 def saved(scene: Scene, folder: Path) -> Scene:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     StandingCodes = Callable[[Int[np.ndarray, " k"]], Int[np.ndarray, " k"]]
 
-OFF_FLOOR = FREE - 1
+OFF_FLOOR: int = FREE - 1
 """Code of a base pose that is not on the floor; other codes are boxes or FREE."""
 
 
