@@ -51,10 +51,10 @@ def drop_down_doors(subset: str | None, plinth: float = 0.0) -> Iterator[tuple[s
 
     Args:
         subset: Only objects of one set.
-        plinth: Height by which furniture is raised [m].
+        plinth: Height by which furniture of a usual height is raised [m].
     """
     for name, file, usual in objects():
-        raised = replace(usual, above=usual.above + plinth)
+        raised = replace(usual, above=usual.above + plinth) if usual.height else usual
         scene = room(name, file, raised) if subset in (None, set_of(name)) else None
         if scene is None:
             continue
