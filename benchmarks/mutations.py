@@ -21,14 +21,14 @@ import operator
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
+from momapos.core.cache import default_cache_dir, user_cache
 from momapos.core.errors import MomaposError
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.plan_files.plan_format import write_plan
@@ -318,38 +318,52 @@ def loaded(verifier: Path) -> ModuleType:
     return module
 
 
-def ours(file: Path) -> tuple[str, str]:
+def ours(file: Path, root: Path = Path("/")) -> tuple[str, str]:
     """Return the verdict of `momapos verify` on a plan file, and its first reason."""
     try:
-        bad = verify_files(file, Path("/")).violations
+        bad = verify_files(file, root, cache=user_cache()).violations
     except MomaposError as error:
         return REFUSED, str(error).replace(str(file), "plan")
     return (REFUSED, bad[0].name) if bad else (ACCEPTED, "")
 
 
-def theirs(module: ModuleType, file: Path) -> tuple[str, str]:
+def theirs(module: ModuleType, file: Path, root: Path = Path("/")) -> tuple[str, str]:
     """Return the verdict of the independent program, and its first reason."""
     options = argparse.Namespace(skip_approach=False, allow_hinge_grasp=True)
     try:
-        report, _ = module.verify(json.loads(file.read_text()), file.parent, "/", options)
+        report, _ = module.verify(json.loads(file.read_text()), file.parent, str(root), options)
     except (OSError, KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         return REFUSED, f"unreadable: {error}"
     bad = report.violations()
-    return (REFUSED, bad[0]["check"]) if bad else (ACCEPTED, "")
+    return (REFUSED, f"{bad[0]['check']}: {bad[0]['detail']}") if bad else (ACCEPTED, "")
 
 
 def corrupted(
-    content: dict[str, Any], robot: Robot, rng: np.random.Generator
+    content: dict[str, Any],
+    robot: Robot,
+    rng: np.random.Generator,
+    kinds: Sequence[str] | None = None,
 ) -> tuple[str, dict[str, Any]]:
-    """Return the name of a random corruption that applies to a plan, and the corrupted content."""
-    while True:
-        name = str(rng.choice(sorted(CORRUPTIONS)))
+    """Return the name of a corruption that applies to a plan, and the corrupted content.
+
+    Args:
+        content: The plan.
+        robot: Its robot.
+        rng: Source of the corruption and its amount.
+        kinds: Corruptions to try in this order, each once; None to draw one that applies.
+
+    Raises:
+        ValueError: None of `kinds` applies.
+    """
+    names = iter(kinds) if kinds else iter(lambda: str(rng.choice(sorted(CORRUPTIONS))), None)
+    for name in names:
         changed = copy.deepcopy(content)
         if CORRUPTIONS[name](changed, rng):
             poses = (plan["manipulation"]["T_world_tool"] for plan in (content, changed))
             if operator.eq(*poses):
                 recompute_tool_poses(changed, robot)
             return name, changed
+    raise ValueError(f"none of {', '.join(kinds or ())} applies to the plan")
 
 
 def report(rows: list[dict[str, Any]]) -> str:

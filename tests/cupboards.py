@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from tests.meshes import triangles_of, write_obj
 
+from momapos.model.records.latches import Latch
+from momapos.model.records.resistances import JointResistance
 from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import save_scene
 from momapos.model.scene.scene_object import SceneObject
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -148,3 +153,142 @@ FOLDING_DOOR = [
 ]  # fmt: skip
 """A folding door, whose handle is on the leaf that follows."""
 FOLLOWERS["a folding door"] = (FOLDING_DOOR, "fold", "hinge")
+
+
+def turning(
+    kind: str, axis: tuple[float, float, float], limits: tuple[float, float], mimic: str = "",
+    *, name: str = "turn", child: str = "grip", x: float = 0.0,
+) -> str:  # fmt: skip
+    """Return the joint of a latch on the door."""
+    return joint(name, kind, ("door", child), (x, 0.52, 0.1), axis, limits, mimic)
+
+
+SPINDLE: Box = ((0.05, 0.02, 0.02), (-0.035, 0, 0))
+GRIP: Box = ((0.02, 0.13, 0.02), (-0.06, -0.055, 0))
+TEE_BAR: Box = ((0.02, 0.02, 0.14), (-0.055, 0, 0))
+BOLT_ROD: Box = ((0.02, 0.16, 0.02), (-0.02, 0, 0))
+BOLT_KNOB: Box = ((0.04, 0.02, 0.02), (-0.045, 0, 0))
+INNER: tuple[Box, Box] = (
+    ((0.05, 0.02, 0.02), (0.035, 0, 0)), ((0.02, 0.13, 0.02), (0.06, -0.055, 0)),
+)  # fmt: skip
+LATCHES: Mapping[str, tuple[list[str], float]] = {
+    "a lever": (
+        [
+            carcass(), DOOR, HINGE, link("grip", SPINDLE, GRIP),
+            turning("revolute", (1, 0, 0), (-0.8, 0)),
+        ],
+        -0.7,
+    ),
+    "a T-handle": (
+        [
+            carcass(), DOOR, HINGE, link("grip", ((0.04, 0.02, 0.02), (-0.03, 0, 0)), TEE_BAR),
+            turning("revolute", (1, 0, 0), (0, 1.57)),
+        ],
+        1.4,
+    ),
+    "a sliding bolt": (
+        [
+            carcass(), DOOR, HINGE, link("grip", BOLT_ROD, BOLT_KNOB),
+            turning("prismatic", (0, -1, 0), (0, 0.08)),
+        ],
+        0.06,
+    ),
+    "a lever with another inside": (
+        [
+            carcass(), DOOR, HINGE, link("grip", SPINDLE, GRIP), link("inside", *INNER),
+            turning("revolute", (1, 0, 0), (-0.8, 0)),
+            turning(
+                "revolute", (1, 0, 0), (-0.8, 0), 'joint="turn"', name="other", child="inside",
+            ),
+        ],
+        -0.7,
+    ),
+    "a knob": (
+        [
+            carcass(), DOOR, HINGE, link("grip", ((0.06, 0.03, 0.03), (-0.04, 0, 0))),
+            turning("revolute", (1, 0, 0), (-1.2, 1.2)),
+        ],
+        0.9,
+    ),
+    "a lever on a drawer": (
+        [
+            carcass(), tray(None), SLIDE, link("grip", SPINDLE, GRIP),
+            joint("turn", "revolute", ("tray", "grip"), (-0.272, 0.05, 0), (1, 0, 0), (-0.8, 0)),
+        ],
+        -0.6,
+    ),
+}  # fmt: skip
+"""Parts with a latch `turn`, and its value from which on the part is free."""
+
+
+def latched_room(
+    folder: Path, kind: str, resistance: Mapping[str, JointResistance] | None = None
+) -> Scene:
+    """Write a room with a latch, and return it as its file says."""
+    parts, to = LATCHES[kind]
+    scene = furniture_room(folder, parts)
+    held = "slide" if kind.endswith("drawer") else "hinge"
+    item = replace(
+        scene.objects[0], latch=Latch("turn", to, held), resistance=dict(resistance or {})
+    )
+    return save_scene(replace(scene, objects=(item,)), folder / "scene.json")
+
+
+def niche(gap: float) -> list[str]:
+    """Return a drawer with a bar in a slot of its front, which is flush with a frame.
+
+    Nothing else can be grasped: the front has no free edge.
+
+    Args:
+        gap: Height of the slot [m].
+    """
+    depth, block = 0.07, (0.2 - gap) / 2
+    x = depth / 2 - 0.25
+    jambs = (((depth, 0.555, block), (x, 0, side * (gap + block) / 2)) for side in (1, -1))
+    back, bottom = ((0.02, 0.555, 0.2), (x + 0.045, 0, 0)), ((0.3, 0.5, 0.02), (0.05, 0, -0.08))
+    handle: Box = ((0.016, 0.2, 0.016), (-0.238, 0, 0))
+    rails_around = [((0.1, 0.56, 0.02), (-0.2, 0, 0.6 + side * 0.115)) for side in (1, -1)]
+    return [
+        fixed_to_carcass(*rails_around),
+        link("tray", back, bottom, *jambs, handle=handle),
+        SLIDE,
+    ]
+
+
+def between_posts(gap: float) -> list[str]:
+    """Return a pull-out of 9 cm between two fixed posts that stand out as far as its bar.
+
+    Args:
+        gap: Distance between the posts [m].
+    """
+    posts = [((0.1, 0.3, 0.9), (-0.31, side * (gap / 2 + 0.15), 0.45)) for side in (1, -1)]
+    front, bottom = ((0.02, 0.09, 0.8), (-0.262, 0, -0.15)), ((0.4, 0.08, 0.02), (-0.05, 0, -0.5))
+    bar: Box = ((0.02, 0.02, 0.2), (-0.32, 0, 0.1))
+    return [fixed_to_carcass(*posts), link("tray", front, bottom, handle=bar), SLIDE]
+
+
+def fixed_to_carcass(*boxes: Box) -> str:
+    """Return the carcass with further boxes."""
+    extra = link("body", *boxes).removeprefix('<link name="body">')
+    return carcass().removesuffix("</link>") + extra
+
+
+def oven_door(folder: Path, gap: float, low: float = 0.15) -> list[str]:
+    """Return a drop-down door that is one mesh with its bow, and writes the mesh.
+
+    Args:
+        folder: Where the mesh is written.
+        gap: Distance of the bow's bar from the door [m].
+        low: Height of the hinge [m].
+    """
+    x, z, t, half = -0.01, 0.44, 0.016, 0.22
+    bow = (
+        ((x - gap - t, -half, z - t / 2), (x - gap, half, z + t / 2)),
+        ((x - gap, -half, z - t / 2), (x, t - half, z + t / 2)),
+        ((x - gap, half - t, z - t / 2), (x, half, z + t / 2)),
+    )
+    write_obj(folder / "door.obj", triangles_of((((-0.01, -0.29, 0.0), (0.01, 0.29, 0.5)), *bow)))
+    mesh = '<collision><geometry><mesh filename="door.obj"/></geometry></collision>'
+    ends, at = ("body", "door"), (-0.262, 0.0, low)
+    hinge = joint("hinge", "revolute", ends, at, (0, -1, 0), (0, 1.6))
+    return [carcass(), f'<link name="door">{mesh}</link>', hinge]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -110,3 +111,16 @@ def collada(triangles: Float[np.ndarray, "t 3 3"], asset: str = "") -> str:
         '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
         '<scene><instance_visual_scene url="#vs"/></scene></COLLADA>'
     )
+
+
+def arch(height: float = 0.05, length: float = 0.2, radius: float = 0.007) -> np.ndarray:
+    """Return the triangles of a round bow along x that stands out of y = -0.02 toward -y."""
+    import trimesh
+
+    angle = np.linspace(0.0, np.pi, 25)
+    x, y = length / 2 * np.cos(angle), -0.02 - height * np.sin(angle)
+    path = np.stack([x, y, np.zeros_like(x)], axis=1)
+    tubes = [
+        trimesh.creation.cylinder(radius, segment=ends, sections=10) for ends in pairwise(path)
+    ]
+    return np.concatenate([np.array(tube.triangles) for tube in tubes])

@@ -133,8 +133,8 @@ URDFS: dict[str, tuple[str, str]] = {
     "huge mesh": (shape('<mesh filename="huge.obj"/>'), "the limit is"),
     "text as a mesh": (shape('<mesh filename="text.obj"/>'), "OBJ"),
     "text as STL": (shape('<mesh filename="text.stl"/>'), "mesh"),
-    "no shape": (shape(""), "box, cylinder, sphere, mesh"),
-    "unknown shape": (shape('<torus radius="1"/>'), "box, cylinder, sphere, mesh"),
+    "no shape": (shape(""), "box, cylinder, sphere, capsule, mesh"),
+    "unknown shape": (shape('<torus radius="1"/>'), "box, cylinder, sphere, capsule, mesh"),
     "NaN size": (shape('<box size="1 nan 1"/>'), "3 finite numbers"),
     "infinite size": (shape('<sphere radius="1e999"/>'), "1 finite number"),
     "zero size": (shape('<box size="1 0 1"/>'), "> 0"),
@@ -154,7 +154,6 @@ URDFS: dict[str, tuple[str, str]] = {
         linked(joint(FIXED), joint(FIXED, "k", "b", "c").replace('<child link="c"/>', "<child/>")),
         "joint 'k': <child> has no link",
     ),
-    "two roots": (linked(joint(FIXED)), "not connected"),
     "two parents": (
         linked(joint(FIXED), joint(FIXED, "k", "c"), joint(FIXED, "l", "a", "c")),
         "two parents",

@@ -8,6 +8,7 @@ import math
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,11 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.planning import max_opening_plan, partial_opening
+from momapos.planning import partial_opening
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
-from momapos.planning.max_opening import beyond, last_that_works
+from momapos.planning.max_opening import last_of_all, last_that_works
 from momapos.planning.max_opening_plan import find_max_opening
 from momapos.planning.partial_opening import add_max_opening
 from momapos.planning.plan import plan_to_value
@@ -115,17 +116,51 @@ def test_a_stated_opening_is_sure_only_where_the_part_itself_is_blocked(
         assert (blocked is not None) == sure
 
 
-def test_tries_beyond_find_values_after_a_gap() -> None:
-    works = {0, 1, 4, 5, 6, 9, 14, 27}
+@pytest.mark.parametrize("known", [-1, 1, 14])
+def test_all_values_beyond_a_known_one_are_tried_once(known: int) -> None:
+    works = {0, 1, 4, 5, 6, 9, 14, 26}
     tried: list[int] = []
 
     def evaluate(index: int) -> int | None:
         tried.append(index)
         return index if index in works else None
 
-    assert beyond(evaluate, 1, 30) == 27
-    assert max(tried) < 30
-    assert beyond(evaluate, 27, 30) is None
+    assert last_of_all(evaluate, known, 30) == 26
+    assert len(set(tried)) == len(tried)
+    assert set(tried) >= {27, 28, 29}
+    assert all(known < index < 30 for index in tried)
+    assert last_of_all(evaluate, 26, 30) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_value_that_is_solved_directly_is_beyond_the_largest_one_found(
+    kitchen: Scene, fetch: Robot, seed: int
+) -> None:
+    """Answers with gaps, as of a search that misses base poses; samples miss more than the grid."""
+    rng = np.random.default_rng(seed)
+    values = np.radians(np.arange(1.0, 80.0))
+    end = int(rng.integers(10, 80))
+    thorough = rng.random(len(values)) < np.where(np.arange(len(values)) < end // 2, 1.0, 0.2)
+    sampled = thorough & (rng.random(len(values)) < 0.7)
+    blocked = np.arange(len(values)) >= end
+    asked: list[float] = []
+
+    def answer(query: PlacementQuery) -> Any:
+        assert query.task.to is not None
+        index = int(np.abs(values - query.task.to).argmin())
+        works = (thorough if query.config.place.grid else sampled)[index] and not blocked[index]
+        asked.append(query.task.to)
+        plan = SimpleNamespace(status="solved" if works else "infeasible", task=query.task)
+        prepared = SimpleNamespace(blocked="a wall" if blocked[index] else "")
+        return SimpleNamespace(plan=plan, prepared=prepared)
+
+    task = make_task(kitchen, "open", "dishwasher", "door_hinge")
+    query = PlacementQuery(kitchen, fetch, task, Everywhere())
+    found, sure = find_max_opening(query, answer, values, within=7, timeout=60.0)
+    last = np.flatnonzero(thorough & ~blocked)[-1]
+    assert found is not None
+    assert found.plan.task.to == pytest.approx(values[last])
+    assert sure == (last + 1 == end < len(values))
 
 
 @pytest.mark.slow
@@ -133,7 +168,6 @@ def test_tries_beyond_find_values_after_a_gap() -> None:
 def test_with_enough_time_nothing_is_solved_beyond_the_stated_opening(
     kitchen: Scene, robot_name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(max_opening_plan, "MAX_TIME_BEYOND", np.inf)
     monkeypatch.setattr(partial_opening, "TIMEOUT", 300.0)
     robot = load_robot(robot_name)
     task = make_task(kitchen, "open", "dishwasher", "door_hinge")

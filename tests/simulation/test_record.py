@@ -59,6 +59,20 @@ def test_a_record_contains_the_motion_and_its_source_files(tmp_path: Path) -> No
     assert (read.world, read.world_at) == ("kitchen_small", (1.0, 2.0, 0.5))
 
 
+def test_a_record_has_the_values_of_a_latch_only_if_one_is_turned(tmp_path: Path) -> None:
+    plain = RunMotion((0.0, 0.1), ("drive", "settle"), ((0.0, 0.0, 0.1), (0.1, 0.0, 0.1)))
+    turned = replace(plain, latch={"lever": (0.0, -0.7)})
+    for motion, told in ((plain, False), (turned, True)):
+        write_run(replace(RECORD, motion=motion), tmp_path / "run.json")
+        data = json.loads((tmp_path / "run.json").read_text())
+        assert ("latch" in data["motion"]) == told
+        assert read_run(tmp_path / "run.json").motion == motion
+    data["motion"]["latch"]["lever"] = []
+    (tmp_path / "run.json").write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="the values of a latch"):
+        read_run(tmp_path / "run.json")
+
+
 def test_a_motion_with_lists_of_different_lengths_is_refused(tmp_path: Path) -> None:
     write_run(RECORD, tmp_path / "run.json")
     data = json.loads((tmp_path / "run.json").read_text())

@@ -17,9 +17,10 @@ from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
 from momapos.simulation.dynamics import read_dynamics
+from momapos.simulation.followers import set_followers
 from momapos.simulation.simulated_hand import find_hand
 from momapos.simulation.simulated_room import draw_resistance, seal_of
-from momapos.simulation.simulation import Simulation, build_simulation, set_followers
+from momapos.simulation.simulation import Simulation, build_simulation
 
 CONFIG = ResistanceConfig()
 HINGE = joint("hinge", "revolute", ("body", "door"), (-0.26, 0, 0.1), (0, -1, 0), (0, 1.57))

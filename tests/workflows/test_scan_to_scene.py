@@ -18,6 +18,8 @@ from momapos.core.errors import InputError, UnknownNameError
 from momapos.core.geometry.transforms import apply
 from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, FaceImage, Front, ImageDetection, Instance, Scan
+from momapos.model.records.tasks import Task
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.perception.fusion.tsdf import fuse
 from momapos.perception.modeling import decide
@@ -29,8 +31,11 @@ from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import Modeled, ScanConfig, Survey, Tools
 from momapos.perception.segmentation.pointing import PointAt
 from momapos.perception.segmentation.segmenter import ClassicalSegmenter
-from momapos.planning.grasps.task_requests import hand_path, openable
+from momapos.planning.grasps.task_requests import hand_path, make_task, openable
 from momapos.planning.importance.config import ImportanceConfig
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.result import PlacementResult
+from momapos.workflows.joint_belief import plan_by_hypothesis
 from momapos.workflows.scan import rank_survey, scan_to_scene
 from momapos.workflows.solve import ScanTask, solve_scan
 
@@ -372,6 +377,7 @@ def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     out = tmp_path / "new" / "solved"
     words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
     words += ["--max-frames", "20", "--out", str(out), "--json", "--no-pictures"]
+    words += ["--world", "kitchen_small"]
     assert main(words) == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["status"], record["done"]) == ("solved", True)
@@ -385,7 +391,26 @@ def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     assert plan["tolerance"]["samples"] == 100
     assert plan["tolerance"]["radius"] > 0.0
     assert main(["verify", str(out / record["plan"])]) == 0
-    assert json.loads((out / record["run"]).read_text())["success"]
+    run = json.loads((out / record["run"]).read_text())
+    assert run["success"]
+    assert (run["true_task"]["object"], run["true_task"]["joint"]) == ("fridge", "door_hinge")
+
+
+@pytest.mark.slow
+def test_no_opening_of_a_scanned_kitchen_is_solved_for_an_improbable_joint(made: Modeled) -> None:
+    scene, robot = load_scene(made.scene), load_robot("segway_ur5e")
+    reach, statuses = load_reach_map(robot), []
+
+    def plan(scene: Scene, task: Task) -> list[PlacementResult]:
+        return [plan_base_placement(scene, robot, task, reach)]
+
+    for name, joint in openable(scene)[:20]:
+        hypotheses = scene.object(name).hypotheses[joint]
+        _, _, (answer,) = plan_by_hypothesis(scene, make_task(scene, "open", name, joint), plan)
+        statuses.append(answer.plan.status)
+        if statuses[-1] == "solved":
+            assert hypotheses[0].probability >= 0.5, f"{name}/{joint}"
+    assert "solved" in statuses
 
 
 @pytest.mark.slow

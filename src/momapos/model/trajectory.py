@@ -57,9 +57,9 @@ class SpeedConfig:
     tool_speed: float = 0.25
     """Speed limit of the tool in the manipulation, as in ISO 10218-1 for hand guiding [m/s]."""
     acceleration: float = 2.0
-    """Acceleration limit of revolute joints [rad/s^2]."""
+    """Acceleration limit of revolute joints; a smaller one of the URDF holds [rad/s^2]."""
     slide_acceleration: float = 0.5
-    """Acceleration limit of prismatic joints [m/s^2]."""
+    """Acceleration limit of prismatic joints; a smaller one of the URDF holds [m/s^2]."""
     carry_acceleration: float = 1.0
     """Acceleration limit of the tool along each axis while it carries an object [m/s^2]."""
 
@@ -169,7 +169,7 @@ def time_motion(
     """Compute trajectories of a motion's approach and manipulation, each from rest to rest.
 
     Args:
-        robot: The robot, with its joints' speed limits.
+        robot: The robot, with its joints' limits of speed and acceleration.
         motion: The motion.
         config: Speed and acceleration limits.
         step: Time between samples [s].
@@ -180,7 +180,8 @@ def time_motion(
     speed = np.array([joint.velocity for joint in joints])
     speed = np.where(np.isfinite(speed), speed, DEFAULT_SPEED)
     slides = np.array([joint.kind == "prismatic" for joint in joints])
-    acceleration = np.where(slides, config.slide_acceleration, config.acceleration)
+    usual = np.where(slides, config.slide_acceleration, config.acceleration)
+    acceleration = np.minimum(usual, [joint.acceleration for joint in joints])
     approach = motion.approach if len(motion.approach) else motion.q[:1]
     carry = config.carry_acceleration
     held = config.manipulation_speed * speed

@@ -1,4 +1,4 @@
-"""Notes on an answer: where the floor ends the motion, or the motion leaves the floor."""
+"""Notes on an answer: how far the hand is open, and where the floor ends the motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,20 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
     if plan.motion is None or plan.base_pose is None:
         return ()
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
-    return tuple(note for note in (_floor_note(plan, prepared), outside) if note)
+    notes = (_hand_note(prepared), _floor_note(plan, prepared), outside)
+    return tuple(note for note in notes if note)
+
+
+def _hand_note(prepared: PreparedTask) -> str:
+    """Return how far the hand opens, if not fully."""
+    robot = prepared.robot
+    if robot.fully_open is None:
+        return ""
+    when = "as it lets go" if prepared.task.verb == "place" else "before the robot drives"
+    return (
+        f"the hand opens to {100 * robot.opening:.1f} cm {when}, not to "
+        f"{100 * robot.fully_open.opening:.1f} cm: a fully open hand has no room"
+    )
 
 
 def _floor_note(plan: PlacementPlan, prepared: PreparedTask) -> str:

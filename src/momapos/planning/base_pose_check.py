@@ -22,6 +22,7 @@ from momapos.planning.placement import (
 
 from .max_opening import from_the_top
 from .max_opening_plan import values_short_of
+from .narrower_hands import narrower_hands
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
 from .result import PlacementResult, plan_of
@@ -87,7 +88,8 @@ def plan_at_pose(
     """
     base, watch, task = finite_array("base_pose", base_pose, (3,)), query.watch, query.task
     with watch.stage("search"):
-        look = _look(query, base, how_far=True)
+        look = _look_with_any_hand(query, base)
+    query = replace(query, robot=look.prepared.robot)
     with watch.stage("drive"):
         first = start_pose(
             query.scene, query.robot, look.prepared.motion, query.start, query.nav_map
@@ -125,6 +127,18 @@ class _Look:
 
     prepared: PreparedTask
     attempt: Attempt
+
+
+def _look_with_any_hand(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
+    """Check a base pose for the task, if it fails also with hands that are not fully open."""
+    look = _look(query, base, how_far=True)
+    if look.attempt.motion is None and look.attempt.outcome not in BASE_OUTCOMES.values():
+        for other in narrower_hands(query, look.prepared):
+            again = _look(other, base, how_far=False)
+            if again.attempt.motion is None:
+                break
+            look = again
+    return look
 
 
 def _look(query: PlacementQuery, base: Float[np.ndarray, "3"], *, how_far: bool) -> _Look:

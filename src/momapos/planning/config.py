@@ -33,13 +33,25 @@ class PaperConfig:
     field: bool = True
     """Whether the potential includes the field F (paper)."""
     inverse_map: bool = True
-    """Whether the potential includes inverse reachability, which also drops samples (paper)."""
+    """Whether the potential includes inverse reachability (paper)."""
+    early_cull: bool = False
+    """Whether samples from which the map doesn't reach the grasp are dropped (an addition)."""
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "samples", "batches", "group")
         refuse_below(self, 0, "k_distance", "k_potential")
         if not self.heights:
             raise InputError("PaperConfig.heights must hold at least one number")
+
+
+@dataclass(frozen=True)
+class BaselineConfig:
+    """What a method other than ours knows when it proposes base poses; the checks know all."""
+
+    boxes: bool = False
+    """Whether every object is its bounding box, as for MoMa-Pos's baselines."""
+    one_grasp: bool = False
+    """Whether there is only the simplest grasp, as for MoMa-Pos's baselines."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +64,7 @@ class PipelineConfig:
     motion: MotionConfig = field(default_factory=MotionConfig)
     place: PlaceConfig = field(default_factory=PlaceConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
+    baselines: BaselineConfig = field(default_factory=BaselineConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     arm_clearance: float = 0.003
     """Distance that the arm's spheres keep from everything [m]."""
@@ -75,4 +88,9 @@ class PipelineConfig:
         printed = self.place.method == "paper"
         scorer: ScorerName = self.importance.scorer or ("deepwalk" if printed else "reach")
         weights: WeightsName = self.importance.weights or ("printed" if printed else "scaled")
-        return replace(self.importance, scorer=scorer, weights=weights)
+        given = self.importance
+        exceed = printed if given.exceed is None else given.exceed
+        graph = given.graph
+        if printed and graph.neighbors is None:
+            graph = replace(graph, neighbors=0)
+        return replace(given, scorer=scorer, weights=weights, exceed=exceed, graph=graph)

@@ -30,7 +30,8 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
         query: The question; its task must name a value.
 
     Yields:
-        Solved answers; none if the task is infeasible, for which `plan_placement` gives reasons.
+        Answers with a plan; none if the task is infeasible, for which `plan_placement` gives
+            reasons.
 
     Raises:
         SceneError: The robot collides at its start pose.
@@ -47,11 +48,13 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
     watch = Stopwatch(lambda: clock() - away)
     query = replace(query, watch=watch)
     first = plan_to_value(query)
-    if first.plan.status != "solved":
+    if not first.plan.feasible:
         return
     left = clock()
     yield first
     away += clock() - left
+    robot = first.prepared.robot  # its hand may be less open than the query's
+    query = replace(query, robot=robot)
     motion = task_motion(scene, robot, task, config.motion)
     ready = prepare_search(query, scene, motion)
     for found in iter_searches(ready.problem, config.place, np.random.default_rng(query.seed)):

@@ -1,14 +1,14 @@
-"""Find the largest value that works, by bisection and by tries beyond.
+"""Find the largest value that works, by bisection and by trying all values beyond.
 
 A motion to a value passes all values before it, so few tries between a value that works and one
 that does not find one that is nearly the largest. A search of base poses may miss a value and find
-a larger one, so that values beyond are tried, too. Values are whole degrees or centimeters.
+a larger one, so that every value beyond is tried, too. Values are whole degrees or centimeters.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 STEPS_AHEAD = (3, 6, 1, 2)
-"""Values tried beyond the last one that works, in this order, then every sixth: of six openings
-that a search had stated too small, five went on 3 to 4 degrees farther and one 6 degrees [-]."""
+"""Values tried first beyond the last one that works, in this order, then every sixth, then the
+others: of six openings that a search had stated too small, five went on 3 to 4 degrees farther and
+one 6 degrees [-]."""
 _ROUNDING = 1e-6
 """Fractions of a degree or a centimeter that count as rounding errors [-]."""
 
@@ -121,24 +122,33 @@ def farthest_answer(
     return best if better is None else better
 
 
-def beyond(evaluate: Callable[[int], T | None], known: int, count: int) -> T | None:
-    """Return the result for the last index that tries beyond a known one find.
-
-    After a find, the tries start again from there.
+def last_of_all(evaluate: Callable[[int], T | None], known: int, count: int) -> T | None:
+    """Return the result for the last index that works, trying every one beyond a known one.
 
     Args:
         evaluate: Returns the result for an index, None if it does not work.
-        known: The last index known to work.
+        known: The last index known to work; -1 if none is.
         count: Number of indices.
     """
     best: T | None = None
+    failed: set[int] = set()
     while True:
-        ahead = (*STEPS_AHEAD, *range(2 * max(STEPS_AHEAD), count, max(STEPS_AHEAD)))
-        tries = ((i, evaluate(i)) for i in (known + step for step in ahead) if i < count)
-        found = next(((i, result) for i, result in tries if result is not None), None)
-        if found is None:
+        i = next((i for i in _ahead(known, count) if i not in failed), None)
+        if i is None:
             return best
-        known, best = found
+        found = evaluate(i)
+        if found is None:
+            failed.add(i)
+        else:
+            known, best = i, found
+
+
+def _ahead(known: int, count: int) -> Iterator[int]:
+    """Yield all indices beyond a known one, in the order of trying them."""
+    leap = max(STEPS_AHEAD)
+    first = [known + step for step in (*STEPS_AHEAD, *range(2 * leap, count - known, leap))]
+    yield from (i for i in first if i < count)
+    yield from sorted(set(range(known + 1, count)) - set(first))
 
 
 def values_per_waypoint(config: MotionConfig, *, slides: bool) -> int:

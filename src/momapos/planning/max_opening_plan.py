@@ -14,7 +14,7 @@ from momapos.planning.placement import Method
 from momapos.verification import meets_floor_at
 
 from .config import PipelineConfig
-from .max_opening import beyond, farthest_answer, values_before, values_per_waypoint
+from .max_opening import farthest_answer, last_of_all, values_before, values_per_waypoint
 from .query import PlacementQuery
 from .result import PlacementResult
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
-MAX_TIME_BEYOND = 2.0
-"""Time for all tries together, as a share of the time until bisection ends [-]."""
+_SAME = 1e-9
+"""Values that differ by less are the same [rad] or [m]."""
 MIN_TIMEOUT = 0.001
 """Searches start only with more time left than this [s]."""
 
@@ -38,7 +38,7 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
     task, config, watch = query.task, query.config, query.watch
     assert task.to is not None
     at_once = _answer_to(query, answer, task.to, by_samples(config))
-    if at_once.plan.status == "solved":
+    if at_once.plan.feasible:
         best, sure = at_once, True
     else:
         values = np.append(values_short_of(query), task.to)
@@ -47,7 +47,7 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
             sure = True
         left = max(config.timeout - watch.total, MIN_TIMEOUT)
         best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
-    known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
+    known = replace(best.plan.task, farthest=sure and best.plan.feasible)
     timing = watch.timing
     return replace(best, plan=replace(best.plan, task=known, timing=timing))
 
@@ -62,8 +62,10 @@ def find_max_opening(
 ) -> tuple[PlacementResult | None, bool]:
     """Find the largest value for which there is a plan.
 
-    The search of base poses is not complete, and may find a value and miss a smaller one. So values
-    beyond the largest one that bisection finds are tried as if the user had requested them.
+    The search of base poses is not complete, and may find a value and miss a smaller one. So every
+    value beyond the largest one that bisection finds is tried as if the user had requested it: what
+    the same seed solves when it is requested directly is never more than the result. Only the time
+    limit ends the tries early.
 
     Args:
         query: The question; the value of its task does not count.
@@ -76,27 +78,32 @@ def find_max_opening(
         The answer for that value, if any has one, and whether it is proved that there is no
         larger one: the part itself is blocked at the next value.
     """
-    config, stopped, limit = query.config, np.inf, timeout
+    config, stopped = query.config, np.inf
+    excluded: set[float] = set()
 
     def evaluate(value: float, thorough: bool) -> PlacementResult | None:
         nonlocal stopped
-        left = limit - query.watch.total
-        if left < MIN_TIMEOUT:
+        left = timeout - query.watch.total
+        is_excluded = value in excluded or abs(value - values[0]) > stopped - _SAME
+        if left < MIN_TIMEOUT or is_excluded:
             return None
         how = replace(config if thorough else by_samples(config), timeout=left)
         result = _answer_to(query, answer, value, how)
         if result.prepared.blocked:
             stopped = min(stopped, abs(value - values[0]))
-        return result if result.plan.status == "solved" else None
+        if result.plan.feasible:
+            return result
+        if thorough:
+            excluded.add(value)
+        return None
 
     waypoint = values_per_waypoint(config.motion, slides=slides(query.scene, query.task))
     best = farthest_answer(evaluate, values, waypoint=waypoint, within=within)
     if best is None:
         return None, False
-    limit = min(timeout, MAX_TIME_BEYOND * query.watch.total)
-    open_to = int(np.searchsorted(np.abs(values - values[0]), stopped - 1e-9))
     known = _index_of(best, values)
-    best = beyond(lambda i: evaluate(values[i], True), known, open_to) or best
+    best = last_of_all(lambda i: evaluate(values[i], True), known, len(values)) or best
+    open_to = int(np.searchsorted(np.abs(values - values[0]), stopped - _SAME))
     return best, bool(_index_of(best, values) + 1 == open_to < len(values))
 
 

@@ -15,6 +15,7 @@ from momapos.planning.importance import Selection, rank
 from momapos.planning.placement import OURS, search
 
 from .max_opening_plan import plan_max_opening
+from .narrower_hands import with_narrower_hand
 from .query import PlacementQuery
 from .refine_model import initial_selection, refine_model
 from .result import PlacementResult
@@ -57,7 +58,7 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
     selection = initial_selection(query, ranked, motion)
     while True:
         result = _search(query, selection, motion)
-        if result.plan.status == "solved":
+        if result.plan.feasible:
             selection, valid = refine_model(query, selection, result)
             if valid:
                 break
@@ -65,9 +66,12 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
             break
         else:
             selection = selection.relax_alpha()
-    timing = watch.timing
-    plan = replace(result.plan, key_objects=selection.record(), timing=timing)
-    return replace(result, plan=plan)
+    answer = replace(
+        result,
+        plan=replace(result.plan, key_objects=selection.record(), timing=watch.timing),
+    )
+    infeasible = result.plan.status == "infeasible"
+    return with_narrower_hand(query, answer, plan_to_value) if infeasible else answer
 
 
 def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> PlacementResult:

@@ -204,6 +204,7 @@ def iter_two_grasps(
     """
     watch = watch or Stopwatch(lambda: 0.0)
     pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
+    pushes &= whole.motion.latch_q is None  # the hand that turned the latch keeps it turned
     for ajar in AJAR_ANGLES if pushes and not whole.blocked else ():
         two = _two_grasps(whole, config, seed, ajar, keep_grasps, out_of_time, watch)
         if two is not None:

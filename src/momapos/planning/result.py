@@ -12,13 +12,16 @@ import numpy as np
 
 from momapos.core import require, version_of
 from momapos.model.records import (
+    Assumption,
     CostTerm,
     JointResistance,
     MotionLoads,
     PlacementPlan,
+    Status,
     Tolerance,
 )
 from momapos.model.robots import Robot
+from momapos.model.scene import latch_value
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
 from momapos.planning.placement import OURS, Search, cost_terms
@@ -86,6 +89,15 @@ class PlacementResult:
         return (motion.grasps.describe(int(away.sum((1, 2)).argmin())),)
 
     @property
+    def latch(self) -> str:
+        """Return what the hand turns before the part moves, in words; "" for nothing."""
+        found, target = self.plan.motion, self.prepared.scene.object(self.plan.task.object)
+        if found is None or found.latch_q is None or target.latch is None:
+            return ""
+        value = latch_value(target, target.latch)
+        return f"{target.latch.joint} to {value} first; the hand holds on and keeps it there"
+
+    @property
     def touched_after(self) -> str:
         """Return what the robot touches as its arm returns home after the task; "" for nothing."""
         base, robot, task = self.plan.base_pose, self.prepared.robot, self.plan.task
@@ -128,9 +140,9 @@ def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> P
 
     def rank(result: PlacementResult) -> tuple[int, float, float]:
         plan = result.plan
-        order = ("solved", "timeout", "infeasible").index(plan.status)
+        order = ("solved", "assumed", "timeout", "infeasible").index(plan.status)
         solved_to = plan.task.to if farthest else None
-        to = solved_to if plan.status == "solved" else plan.feasible_to
+        to = solved_to if plan.feasible else plan.feasible_to
         return order, -_moved(result, to), plan.navigation_cost or 0.0
 
     return min(results, key=rank)
@@ -162,6 +174,10 @@ def plan_of(
     """
     robot, base = query.robot, found.base
     solved = found.motion is not None and base is not None
+    status: Status = "timeout" if found.timed_out else "infeasible"
+    if solved:
+        assumed = query.scene.is_assumed(query.task.object, query.task.joint)
+        status = "assumed" if assumed else "solved"
     return PlacementPlan(
         scene=str(query.scene.path) if query.scene.path else query.scene.name,
         robot_name=robot.name,
@@ -169,7 +185,7 @@ def plan_of(
         base_link=robot.base_link,
         tool_link=robot.tool_link,
         task=query.task,
-        status="solved" if solved else "timeout" if found.timed_out else "infeasible",
+        status=status,
         robot_file=robot.source,
         robot_srdf=_named_srdf(robot),
         robot_rest=robot.model.held,
@@ -177,6 +193,7 @@ def plan_of(
         robot_amended=robot.amended,
         scene_joints=query.scene.joints_set,
         scene_hypotheses=query.scene.hypotheses_set,
+        assumption=_improbable(query) if status == "assumed" else None,
         resistance=_resistance(prepared),
         loads=_loads(prepared, found) if solved else None,
         joints=robot.moved_joints,
@@ -200,6 +217,14 @@ def _loads(prepared: PreparedTask, found: Search) -> MotionLoads | None:
         return None
     x, y, yaw = map(float, found.base)
     return prepared.verifier.loads((x, y, yaw), found.motion)
+
+
+def _improbable(query: PlacementQuery) -> Assumption | None:
+    """Describe the joint if its most probable motion is improbable; None if another is assumed."""
+    scene, task = query.scene, query.task
+    if scene.hypotheses_set or task.joint is None:
+        return None
+    return Assumption.of_first(scene.object(task.object).hypotheses[task.joint][0])
 
 
 def _resistance(prepared: PreparedTask) -> dict[str, dict[str, JointResistance]]:

@@ -59,7 +59,7 @@ class SearchSetup:
         """Yield the task with two grasps, for each value at which the hand may let go."""
         query = self.query
         return iter_two_grasps(
-            self.prepared, query.config, query.seed,
+            self.prepared, query.config, query.seed, keep_grasps=query.keep_grasps,
             out_of_time=self.problem.out_of_time, watch=query.watch,
         )  # fmt: skip
 
@@ -130,8 +130,9 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
     robot, config, watch = query.robot, query.config, query.watch
     clearance = config.place.clearance
     prepared = prepare(
-        modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
-    )
+        modeled, robot, query.task, config, clearance=clearance, motion=motion,
+        keep_grasps=query.keep_grasps, watch=watch,
+    )  # fmt: skip
     with watch.stage("exact model"):
         infeasible_reason = prepared.infeasible_reason
     with watch.stage("drive"):

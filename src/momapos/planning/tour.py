@@ -16,6 +16,7 @@ from momapos.model.records import (
     Status,
     Task,
     Verb,
+    status_of_all,
 )
 from momapos.model.scene import Scene
 from momapos.planning.grasps import make_task
@@ -66,8 +67,8 @@ class Tour:
 
     @property
     def status(self) -> Status:
-        """Return the status of the last task; all others are solved."""
-        return self.steps[-1].plan.status
+        """Return the status of the last task, or `assumed` if only that keeps it from solved."""
+        return status_of_all([step.plan for step in self.steps])
 
     @property
     def driving(self) -> float:
@@ -147,7 +148,7 @@ def _assumed(requests: Sequence[Request]) -> tuple[str, ...]:
 
 
 def _solved(visit: list[PlacementResult]) -> bool:
-    return visit[-1].plan.status == "solved"
+    return visit[-1].plan.feasible
 
 
 def _base(visit: list[PlacementResult]) -> Float[np.ndarray, "3"]:
@@ -227,9 +228,9 @@ class _Planner:
             left = max(self.deadline - self.clock(), 1e-3)
             share = 1.0 if last == first else SHARED_POSE_SHARE / tasks
             found = self._from_one_pose(first, last, start, in_others, share * left)
-            if found.plan.status == "solved" or last == first:
+            if found.plan.feasible or last == first:
                 break
-        if found.plan.status != "solved" or found.plan.base_pose is None:
+        if not found.plan.feasible or found.plan.base_pose is None:
             return [found]
         base = np.array(found.plan.base_pose)
         others = [

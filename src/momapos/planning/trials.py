@@ -47,7 +47,7 @@ class Trials:
         except MomaposError:
             # Such as a start that collides after the change, or a hand that holds nothing.
             return None
-        return found if found.plan.status == "solved" else None
+        return found if found.plan.feasible else None
 
     def keeps(self, answer: PlacementResult, scene: Scene) -> bool:
         """Return whether a plan is valid in another scene, unless the time is up."""

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 
 from .config import AVOID_RATE, ComplianceConfig
+from .followers import set_followers
 from .geoms import HAND, ROBOT, Kind, matrix_quat
-from .simulation import Simulation, set_followers
+from .simulation import Simulation
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -121,6 +122,8 @@ class CollisionAvoidance:
                 model.body_pos[body] = T[:3, 3]
                 model.body_quat[body] = matrix_quat(T[:3, :3])
             data.qpos[known.part_q] = value
+            if known.latch is not None:
+                known.latch.place(data.qpos, value)
             set_followers(model, data.qpos)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)

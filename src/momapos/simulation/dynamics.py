@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core import UrdfError, read_xml
-from momapos.core.geometry import pose_rpy
-from momapos.model.urdf import MAX_URDF_BYTES, Geometry, Hull, Mimic, hull_of
+from momapos.model.urdf import MAX_URDF_BYTES, Geometry, Hull, Mimic, hull_of, origin_pose
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -65,11 +64,9 @@ def read_dynamics(path: Path) -> Dynamics:
             offset = _number(mimic.get("offset", "0"), where)
             mimics[joint.get("name")] = Mimic(mimic.get("joint"), factor, offset)
         limit = joint.find("limit")
-        if limit is not None and limit.get("effort") is not None:
-            where = f"{path}: joint {joint.get('name')!r}"
-            effort = _number(limit.get("effort"), f"{where}: effort")
-            if effort > 0:
-                efforts[joint.get("name")] = effort
+        effort = 0.0 if limit is None else float(limit.get("effort", "0").replace(",", " "))
+        if 0 < effort < math.inf:
+            efforts[joint.get("name")] = effort
     return Dynamics(inertias, efforts, mimics)
 
 
@@ -78,22 +75,11 @@ def _inertia(element: Any, where: str) -> Inertia:
     if mass < 0:
         raise UrdfError(f"{where}: mass {mass:g} is negative")
     origin, matrix = element.find("origin"), element.find("inertia")
-    xyz, rpy = (
-        _triple(None if origin is None else origin.get(key), f"{where}: {key}")
-        for key in ("xyz", "rpy")
-    )
     values = [
         _number("0" if matrix is None else matrix.get(key, "0"), f"{where}: {key}")
         for key in _MATRIX
     ]
-    return Inertia(mass, pose_rpy(xyz, rpy), tuple(values))  # type: ignore[arg-type]
-
-
-def _triple(text: str | None, where: str) -> tuple[float, ...]:
-    values = [_number(word, where) for word in (text or "0 0 0").replace(",", " ").split()]
-    if len(values) != 3:
-        raise UrdfError(f"{where} {text!r:.80} must have 3 numbers")
-    return tuple(values)
+    return Inertia(mass, origin_pose(origin), tuple(values))  # type: ignore[arg-type]
 
 
 def _number(text: str | None, where: str) -> float:

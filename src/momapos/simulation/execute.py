@@ -182,19 +182,23 @@ def _stretches(
 ) -> list[Stretch]:
     """Cut the motion where the hand grasps and lets go."""
     step = config.timestep * SUBSTEPS
-    holds = motion.holds or (Hold(0, len(motion.q) - 1),)
     cuts: list[tuple[int, int, Hold | None]] = []
-    for hold in holds:
+    for hold in motion.grasps:
         if cuts:
             cuts.append((cuts[-1][1], hold.first, None))
         cuts.append((hold.first, hold.last, hold))
+    latched = motion.latch_q is not None
+    if latched:  # the hand turns the latch, and holds on as the part moves
+        first, last, held = cuts.pop(0)
+        turned = motion.holds[0].first
+        cuts[:0] = [(first, turned, held), (turned, last, held)]
     stretches = []
-    for first, last, held in cuts:
+    for index, (first, last, held) in enumerate(cuts):
         states = slice(first, last + 1)
         part = replace(
             motion, approach=motion.q[states], q=motion.q[states],
             object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
-            approach_times=None, times=None, holds=(),
+            approach_times=None, times=None, holds=(), latch_q=None,
         )  # fmt: skip
         speed = config.speed
         if held is not None and held.family == "push":
@@ -204,7 +208,8 @@ def _stretches(
         verb = None if task.verb == "place" else task.verb
         free, slow = time_motion(robot, part, speed, step, verb=verb)
         if held is not None:
-            stretches.append(Stretch(slow, part, held))
+            turns, goes_on = latched and index == 0, latched and index == 1
+            stretches.append(Stretch(slow, part, held, turns_latch=turns, goes_on=goes_on))
             continue
         way = pace_trajectory(
             free, part.q, part.Ts_world_tool[:, :3, 3], room, config,

@@ -75,6 +75,10 @@ class Stretch:
     """None for a free hand."""
     between: PacedTrajectory | None = None
     """For a free hand between two grasps, the trajectory slowed down near obstacles; else None."""
+    turns_latch: bool = False
+    """Whether the hand turns the latch of the part in this section."""
+    goes_on: bool = False
+    """Whether the hand holds on from the section before."""
 
     @property
     def pushes(self) -> bool:
@@ -176,6 +180,8 @@ class ExecutionRun:
         if self.seal.outward:
             value = float(world.data.qpos[world.part_q])
             world.data.qfrc_applied[world.part_v] = self.seal.force(value)
+        if world.latch is not None:
+            world.latch.update(world.data, self.config.tolerance)
         mujoco.mj_step(world.model, world.data, nstep=SUBSTEPS)
         self.spent[stage] += 1
         if self.watch is not None:

@@ -48,6 +48,28 @@ def follow_part(
     return way.end()
 
 
+def turn_latch(run: ExecutionRun, plan: Trajectory) -> Ending | None:
+    """Turn the latch of a part as planned; return an early ending, or None.
+
+    The hand keeps the pose in the latch that it found, and is compliant across its path.
+    """
+    T_held = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])[0]
+    T_first_held = invert(run.arm.kinematics.at(plan.q[0])[0]) @ T_held
+    last, goal = len(plan) - 1, T_held
+    for i in range(1, len(plan) + round(DWELL_TIME / run.step)):
+        k, before = min(i, last), goal
+        goal = run.arm.kinematics.at(plan.q[k])[0] @ T_first_held
+        twist = twist_between(before, goal) / run.step
+        way = twist[:3] / max(float(np.linalg.norm(twist[:3])), 1e-9)
+        across = EVERYWHERE - np.outer(way, way)
+        here = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])[0][:3, 3]
+        run.arm.follow(Reference(plan.q[k], plan.v[k], goal, twist, across, across, here))
+        ending = run.tick(Stage.MANIPULATE) or run.check_grasp()
+        if ending is not None:
+            return ending
+    return None
+
+
 class _PartWay:
     """Path of a part under the hand, and what the hand learns about its joint."""
 

@@ -31,12 +31,16 @@ class RunMotion:
     """Pose of a movable object's root link in the world: x, y, z [m], then quaternion wxyz."""
     forces: tuple[Triple, ...] = ()
     """Force of the held object on the hand, in the world [N]; 0 without a grasp."""
+    latch: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Values of the part's latch by the name of its joint [rad] or [m]; empty if none is turned."""
 
     def __post_init__(self) -> None:
         """Check the lengths and the times."""
         lists = (self.stages, self.bases, *self.joints.values(), self.part, self.poses, self.forces)
         if any(len(one) not in (0, len(self.times)) for one in lists):
             raise ValueError(f"each list of a motion must be empty or have {len(self.times)} items")
+        if any(len(one) != len(self.times) for one in self.latch.values()):
+            raise ValueError("the values of a latch must be as long as the times of its motion")
         if len(self.bases) != len(self.times) or len(self.stages) != len(self.times):
             raise ValueError("stages and bases of a motion must be as long as its times")
         if any(b < a for a, b in pairwise(self.times)):

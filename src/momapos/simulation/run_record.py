@@ -187,11 +187,21 @@ class RunRecord:
     """The task in that scene."""
     motion: RunMotion | None = None
     """Recorded motion; None if the run was not watched."""
+    assumed: str = ""
+    """Assumed kind of the part if the simulated room is only an assumption, because the plan is
+    `assumed` and no true scene was given; "" otherwise."""
 
     @property
     def success(self) -> bool:
-        """Whether the task was done."""
+        """Whether the part or object moved as the plan requests, in the simulated room."""
         return self.execution is not None and self.execution.success
+
+    @property
+    def verdict(self) -> str:
+        """Return "done", "failed", or "moved as assumed" if the room is only an assumption."""
+        if not self.success:
+            return "failed"
+        return "moved as assumed" if self.assumed else "done"
 
     @property
     def reason(self) -> str:
@@ -208,13 +218,16 @@ class RunRecord:
 
 def run_to_dict(record: RunRecord) -> dict[str, Any]:
     """Convert a record to the content of its file."""
+    members = asdict(record)
+    if record.motion is not None and not record.motion.latch:
+        del members["motion"]["latch"]
     return {
         "format": FORMAT,
         "version": VERSION,
         "success": record.success,
         "reason": record.reason,
         "driven": record.driven,
-        **asdict(record),
+        **members,
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -128,6 +128,7 @@ class RunTrace:
             bases=tuple(_triple(row.base) for row in rows),
             joints={name: rounded(each) for name, each in values.items()},
             part=() if loose else rounded([p[0] for p in parts]),
+            latch=_latch(rows),
             poses=tuple(rounded(p) for p in parts) if loose else (),
             forces=tuple(_triple(row.force, 1) for row in rows),
         )
@@ -189,6 +190,19 @@ def _sampled(times: Float[np.ndarray, " t"]) -> Iterator[int]:
 
 def _joint(row: _Row, name: str) -> float:
     return 0.0 if row.world is None else float(row.q[row.world.model.joint(name).qposadr[0]])
+
+
+def _latch(rows: Sequence[_Row]) -> dict[str, tuple[float, ...]]:
+    """Return the values of the latch of the first world that has one; it stays in other worlds."""
+    latch = next((row.world.latch for row in rows if row.world and row.world.latch), None)
+    if latch is None:
+        return {}
+    values, last = [], latch.start
+    for row in rows:
+        if row.world is not None and row.world.latch is not None:
+            last = float(row.q[row.world.latch.value_q])
+        values.append(last)
+    return {latch.joint: rounded(values)}
 
 
 def _loose(world: Simulation) -> bool:

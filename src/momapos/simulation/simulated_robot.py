@@ -52,11 +52,16 @@ def add_robot(
 ) -> None:
     """Add the robot to a world.
 
-    The arm's joints get motors; the fingers move only where the hold is `contact`. All other
-    joints are locked where they rest. The engine's joints keep the URDF's names.
+    The arm's joints get motors; joints outside the chain that follow them are coupled to them; the
+    fingers move only where the hold is `contact`. All other joints are locked where they rest. The
+    engine's joints keep the URDF's names.
     """
     fingers = hand.fingers if config.hold == "contact" else ()
-    followers = hand.followers if config.hold == "contact" else {}
+    followers = dict(hand.followers) if config.hold == "contact" else {}
+    for name in robot.segments.side_followers:
+        mimic = robot.model.joint(name).mimic
+        assert mimic is not None
+        followers[name] = mimic
     root = place_body(spec.worldbody.add_body(name="base"), pose_planar(np.array(base_pose)))
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     for name, motion, axis in zip(BASE_JOINTS, (slide, slide, hinge), np.eye(3), strict=True):

@@ -11,11 +11,12 @@ import mujoco
 import numpy as np
 
 from momapos.core.geometry import apply, invert, pose
-from momapos.model.records import Hold, Motion, Task
+from momapos.model.records import Motion, Task
 from momapos.model.scene import (
     Scene,
     SceneObject,
     known_resistance,
+    latch_to_turn,
     object_mass,
     part_masses,
 )
@@ -24,6 +25,7 @@ from momapos.model.urdf import Geometry, Hull, Joint, opening_of, opens_both_way
 from .config import WELD_TIME, ExecutionConfig, FurnitureConfig
 from .dynamics import hull_volume, volume
 from .geoms import Kind, add_hull, add_shape, dress, place_body
+from .simulated_latch import add_friction, add_lock, carriers_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -203,8 +205,8 @@ def add_part(
 ) -> None:
     """Add what the task moves: the links beyond its joint and its mimic joints, or an object.
 
-    The links that a mimic joint moves are a body of their own. Other joints of the part are locked
-    at the scene's values.
+    The links that a mimic joint moves are a body of their own, and so is a latch that must be
+    turned, which locks the part. Other joints of the part are locked at the scene's values.
 
     Args:
         spec: The world.
@@ -227,7 +229,8 @@ def add_part(
         place_body(body, poses[item.model.urdf.root]).add_freejoint(name=PART)
         shapes.add(spec, body, item.model.urdf.root, links)
         return
-    groups, bodies = item.model.rigid_groups(task.joint), dict[str, Any]()
+    latch = latch_to_turn(item, task.joint)
+    groups, bodies = carriers_of(item, task.joint), dict[str, Any]()
     held = held or item.model.joint(task.joint).child
     balanced = bool(known_resistance(item, task.joint, config.furniture).balanced)
     for carrier in dict.fromkeys(groups.values()):
@@ -244,9 +247,13 @@ def add_part(
         if leads:
             added.frictionloss = resistance.friction
             added.damping = [resistance.damping, 0, 0]
+        elif latch is not None and joint.name == latch.joint:
+            add_friction(added, item, latch, config.furniture)
         else:
-            _couple(spec, joint)
+            _couple(spec, joint, task.joint)
         shapes.add(spec, body, carrier, [link for link, on in groups.items() if on == carrier])
+    if latch is not None:
+        add_lock(spec, PART)
 
 
 def set_masses(
@@ -269,7 +276,7 @@ def set_masses(
     if task.joint is None:
         groups = dict.fromkeys(links, item.model.urdf.root)
     else:
-        groups = item.model.rigid_groups(task.joint)
+        groups = carriers_of(item, task.joint)
     for carrier in dict.fromkeys(groups.values()):
         on, back = [link for link in links if groups[link] == carrier], invert(poses[carrier])
         weights = np.array([masses[link][0] for link in on])
@@ -323,9 +330,12 @@ class PartShapes:
 
 def held_link(item: SceneObject, joint: str, motion: Motion) -> str:
     """Return the link whose body is nearest to the hand when it grasps the part in a motion."""
+    latch = latch_to_turn(item, joint)
+    if latch is not None and motion.latch_q is not None:
+        return item.model.joint(latch.joint).child
     first = motion.holds[0].first if motion.holds else 0
     poses = item.link_poses({joint: float(motion.object_q[first])})
-    tool, groups = motion.Ts_world_tool[first, :3, 3], item.model.rigid_groups(joint)
+    tool, groups = motion.Ts_world_tool[first, :3, 3], carriers_of(item, joint)
     gaps = dict.fromkeys(groups.values(), np.inf)
     for link, carrier in groups.items():
         at = apply(invert(poses[link]), tool[None])[0]
@@ -343,7 +353,7 @@ def _distance_to_box(hull: Hull, point: Float[np.ndarray, "3"]) -> float:
 def reached_elements(item: SceneObject, joint: str, motion: Motion) -> set[tuple[str, int]]:
     """Return the elements of a part near its grasps in a motion, as (link, index)."""
     found = set()
-    for hold in motion.holds or (Hold(0, len(motion.q) - 1),):
+    for hold in motion.grasps:
         poses = item.link_poses({joint: float(motion.object_q[hold.first])})
         tool = motion.Ts_world_tool[hold.first, :3, 3]
         for link in item.model.moved_by(joint):
@@ -367,14 +377,16 @@ def _add_joint(body: Any, joint: Joint, value: float, deviation: Deviation | Non
     return added
 
 
-def _couple(spec: Any, joint: Joint) -> None:
-    """Make a mimic joint of the part follow its leader."""
+def _couple(spec: Any, joint: Joint, part: str) -> None:
+    """Make a mimic joint of the part follow its leader: the part's joint or the latch's."""
     assert joint.mimic is not None
     coupling = spec.add_equality(
         name=f"{PART}/{joint.name}", type=mujoco.mjtEq.mjEQ_JOINT,
         objtype=mujoco.mjtObj.mjOBJ_JOINT, active=True,
     )  # fmt: skip
-    coupling.name1, coupling.name2 = f"{PART}/{joint.name}", PART
+    leader = joint.mimic.joint
+    coupling.name1 = f"{PART}/{joint.name}"
+    coupling.name2 = PART if leader == part else f"{PART}/{leader}"
     # Relative to the reference values, which satisfy the relation with its offset.
     coupling.data = [0.0, joint.mimic.ratio, *np.zeros(len(coupling.data) - 2)]
     coupling.solref = [WELD_TIME, 1.0]

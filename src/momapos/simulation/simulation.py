@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +18,10 @@ from momapos.model.scene import Scene, SceneObject
 
 from .config import PAD_TIME, TOUCH_DISTANCE, WELD_TIME, ExecutionConfig
 from .dynamics import Dynamics
+from .followers import couplings, set_followers
 from .geoms import HAND, ROBOT, Kind, matrix_quat
 from .simulated_hand import Finger, SimulatedHand
+from .simulated_latch import SimulatedLatch, find_latch
 from .simulated_robot import BASE_JOINTS, TOOL_POINT, add_robot, body_of, tune
 from .simulated_room import (
     PART,
@@ -79,6 +81,8 @@ class Simulation:
     or wheels are unknown."""
     balanced: tuple[str, ...]
     """Joints whose effort limits are below the arm's weight, so that springs must bear it."""
+    latch: SimulatedLatch | None = None
+    """The latch that locks the part; None if none must be turned."""
 
     @property
     def weight_on_part(self) -> float:
@@ -86,8 +90,9 @@ class Simulation:
         larger values [Nm] or [N]."""
         weight = self.data.qfrc_gravcomp - self.data.qfrc_bias
         found = float(weight[self.part_v])
-        for follower, _, ratio in _couplings(self.model):
-            found += ratio * float(weight[self.model.joint(follower).dofadr[0]])
+        for follower, leader, ratio in couplings(self.model):
+            if leader == PART:
+                found += ratio * float(weight[self.model.joint(follower).dofadr[0]])
         return found
 
     @property
@@ -231,7 +236,8 @@ def build_simulation(
         if is_part(one) or is_part(other)
     ]
     names = tuple(dict.fromkeys("floor" if n == "world" else n.split("#")[0] for n in loose))
-    return _index(model, data, robot, hand, fingers, names, balanced)
+    latch = None if task.joint is None else find_latch(model, item, task.joint, PART)
+    return replace(_index(model, data, robot, hand, fingers, names, balanced), latch=latch)
 
 
 def _support(robot: Robot) -> Float[np.ndarray, "k 2"] | None:
@@ -277,22 +283,6 @@ def _values(model: Any, values: dict[str, float | None]) -> Any:
     set_followers(model, data.qpos)
     mujoco.mj_forward(model, data)
     return data
-
-
-def set_followers(model: Any, q: Float[np.ndarray, " q"]) -> None:
-    """Set the mimic joints of the part to where its joint takes them."""
-    for follower, leader, ratio in _couplings(model):
-        x, y = model.joint(leader).qposadr[0], model.joint(follower).qposadr[0]
-        q[y] = model.qpos0[y] + ratio * (q[x] - model.qpos0[x])
-
-
-def _couplings(model: Any) -> list[tuple[str, str, float]]:
-    """Return the mimic joints of the part, with their leader and ratio."""
-    return [
-        (model.joint(model.eq_obj1id[i]).name, PART, float(model.eq_data[i, 1]))
-        for i in range(model.neq)
-        if is_part(model.equality(i).name)
-    ]
 
 
 def _part_bodies(model: Any) -> list[str]:

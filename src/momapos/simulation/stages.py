@@ -12,7 +12,7 @@ from .approach import PacedTrajectory
 from .config import AT_END, DWELL_TIME, GRIP_TIME, SETTLE_TIME, WELD_REACH, Ending, Stage
 from .entering import come_in, go_between, reach_on
 from .execution_run import ExecutionRun, Stretch
-from .following import follow_part
+from .following import follow_part, turn_latch
 
 MAX_GRASP_OFFSET, MAX_GRASP_ANGLE = 0.03, np.radians(15.0)
 """Maximum deviation of the hand from the planned grasp at which it closes [m], [rad]."""
@@ -30,7 +30,8 @@ def carry_out(run: ExecutionRun, approach: PacedTrajectory, stretches: Sequence[
     ending = ending or come_in(run, approach)
     for stretch in stretches:
         free = place or (stretch.hold is None and run.belief is not None)
-        ending = ending or (run.let_go() if free else _grasp(run, stretch))
+        if not stretch.goes_on:
+            ending = ending or (run.let_go() if free else _grasp(run, stretch))
         ending = ending or _move(run, stretch)
     if ending not in (None, *AT_END):
         return ending
@@ -77,6 +78,8 @@ def _move(run: ExecutionRun, stretch: Stretch) -> Ending | None:
     plan = stretch.plan
     if stretch.between is not None:
         return go_between(run, stretch.between)
+    if stretch.turns_latch:
+        return turn_latch(run, plan)
     if run.belief is None or not run.belief.alone or stretch.hold is None:
         offset = run.arm.q - plan.q[0]  # keep the object as it came into the hand
         for q, v, a in zip(plan.q, plan.v, plan.a, strict=True):

@@ -73,6 +73,10 @@ def judge(
         if not near or stopped:
             share = (reached - start) / (asked - start) if asked != start else 0.0
             reason = f"{task.joint} moved {100 * share:.0f} % of the requested travel"
+            latch = world.latch
+            waits = latch is not None and not latch.turned(world.data.qpos, config.tolerance)
+            if latch is not None and waits and not near:
+                reason += f"; its latch {latch.joint} is not turned"
     reasons = [text for text in (stopped, reason) if text]
     # Collisions within one object do not count as hard: hulls of hollow shapes overlap where the
     # shapes pass each other.

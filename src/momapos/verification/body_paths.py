@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,33 +19,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class BodyPaths:
-    """Bodies that move with one joint; bodies with other joints between them count as one."""
+    """Bodies that move with some joints; bodies with other joints between them count as one."""
 
     joints: tuple[Joint, ...]
-    """The joint that moves each body: the leader or a mimic joint; none for a whole object."""
+    """The joint that moves each body: a leader or a mimic joint; none for a whole object."""
     parent: tuple[int, ...]
     """Index of the body that carries each one, before it; -1 for what stands still."""
     offsets: Float[np.ndarray, "b 4 4"]
     """Pose of each joint's frame in that body or in the world."""
 
-    def at(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s b 4 4"]:
-        """Return world poses of the bodies at values of the leader [rad] or [m]."""
+    def at(self, values: Mapping[str, Float[np.ndarray, " s"]]) -> Float[np.ndarray, "s b 4 4"]:
+        """Return world poses of the bodies at values of the leaders [rad] or [m], by name."""
         poses: list[np.ndarray] = []
         for joint, parent, offset in zip(self.joints, self.parent, self.offsets, strict=True):
-            own = values if joint.mimic is None else following(joint.mimic, values)
+            mimic = joint.mimic
+            own = values[joint.name] if mimic is None else following(mimic, values[mimic.joint])
             T = offset if parent < 0 else poses[parent] @ offset
             poses.append(T @ joint_motions(joint, own))
         return np.stack(poses, axis=1)
 
 
 def paths_of(
-    bodies: LinkBodies, leader: str, Ts_world_body: Float[np.ndarray, "b 4 4"]
+    bodies: LinkBodies, leaders: Sequence[str], Ts_world_body: Float[np.ndarray, "b 4 4"]
 ) -> tuple[BodyPaths, Mapping[int, int]]:
     """Return the paths of what a joint moves, and which of its bodies carries each moved body.
 
     Args:
         bodies: The bodies of the object.
-        leader: The joint.
+        leaders: The joint, and joints of what it moves that move, too.
         Ts_world_body: Poses of the bodies in the scene.
     """
     joints: list[Joint] = []
@@ -53,10 +54,10 @@ def paths_of(
     offsets: list[np.ndarray] = []
     carrier: dict[int, int] = {}
     first: list[int] = []
-    for body in sorted(bodies.moved_by(leader)):
+    for body in sorted(bodies.moved_by(leaders[0])):
         joint, above = bodies.joints[body], bodies.parent[body]
         assert joint is not None
-        if joint.name != leader and (joint.mimic is None or joint.mimic.joint != leader):
+        if (joint.name if joint.mimic is None else joint.mimic.joint) not in leaders:
             carrier[body] = carrier[above]
             continue
         T_world_joint = Ts_world_body[above] @ bodies.Ts_parent_joint[body]

@@ -19,6 +19,7 @@ from momapos.model.scene import ResistanceConfig, Scene
 from . import path_checks as paths
 from .exact_shapes import Shapes
 from .floor_contact import depths_below_floor, dips
+from .latch_checks import known_latch_checks, latch_checks
 from .motion_loads import HandLoad, MeasuredLoads
 from .moved_part import split
 from .outline_note import outside_note
@@ -145,6 +146,7 @@ class PlanVerifier:
     ) -> tuple[tuple[Check, ...], _Placed | None]:
         """Return all checks, and the poses; no poses if the motion is not well formed."""
         checks = list(paths.number_checks(self.part, motion, base_pose))
+        checks += known_latch_checks(self.part, motion)
         if all(check.ok for check in checks):
             checks += paths.hold_checks(self.part, motion)
         if not all(check.ok for check in checks):
@@ -212,10 +214,11 @@ class PlanVerifier:
         robot, part, limits, path = self.robot_model, self.part, self.limits, placed.path
         Ts_planned = placed.Ts_tool[path.planned[: len(motion.q)]]
         yield from paths.object_checks(part, motion, limits)
+        yield from latch_checks(part, motion, limits)
         yield from paths.joint_checks(robot, motion, limits)
         yield from paths.home_checks(motion, limits)
         yield from paths.tool_checks(Ts_planned, motion, limits)
-        yield from paths.grasp_checks(part, path, placed.Ts_tool, paths.holds_of(motion), limits)
+        yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
         yield paths.reach_check(part, self.task.verb, motion, Ts_planned, limits)
         Ts_way, where = self._part_path(placed.Ts_part, path)
         yield self._part_check(Ts_way, where)
@@ -238,7 +241,13 @@ class PlanVerifier:
         held = path.object_q[path.approach :]
         cuts = int(paths.count_cuts(held, self.limits.step, MIN_SWEEP_STEPS))
         values = np.unique(np.concatenate([held, np.linspace(held[0], held[-1], cuts + 1)]))
-        return self.part.placed(values), lambda state: f"object_q {values[state]:.3f}"
+        turned = self.part.turned(len(values))
+        if turned is None or path.latch_q is None:
+            return self.part.placed(values), lambda state: f"object_q {values[state]:.3f}"
+        # The latch turns first; then the part moves with the turned latch.
+        latch_q = np.append(path.latch_q, turned)
+        values = np.append(path.object_q, values)
+        return self.part.placed(values, latch_q), lambda state: f"object_q {values[state]:.3f}"
 
     def _part_check(
         self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]

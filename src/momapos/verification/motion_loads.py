@@ -12,7 +12,7 @@ from momapos.core.geometry import apply, invert
 from momapos.model.records import Motion, MotionLoads, Task
 from momapos.model.scene import ResistanceConfig, SceneObject, object_mass, resistance_along
 
-from .path_checks import DensePath, holds_of
+from .path_checks import DensePath
 from .report import Check, Limits, at_most
 from .robot_efforts import RobotEfforts
 
@@ -47,7 +47,7 @@ class HandLoad:
         if self.task.joint is None:
             return self._weight(path, Ts_world_tool, point)
         force = np.zeros_like(point)
-        for hold in holds_of(motion):
+        for hold in motion.grasps:
             held = slice(hold.first, hold.last + 1)
             pull = self._pull(motion.object_q[held], motion.Ts_world_tool[held, :3, 3])
             at = path.at[path.approach :]

@@ -10,7 +10,7 @@ import numpy as np
 from momapos.core import TaskError
 from momapos.core.geometry import invert
 from momapos.model.records import Task
-from momapos.model.scene import Scene, SceneObject
+from momapos.model.scene import Scene, SceneObject, latch_to_turn
 from momapos.model.urdf import Joint, opening_of
 
 from .body_paths import BodyPaths, paths_of
@@ -30,6 +30,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
+class MovedLatch:
+    """A latch on the part, which a task turns before the part moves."""
+
+    joint: Joint
+    start: float
+    """Value in the scene [rad] or [m]."""
+    goal: float
+    """Value from which on the part is free [rad] or [m]."""
+    body: int
+    """Index of the body that it moves."""
+
+
+@dataclass(frozen=True, eq=False)
 class MovedPart:
     """The links that a joint and its mimic joints move, or a whole object."""
 
@@ -46,18 +59,35 @@ class MovedPart:
     """Shapes of the part, by the body that carries each."""
     paths: BodyPaths
     """Poses of these bodies at joint values."""
+    latch: MovedLatch | None = None
+    """The latch to turn; None if there is none."""
 
-    def poses(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s b 4 4"]:
-        """Return world poses of the part's bodies at joint values."""
+    def turned(self, count: int) -> Float[np.ndarray, " n"] | None:
+        """Return values of the turned latch, for a number of states; None without a latch."""
+        return None if self.latch is None else np.full(count, self.latch.goal)
+
+    def poses(
+        self, values: Float[np.ndarray, " s"], latch_q: Float[np.ndarray, " s"] | None = None
+    ) -> Float[np.ndarray, "s b 4 4"]:
+        """Return world poses of the part's bodies at values of joint and latch.
+
+        Without values, the latch is as in the scene.
+        """
         if self.joint is not None:
-            return self.paths.at(values)
+            leaders = {self.joint.name: values}
+            if self.latch is not None:
+                rest = np.full(len(values), self.latch.start)
+                leaders[self.latch.joint.name] = rest if latch_q is None else latch_q
+            return self.paths.at(leaders)
         Ts = np.repeat(self.paths.offsets[None], len(values), axis=0)
         Ts[:, 0, 2, 3] += values
         return Ts
 
-    def placed(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s k 4 4"]:
-        """Return world poses of the shapes at joint values."""
-        return self.placed_at(self.poses(values))
+    def placed(
+        self, values: Float[np.ndarray, " s"], latch_q: Float[np.ndarray, " s"] | None = None
+    ) -> Float[np.ndarray, "s k 4 4"]:
+        """Return world poses of the shapes at values of joint and latch, see `poses`."""
+        return self.placed_at(self.poses(values, latch_q))
 
     def placed_at(
         self, Ts_world_body: Float[np.ndarray, "s b 4 4"]
@@ -172,15 +202,21 @@ def _body_poses(item: SceneObject, bodies: LinkBodies) -> Float[np.ndarray, "b 4
 
 def _part(item: SceneObject, task: Task, bodies: LinkBodies, shapes: Shapes) -> MovedPart:
     """Build the moved part from its shapes, which are in world coordinates."""
-    joint, start, rest, goal = None, 0.0, 0.0, 0.0
+    joint, latch, start, rest, goal = None, None, 0.0, 0.0, 0.0
     paths, body = BodyPaths((), (), item.T_world_object[None]), np.zeros(len(shapes), np.int64)
     if task.joint is not None and task.to is not None:
         joint = bodies.joints[bodies.of_joint[task.joint]]
         start, goal = item.values()[task.joint], task.to
         rest = opening_of(item.model, task.joint).closed
-        paths, carrier = paths_of(bodies, task.joint, _body_poses(item, bodies))
+        held = latch_to_turn(item, task.joint)
+        leaders = (task.joint,) if held is None else (task.joint, held.joint)
+        paths, carrier = paths_of(bodies, leaders, _body_poses(item, bodies))
+        if held is not None:
+            turns = item.joint(held.joint)
+            at = carrier[bodies.of_joint[held.joint]]
+            latch = MovedLatch(turns, item.values()[held.joint], held.to, at)
         body = np.array([carrier[b] for b in shapes.body.tolist()], np.int64)
     named = replace(join([shapes], [f"{item.name}/"]), body=body)
-    part = MovedPart(item.name, joint, float(start), float(rest), float(goal), named, paths)
+    part = MovedPart(item.name, joint, float(start), float(rest), float(goal), named, paths, latch)
     Ts_body_world = invert(part.poses(np.array([start]))[0])
     return replace(part, shapes=named.moved_to(Ts_body_world[body] @ named.Ts_body_shape))

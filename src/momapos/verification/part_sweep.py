@@ -54,7 +54,8 @@ class PartSweepCheck:
         span = goal - self.part.start
         count = max(2, math.ceil(abs(span) / self.limits.step) + 1)
         values = np.linspace(self.part.start, goal, count)
-        Ts, Ts_fixed = self.part.placed(values), self.fixed.Ts_body_shape
+        Ts = self.part.placed(values, self.part.turned(count))
+        Ts_fixed = self.fixed.Ts_body_shape
         limit = self.limits.penetration
         depth, _ = deepest(
             self.part.shapes, Ts, self.fixed, Ts_fixed[None], self.pairs, min(0.0, limit)

@@ -42,6 +42,8 @@ class DensePath:
     """Fractional index of each state in the plan."""
     approach: int
     """Number of states in the approach."""
+    latch_q: Float[np.ndarray, " s"] | None = None
+    """Value of the latch [rad] or [m]; None if no latch is turned."""
 
     @property
     def planned(self) -> Int[np.ndarray, " m"]:
@@ -84,15 +86,20 @@ def dense_path(motion: Motion, step: float) -> DensePath:
     The object's joint rests during the path home.
     """
     q, at = _densify(from_grasp(motion), step)
-    object_q = np.interp(at, np.arange(len(motion.object_q)), motion.object_q)
-    if not len(motion.approach):
-        return DensePath(q, object_q, at, 0)
-    before, at_before = _densify(motion.approach, step)
+    before, at_before = q[:0], at[:0]
+    if len(motion.approach):
+        before, at_before = _densify(motion.approach, step)
+
+    def along(values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " s"]:
+        held = np.interp(at, np.arange(len(values)), values)
+        return np.concatenate([np.full(len(before), values[0]), held])
+
     return DensePath(
         q=np.concatenate([before, q]),
-        object_q=np.concatenate([np.full(len(before), motion.object_q[0]), object_q]),
+        object_q=along(motion.object_q),
         at=np.concatenate([at_before, at]),
         approach=len(before),
+        latch_q=None if motion.latch_q is None else along(motion.latch_q),
     )
 
 
@@ -120,7 +127,7 @@ def part_poses(
     A picked object is carried from the start of the manipulation on, a placed one until then.
     """
     if part.joint is not None:
-        return part.poses(path.object_q)
+        return part.poses(path.object_q, path.latch_q)
     Ts = part.poses(np.zeros(len(path.q)))
     carried = slice(path.approach) if verb == "place" else slice(path.approach, None)
     T_tool_part = invert(Ts_world_tool[path.approach]) @ Ts[path.approach, 0]
@@ -139,10 +146,10 @@ def number_checks(
         min(lengths) == max(lengths) >= least,
         str(lengths),
     )
-    home = () if motion.home is None else (motion.home,)
+    extra = tuple(a for a in (motion.home, motion.latch_q) if a is not None)
     if motion.home is not None:
         yield verdict("path home is not empty", len(motion.home) > 0)
-    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool, *home)
+    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool, *extra)
     largest = max(float(np.abs(a).max(initial=0.0)) for a in (*arrays, np.array(base_pose)))
     finite = all(np.isfinite(array).all() for array in (*arrays, np.array(base_pose)))
     yield verdict("numbers are finite", finite and largest < MAX_MAGNITUDE, f"largest {largest:g}")
@@ -234,11 +241,6 @@ def tool_checks(
     yield at_most("T_world_tool is a rigid transform", off, MAX_RIGIDITY_ERROR)
 
 
-def holds_of(motion: Motion) -> tuple[Hold, ...]:
-    """Return the holds of a motion; by default one over all states, without a turn axis."""
-    return motion.holds or (Hold(0, len(motion.q) - 1),)
-
-
 def hold_checks(part: MovedPart, motion: Motion) -> Iterator[Check]:
     """Check that holds are ordered state ranges and that the part rests between them."""
     if not motion.holds or part.joint is None:
@@ -268,8 +270,8 @@ def grasp_checks(
 ) -> Iterator[Check]:
     """Check that the tool keeps its pose in the part while it holds it.
 
-    Of a part of several bodies it holds the nearest one. It may turn about the hold's axis, which
-    is fixed in that body. Tool poses are those of the dense path.
+    Of a part of several bodies it holds the nearest one, or the latch that it turns. It may turn
+    about the hold's axis, which is fixed in that body. Tool poses are those of the dense path.
     """
     if part.joint is None:
         return
@@ -278,8 +280,12 @@ def grasp_checks(
         inside = (path.at >= hold.first) & (path.at <= hold.last)
         inside[: path.approach] = False
         held = np.flatnonzero(inside)
-        body = part.nearest_body(Ts_world_tool[held[0], :3, 3], float(path.object_q[held[0]]))
-        T = invert(part.poses(path.object_q[held])[:, body]) @ Ts_world_tool[held]
+        if part.latch is not None and hold.first == 0:
+            body = part.latch.body
+        else:
+            body = part.nearest_body(Ts_world_tool[held[0], :3, 3], float(path.object_q[held[0]]))
+        latch_q = None if path.latch_q is None else path.latch_q[held]
+        T = invert(part.poses(path.object_q[held], latch_q)[:, body]) @ Ts_world_tool[held]
         states.append(held)
         slips.append(np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1))
         turns.append(_swing_angles(T[:, :3, :3], hold.turn_axis))
@@ -315,12 +321,16 @@ def reach_check(
     limits: Limits,
 ) -> Check:
     """Check that the tool is at the part while it holds it; for a pick, at the end."""
-    states = np.concatenate([np.arange(h.first, h.last + 1) for h in holds_of(motion)])
+    states = np.concatenate([np.arange(h.first, h.last + 1) for h in motion.grasps])
     if part.joint is None:
         states = np.array([0 if verb == "place" else len(motion.q) - 1])
-    Ts_body_world = invert(part.poses(motion.object_q[states]))
+    latch_q = None if motion.latch_q is None else motion.latch_q[states]
+    Ts_body_world = invert(part.poses(motion.object_q[states], latch_q))
     points = (Ts_body_world @ Ts_world_tool[states][:, None])[..., :3, 3]
-    if points.shape[1] == 1:
+    if part.latch is not None:
+        away = [part.distance(p, part.latch.body) for p in points[:, part.latch.body]]
+        worst, where = max(away), int(np.argmax(away))
+    elif points.shape[1] == 1:
         worst, where = _farthest(part, points[:, 0])
     else:
         away = [min(part.distance(p, b) for b, p in enumerate(row)) for row in points]

@@ -32,15 +32,20 @@ def verify_files(
     scene_root: str | Path | None = None,
     limits: Limits = DEFAULT,
     *,
+    allow_assumed: bool = False,
     cache: Cache | None = None,
 ) -> Report:
     """Verify a plan, given only the plan file and the scene and URDF that it names.
+
+    An assumed plan is checked in the scene that it assumes, and is not valid even if all checks
+    pass, because the part probably moves in another way.
 
     Args:
         plan_path: The plan.
         scene_root: Folder to search for files that are not next to the plan, and for the models
             of a BestMan scene.
         limits: Largest allowed errors.
+        allow_assumed: Whether an assumed plan may be valid.
         cache: Where to cache model geometry.
 
     Raises:
@@ -51,11 +56,12 @@ def verify_files(
     scene_root = None if scene_root is None else as_path("scene_root", scene_root)
     expect("limits", limits, Limits)
     plan = read_plan(plan_path)
-    if plan.status != "solved" or plan.motion is None or plan.base_pose is None:
+    if not plan.feasible or plan.motion is None or plan.base_pose is None:
         detail = f"status is {plan.status!r}; only solved plans can be verified"
         return Report((verdict("status is solved", False, detail),))
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
     scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root, cache)
+    assumed = _assumed(scene, plan)
     scene = with_assumptions(as_planned(scene, plan), plan)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
     srdf = None
@@ -64,7 +70,30 @@ def verify_files(
     verifier = PlanVerifier(scene, _arm(plan, urdf, srdf, cache), plan.task, limits)
     report = verifier.check(plan.base_pose, plan.motion)
     drive = verifier.drive_checks(plan) if len(plan.motion.approach) else ()
-    return Report((*report.checks, *drive), (*scene.warnings, *report.notes), report.gripper_depth)
+    checks, notes = [*report.checks, *drive], [*scene.warnings, *report.notes, *assumed]
+    if (assumed or plan.status == "assumed") and not allow_assumed:
+        checks.insert(0, verdict("status is solved", False, "; ".join(assumed) or "assumed"))
+    return Report(tuple(checks), tuple(notes), report.gripper_depth)
+
+
+def _assumed(scene: Scene, plan: PlacementPlan) -> list[str]:
+    """Describe each joint for which a plan assumes an improbable or less probable motion.
+
+    Raises:
+        UnknownNameError, SceneError: See `as_planned`.
+    """
+    task, found = plan.task, []
+    taken = {(name, j): k for name, some in plan.scene_hypotheses.items() for j, k in some.items()}
+    if task.joint is not None:
+        taken.setdefault((task.object, task.joint), 0)
+    for (name, joint), index in taken.items():
+        ways = scene.object(name).hypotheses.get(joint, ())
+        if 0 <= index < len(ways) and (index > 0 or not ways[0].is_probable):
+            first, way = ways[0], ways[index]
+            other = f", not a {first.kind} ({100 * first.probability:.2g} %)" if index else ""
+            words = f"the plan assumes that {name}/{joint} is a {way.kind}"
+            found.append(f"{words} ({100 * way.probability:.2g} %){other}")
+    return found
 
 
 def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path:
@@ -98,5 +127,6 @@ def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = None) 
 
 def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None, cache: Cache | None) -> UrdfArm:
     disabled = read_srdf(srdf or urdf.with_suffix(".srdf"))
-    model = Articulated(read_urdf(urdf, cache=cache, visuals=False), plan.robot_rest, cache)
+    record = read_urdf(urdf, cache=cache, visuals=False, actuated=True)
+    model = Articulated(record, plan.robot_rest, cache)
     return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

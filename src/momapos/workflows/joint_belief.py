@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.core import TaskError
 from momapos.core.geometry import apply
-from momapos.model.records import Hypothesis, Task
+from momapos.model.records import Assumption, Hypothesis, Task
 from momapos.model.scene import (
     Scene,
     hypothesis_about,
@@ -20,7 +20,8 @@ from momapos.model.scene import (
     with_part_motion,
 )
 from momapos.model.urdf import opening_of
-from momapos.planning import PlacementResult
+from momapos.planning import PlacementResult, add_max_opening
+from momapos.planning.placement import OURS
 from momapos.simulation import (
     WIDE_OPEN_ANGLE,
     WIDE_OPEN_SLIDE,
@@ -199,38 +200,95 @@ def plan_by_hypothesis(
     """Plan for the most probable hypothesis of a part's joint; if infeasible, for the next ones.
 
     Args:
-        scene: The scene.
+        scene: The scene, with all objects modeled that the scan shows.
         task: The task.
         plan: Plans a task in a scene, with every arm.
 
     Returns:
-        Scene and task of the solved hypothesis with the results, or the given ones with their
-        results if no probable hypothesis is solved.
+        Scene, task and results, see `MostProbable.or_next`.
 
     Raises:
-        TaskError: Raised by `plan` for the given task, and no other hypothesis is solved.
+        TaskError: Raised by `plan` for the given task, and no other hypothesis has a plan.
     """
-    results, refused = _plan(plan, scene, task)
-    if refused is None and any(result.plan.status != "infeasible" for result in results):
-        return scene, task, results
-    for belief in joint_beliefs(scene, task)[1:]:
-        if belief.hypothesis.probability < MIN_PROBABILITY:
-            continue
-        others, _ = _plan(plan, belief.scene, belief.task)
-        if any(result.plan.status == "solved" for result in others):
-            return belief.scene, belief.task, others
-    if refused is not None:
-        raise refused
-    return scene, task, results
+    return MostProbable.of(scene, task, plan).or_next(plan)
 
 
-def _plan(
-    plan: PlanTask, scene: Scene, task: Task
-) -> tuple[Sequence[PlacementResult], TaskError | None]:
-    try:
-        return plan(scene, task), None
-    except TaskError as error:
-        return (), error
+@dataclass(frozen=True, eq=False)
+class MostProbable:
+    """The answers for the most probable hypothesis of a part's joint."""
+
+    scene: Scene
+    task: Task
+    results: Sequence[PlacementResult]
+    """One per arm; empty if the task was refused."""
+    refused: TaskError | None = None
+    """Why no arm can do the task, such as that no hand holds the part."""
+
+    @classmethod
+    def of(cls, scene: Scene, task: Task, plan: PlanTask) -> MostProbable:
+        """Plan for the most probable hypothesis."""
+        try:
+            return cls(scene, task, plan(scene, task))
+        except TaskError as error:
+            return cls(scene, task, (), error)
+
+    @property
+    def is_no(self) -> bool:
+        """Whether there is no plan for this hypothesis, and not for lack of time."""
+        return all(result.plan.status == "infeasible" for result in self.results)
+
+    def or_next(self, plan: PlanTask) -> tuple[Scene, Task, Sequence[PlacementResult]]:
+        """Return these answers, or those for the next probable hypothesis with a plan.
+
+        A plan for another than the first hypothesis is `assumed`, also if it is as probable; so is
+        a plan for the first if it is improbable.
+
+        Args:
+            plan: Plans a task in a scene, with every arm.
+
+        Returns:
+            Scene, task and results; these ones if no probable hypothesis has a plan.
+
+        Raises:
+            TaskError: The task was refused, and no other hypothesis has a plan.
+        """
+        for belief in joint_beliefs(self.scene, self.task)[1:] if self.is_no else ():
+            if belief.hypothesis.probability < MIN_PROBABILITY:
+                continue
+            others = MostProbable.of(belief.scene, belief.task, plan).results
+            if any(result.plan.feasible for result in others):
+                found = self._assumption(belief.hypothesis)
+                assumed = [_assumed(result, found) for result in others]
+                return belief.scene, belief.task, assumed
+        if self.refused is not None:
+            raise self.refused
+        return self.scene, self.task, self.results
+
+    def _assumption(self, taken: Hypothesis) -> Assumption:
+        """Describe an assumed hypothesis, with how far the most probable joint opens instead."""
+        assert self.task.joint is not None
+        item = self.scene.object(self.task.object)
+        first, closed = item.hypotheses[self.task.joint][0], item.values()[self.task.joint]
+        found = [to for to in map(_largest_opening, self.results) if to is not None]
+        farthest = max((abs(to - closed) for to in found), default=None)
+        return Assumption(taken.kind, taken.probability, first.kind, first.probability, farthest)
+
+
+def _largest_opening(result: PlacementResult) -> float | None:
+    """Return how far the part of an infeasible answer opens [rad] or [m]; None if not at all."""
+    plan, query = result.plan, result.query
+    whole = query is not None and plan.base_pose is None and not plan.task.farthest
+    if query is None or not whole or query.config.place.method not in OURS:
+        return plan.feasible_to
+    return add_max_opening(
+        plan, query.scene, query.robot, query.reach, config=query.config
+    ).feasible_to
+
+
+def _assumed(result: PlacementResult, found: Assumption) -> PlacementResult:
+    if not result.plan.feasible:
+        return result
+    return replace(result, plan=replace(result.plan, status="assumed", assumption=found))
 
 
 def save_learned(record: RunRecord, scene: Scene, out: Path) -> Scene | None:
@@ -242,13 +300,13 @@ def save_learned(record: RunRecord, scene: Scene, out: Path) -> Scene | None:
         out: The new scene file.
 
     Returns:
-        The scene of that file; None if the run failed or moved no joint.
+        The scene of that file; None if the run failed, moved no joint, or only an assumed one.
 
     Raises:
         SceneError: See `save_with_part_motion`.
     """
     task, done = record.task, record.execution
-    if task.joint is None or done is None or not done.success or done.joint is None:
+    if task.joint is None or done is None or record.verdict != "done" or done.joint is None:
         return None
     target = scene.object(task.object)
     kind = record.kinds[-1] if record.kinds else None

@@ -286,7 +286,7 @@ class Replanner:
             result = plan_with_method(query)
         except SceneError:  # the planner's boxes enclose more than the outlines for driving
             return None
-        return result.plan if result.plan.status == "solved" else None
+        return result.plan if result.plan.feasible else None
 
     def _query(self, config: PipelineConfig) -> PlacementQuery:
         plan = self.plan

@@ -16,7 +16,7 @@ import numpy as np
 
 from momapos.core import Clock, InputError, SceneError, Stopwatch, version_of
 from momapos.model.records import Motion, PlacementPlan, ReachScorer
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, opened_as
 from momapos.model.scene import Scene, with_assumptions
 from momapos.planning import PipelineConfig, start_pose
 from momapos.planning.grasps import task_motion
@@ -68,6 +68,7 @@ def run_plan(
     world: Scene | None = None,
     attempts: int = 3,
     tries: int | None = None,
+    allow_assumed: bool = False,
     config: PipelineConfig = DEFAULT,
     driving: DriveConfig = DRIVING,
     physics: ExecutionConfig = PHYSICS,
@@ -82,7 +83,7 @@ def run_plan(
     Args:
         plan: A solved plan for this scene and robot.
         scene: The scene, as the robot believes it.
-        robot: The robot.
+        robot: The robot; its hand is as open as in the plan.
         reach: The robot's reachability map, for replanning.
         start: Initial base pose; by default the plan's, else the scene's.
         world: The true world, in the frame of `scene`; the scene by default. The robot plans and
@@ -92,6 +93,7 @@ def run_plan(
         attempts: Maximum number of base poses for one motion [-].
         tries: Maximum number of executed motions [-]. A retry needs the arm back at home. Default:
             three, and one more for each further hypothesis.
+        allow_assumed: Whether to execute an assumed plan, see `Status`.
         config: Configuration for replanning.
         driving: Configuration of the drives and of the sensor errors.
         physics: Configuration of the simulation.
@@ -104,12 +106,15 @@ def run_plan(
 
     Raises:
         InputError: The plan is not solved, or no part of the world opens at the planned grasp.
+            An assumed plan needs `allow_assumed`.
         SceneError: The robot collides at the start.
         TaskError, RobotError: Plan, scene and robot don't match.
     """
-    if plan.status != "solved" or plan.base_pose is None:
+    if plan.status == "assumed" and not allow_assumed:
+        raise InputError(f"the plan is 'assumed' ({plan.assumes}); allow_assumed=True executes it")
+    if not plan.feasible or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
-    scene = with_assumptions(scene, plan)
+    scene, robot = with_assumptions(scene, plan), opened_as(robot, plan.robot_rest)
     # A replanned motion must open the part exactly as far as planned.
     plan = replace(plan, task=replace(plan.task, farthest=False))
     there = None
@@ -164,7 +169,16 @@ def run_plan(
         time=stopwatch.seconds,
         versions={name: version_of(name) for name in ("momapos", "mujoco", "toppra")},
         true_task=None if there is None else there.task,
+        assumed="" if there is not None else _assumed_kind(scene, plan),
     )
+
+
+def _assumed_kind(scene: Scene, plan: PlacementPlan) -> str:
+    """Return the kind of part that an assumed plan assumes; "" for a solved plan."""
+    if plan.status != "assumed":
+        return ""
+    ways = scene.object(plan.task.object).hypotheses.get(plan.task.joint or "", ())
+    return ways[0].kind if ways else "part of another type"
 
 
 def _execute_until_done(

@@ -2,6 +2,7 @@
 
 The scan is surveyed once, and the objects that matter for the task are modeled. If no base pose is
 found, alpha is lowered and more objects are modeled, until the task is solved or all are modeled.
+Only then less probable motions of the part are tried; a plan for one of them is `assumed`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from momapos.planning import PipelineConfig, PlacementResult, cheapest, plan_by_
 from momapos.planning.grasps import make_task
 from momapos.planning.importance import start_of
 
-from .joint_belief import plan_by_hypothesis
+from .joint_belief import MostProbable, PlanTask, joint_beliefs
 from .scan import rank_survey
 
 JOINTED = ("open", "close")
@@ -112,10 +113,17 @@ def solve_scan(
     with watch.stage("importance"):
         selection = start_of(rank_survey(seen, task.object, config.ranking, seed))
     scores = selection.ranked.by_name
+
+    def ask(scene: Scene, task: Task) -> list[PlacementResult]:
+        return [
+            plan_by_method(scene, robot, task, reach, config=config, seed=seed, clock=clock)
+            for robot, reach in arms
+        ]
+
     spent, alphas, before = dict(seen.timing), [], tuple[Decision, ...]()
     while True:
         modeled = model_room(
-            seen, out, tools, scores=scores, alpha=selection.alpha,
+            seen, out, tools, scores=scores, alpha=selection.ranked.lowest_score(selection.alpha),
             known={one.detection.name: one for one in before}, given=given,
             config=scanning, progress=report, clock=clock,
         )  # fmt: skip
@@ -125,34 +133,29 @@ def solve_scan(
         if not before or _moving(modeled.decisions) != _moving(before):
             report("placing", 1.0)
             with watch.stage("place"):
-                result = _placed(modeled, arms, task, config, seed, clock)
-        if result.plan.status != "infeasible" or not selection.boxes:
-            timing = {**spent, **watch.timing}
-            return ScanAnswer(modeled, result, tuple(alphas), timing)
+                first = _placed(modeled, task, ask)
+        if not first.is_no or not selection.boxes:
+            break
         selection, before = selection.relax_alpha(), modeled.decisions
+    with watch.stage("place"):
+        _, asked, answers = first.or_next(ask)
+    result = cheapest(answers, farthest=asked.farthest)
+    return ScanAnswer(modeled, result, tuple(alphas), {**spent, **watch.timing})
 
 
-def _placed(
-    modeled: Modeled,
-    arms: Sequence[tuple[Robot, ReachScorer]],
-    query: ScanTask,
-    config: PipelineConfig,
-    seed: int,
-    clock: Clock,
-) -> PlacementResult:
-    """Return the cheapest answer of all arms in the modeled room."""
+def _placed(modeled: Modeled, query: ScanTask, ask: PlanTask) -> MostProbable:
+    """Return the answers of all arms in the modeled room, for the most probable joint.
+
+    Raises:
+        TaskError: No arm can do the task, and the scene has no other hypothesis of the joint.
+    """
     _check_moves(modeled, query)
     scene = load_scene(modeled.scene)
     task = make_task(scene, query.verb, query.object, query.joint, query.to)
-
-    def ask(scene: Scene, task: Task) -> list[PlacementResult]:
-        return [
-            plan_by_method(scene, robot, task, reach, config=config, seed=seed, clock=clock)
-            for robot, reach in arms
-        ]
-
-    _, task, answers = plan_by_hypothesis(scene, task, ask)
-    return cheapest(answers, farthest=task.farthest)
+    found = MostProbable.of(scene, task, ask)
+    if found.refused is not None and len(joint_beliefs(scene, task)) < 2:
+        raise found.refused
+    return found
 
 
 def _check_moves(modeled: Modeled, query: ScanTask) -> None:

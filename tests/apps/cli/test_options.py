@@ -11,6 +11,7 @@ import pytest
 from momapos import ImportanceConfig, PipelineConfig, PlaceConfig
 from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
+from momapos.planning.importance.config import GraphConfig
 from momapos.planning.settings import list_fields
 
 PLACE = ("place", "open", "kitchen_small", "fridge/door_hinge")
@@ -175,6 +176,11 @@ def test_solve_takes_the_options_of_a_scan(
     assert "no such scan" in refused([*words, "--set", "scan.voxel=0.02"], capsys)
     assert "--max-frames must be" in refused([*words, "--max-frames", "0"], capsys)
     assert "--set scan.voxel must be" in refused([*words, "--set", "scan.voxel=2"], capsys)
+    assert "kitchen_smal" in refused([*words, "--world", "kitchen_smal"], capsys)
+    no_run = [*words, "--world", "kitchen_small", "--no-run"]
+    pick = ["solve", words[1], "pick", *words[3:], "--world", "kitchen_small"]
+    for some in (no_run, pick):
+        assert "--world is the room in which a part is opened or closed" in refused(some, capsys)
 
 
 def test_the_scorer_depends_on_the_method_unless_it_is_set() -> None:
@@ -187,5 +193,11 @@ def test_the_scorer_depends_on_the_method_unless_it_is_set() -> None:
     assert PipelineConfig(place=paper).ranking.weights == "printed"
     scaled = ImportanceConfig(weights="scaled")
     assert PipelineConfig(place=paper, importance=scaled).ranking.weights == "scaled"
+    assert not PipelineConfig().ranking.exceed
+    printed = PipelineConfig(place=paper).ranking
+    assert (printed.exceed, printed.graph.neighbors) == (True, 0)
+    near = ImportanceConfig(exceed=False, graph=GraphConfig(neighbors=4))
+    chosen = PipelineConfig(place=paper, importance=near)
+    assert (chosen.ranking.exceed, chosen.ranking.graph.neighbors) == (False, 4)
     with pytest.raises(InputError, match="count"):
         PlaceConfig(count=-1)

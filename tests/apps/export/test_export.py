@@ -93,8 +93,24 @@ def test_joints_and_base_respect_their_speed_limits(
     speed = np.array([robot.model.joint(name).velocity for name in robot.moved_joints])
     for phase in phases:
         assert (np.abs(phase.velocities) <= speed + TOLERANCE).all()
-        moved = np.abs(np.diff(phase.base, axis=0)) / np.diff(phase.times)[:, None]
-        assert (moved <= np.array([robot.max_speed] * 2 + [robot.max_yaw_rate]) + 1e-3).all()
+        moved = np.diff(phase.base, axis=0) / np.diff(phase.times)[:, None]
+        assert np.hypot(*moved[:, :2].T).max() <= robot.max_speed + 1e-3
+        assert np.abs(moved[:, 2]).max() <= robot.max_yaw_rate + 1e-3
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.5])
+def test_a_drive_across_the_axes_keeps_speed_and_acceleration(
+    plan: PlacementPlan, robot: Robot, bend: float
+) -> None:
+    assert plan.base_pose is not None
+    s = np.linspace(0.0, 1.0, 60)[:, None]
+    way = np.array([-2.0, -2.0, 0.0]) * (1 - s) + bend * np.sin(np.pi * s) * [1.0, -1.0, 0.0]
+    drive = phases_of(replace(plan, base_path=np.array(plan.base_pose) + way), robot)[0]
+    speed = np.diff(drive.base[:, :2], axis=0) / np.diff(drive.times)[:, None]
+    change = np.diff(speed[:-1], axis=0) / np.diff(drive.times)[0]
+    assert (bend or 0.95 * robot.max_speed) < np.hypot(*speed.T).max() + bend
+    assert np.hypot(*speed.T).max() <= robot.max_speed + 1e-3
+    assert np.hypot(*change.T).max() <= 1.02 * robot.max_acceleration
 
 
 def test_the_gripper_opens_between_two_grasps(plan: PlacementPlan, robot: Robot) -> None:

@@ -13,6 +13,7 @@ from tests.urdf_parts import box, joint, link, mobile_manipulator, telescope
 
 from momapos.core.geometry.transforms import apply, invert
 from momapos.model.robots.fingers import MAX_PAD_ANGLE
+from momapos.model.robots.hand_openings import opened_to
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.robots.robot_writer import write_robot
 from momapos.model.urdf.hulls import hull_around, slab
@@ -108,6 +109,41 @@ def test_the_pads_of_rotating_fingers_are_the_opening_apart(
     assert hand.closes
     assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
     assert hand.rest == pytest.approx(0.0, abs=2e-3), "it rests open"
+
+
+@pytest.mark.parametrize("ends", [(-0.3, 0.1), (0.0, 0.5), (-0.6, 0.6)])
+def test_rotating_fingers_open_to_less_than_they_can(
+    tmp_path: Path, ends: tuple[float, float]
+) -> None:
+    robot = derived(tmp_path, turning(*ends))
+    narrow = opened_to(robot, round(0.8 * robot.opening, 3))
+    assert narrow is not None
+    hand, ends = hand_of(narrow), [side[side[:, 0].argmax(), 1] for side in tips(narrow)]
+    assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(0.8 * robot.opening, abs=2e-3)
+    assert hand.rest == pytest.approx(0.0, abs=2e-3)
+    before = [side[side[:, 0].argmax(), 1] for side in tips(robot)]
+    assert before[0] > ends[0] > 0.0 > ends[1] > before[1]
+
+
+def test_a_finger_that_follows_the_other_opens_with_it(tmp_path: Path) -> None:
+    text = sliding("0.0")
+    begin = text.index('<joint name="right_finger_joint"')
+    at = text.index("</joint>", begin)
+    text = text[:at] + '<mimic joint="left_finger_joint" multiplier="1"/>' + text[at:]
+    robot = derived(tmp_path, text)
+    narrow = opened_to(robot, 0.05)
+    assert narrow is not None
+    changed = {n for n, v in narrow.model.held.items() if v != robot.model.held.get(n, 0.0)}
+    assert changed == {"left_finger_joint"}
+    assert hand_of(narrow).inner(1)[0] == pytest.approx(0.025, abs=1e-4)
+    assert hand_of(narrow).inner(-1)[0] == pytest.approx(-0.025, abs=1e-4)
+
+
+def test_a_hand_without_two_moving_sides_stays_as_it_is(tmp_path: Path) -> None:
+    assert opened_to(derived(tmp_path, one_jaw(1)), 0.03) is None
+    (tmp_path / "bare").mkdir()
+    bare = mobile_manipulator(fingers=False)
+    assert opened_to(derived(tmp_path / "bare", bare), 0.03) is None
 
 
 def test_the_force_of_rotating_fingers_is_effort_over_length(tmp_path: Path) -> None:
@@ -209,7 +245,7 @@ def test_hand_links_that_touch_at_rest_are_not_checked(
     tmp_path: Path,
 ) -> None:
     text = sliding("0").replace('size="0.04 0.01 0.02"', 'size="0.04 0.06 0.02"')
-    text = text.replace('upper="0.04"', 'upper="0.0"')
+    text = text.replace('upper="0.04"', 'upper="1e-6"')
     disabled = derived(tmp_path, text).disabled
     assert frozenset(("left_finger", "right_finger")) in disabled
     assert frozenset(("left_tip", "right_tip")) not in disabled

@@ -68,6 +68,11 @@ def row(**changes: Any) -> dict[str, Any]:
         ({"hinge": [row(axis=[0, 0])]}, "axis must be 3 numbers"),
         ({"hinge": [row(point=[0, 0, 10**400])]}, "point must be a finite number"),
         ({"hinge": [row(upper=-1)]}, "upper must be 0 or more, not -1"),
+        (
+            {"hinge": [row(probability=0.3), row(kind="drawer", probability=0.7)]},
+            "drawer (0.7) stands after the less probable door_left (0.3)",
+        ),
+        ({"hinge": [row(kind="drawer")]}, "the first is a drawer, but the joint of the URDF is"),
     ],
 )
 def test_invalid_hypotheses_are_refused_in_one_line(

@@ -84,9 +84,58 @@ def test_included_models_are_at_the_pose_of_the_include(tmp_path: Path) -> None:
     assert_allclose(cup.bounds, [[0, 1, 0.5], [0.03, 1.02, 0.51]], atol=1e-6)
 
 
-def test_mimic_joints_are_counted(tmp_path: Path) -> None:
-    path = write(tmp_path, ROOM.replace("</axis>", "<mimic joint='hinge'/></axis>", 1))
-    assert read_room(path, tmp_path).final_report().dropped["mimic joints"] == 1
+def mimic(leader: str, *values: str, axis: str = "") -> str:
+    """Return a mimic element with multiplier, offset and reference."""
+    keys = zip(("multiplier", "offset", "reference"), values, strict=False)
+    texts = "".join(f"<{key}>{value}</{key}>" for key, value in keys if value)
+    return f"<mimic joint='{leader}'{axis}>{texts}</mimic></axis>"
+
+
+@pytest.mark.parametrize(
+    ("values", "ratio", "offset"),
+    [
+        ((), 1.0, 0.0), (("-2",), -2.0, 0.0), (("0.5", "0.1"), 0.5, 0.1),
+        (("0.5", "0.1", "0.4"), 0.5, -0.1), (("", "", "0.2"), 1.0, -0.2),
+    ],
+)  # fmt: skip
+def test_a_mimic_joint_follows_multiplier_times_leader_beyond_reference_plus_offset(
+    tmp_path: Path, values: tuple[str, ...], ratio: float, offset: float
+) -> None:
+    head, _, tail = ROOM.rpartition("<upper>0.4</upper></limit></axis>")
+    text = head + "<upper>9</upper></limit>" + mimic("hinge", *values) + tail
+    item = read(tmp_path, text.replace("<lower>0</lower>", "<lower>-9</lower>")).object("cabinet")
+    for value in (-0.1, 0.0, 0.7):
+        there = item.values({"hinge": value})
+        assert there["slide"] == pytest.approx(ratio * value + offset)
+    assert read_room(tmp_path / "room.sdf", tmp_path).final_report().kept["mimic joints"] == 1
+
+
+def test_a_chain_of_mimic_joints_follows_the_first_leader(tmp_path: Path) -> None:
+    extra = "".join(
+        f'<link name="l{k}"/><joint name="j{k}" type="revolute"><parent>body</parent>'
+        f"<child>l{k}</child><axis><xyz>0 0 1</xyz>{mimic(leader, *values)}</joint>"
+        for k, (leader, values) in enumerate([("j1", ("2", "0.1")), ("hinge", ("-1", "0", "0.2"))])
+    )
+    text = ROOM.replace('<joint name="hinge"', f'{extra}<joint name="hinge"')
+    item = read(tmp_path, text).object("cabinet")
+    for value in (0.0, 0.5):
+        there = item.values({"hinge": value})
+        assert there["j1"] == pytest.approx(-(value - 0.2))
+        assert there["j0"] == pytest.approx(2 * there["j1"] + 0.1)
+
+
+def test_what_follows_a_joint_of_two_axes_is_dropped_and_counted(tmp_path: Path) -> None:
+    two = (
+        '<link name="u"/><joint name="two" type="universal"><parent>body</parent><child>u</child>'
+        "<axis><xyz>0 0 1</xyz></axis><axis2><xyz>1 0 0</xyz></axis2></joint>"
+    )
+    text = ROOM.replace('<joint name="hinge"', f'{two}<joint name="hinge"')
+    text = text.replace("</axis>", mimic("two", axis=" axis='axis2'"), 2)
+    text = text.replace(mimic("two", axis=" axis='axis2'"), "</axis>", 1)
+    path = write(tmp_path, text)
+    report = read_room(path, tmp_path).final_report()
+    assert report.dropped["mimic joints"] == 1
+    assert report.kept["mimic joints"] == 0
 
 
 def test_dropped_elements_are_counted(tmp_path: Path) -> None:
@@ -169,6 +218,26 @@ BAD = {
         MODEL.format(BOX, '<link name="b"/>'
                      + JOINT.format("a", "b", "<axis><xyz>0 0 0</xyz></axis>")),
         "must not be zero",
+    ),
+    "a leader that is not there": (
+        ROOM.replace("</axis>", mimic("door_hinge"), 1),
+        "mimic names the joint 'door_hinge', which does not exist",
+    ),
+    "a leader without that axis": (
+        ROOM.replace("</axis>", mimic("slide", axis=" axis='axis2'"), 1),
+        "'axis2', which 'slide' does not have",
+    ),
+    "a circle of followers": (
+        ROOM.replace("</axis>", mimic("slide"), 1).replace(
+            "<upper>0.4</upper></limit></axis>", "</limit>" + mimic("hinge")
+        ),
+        "follows itself",
+    ),
+    "a multiplier that is no number": (
+        ROOM.replace("</axis>", mimic("slide", "x"), 1), "'x' is not a number",
+    ),
+    "an infinite offset": (
+        ROOM.replace("</axis>", mimic("slide", "1", "inf"), 1), "must be at most 10000",
     ),
     "no size": (MODEL.format(BOX.replace("1 1 1", "1 1 0"), ""), "sizes must be > 0"),
     "two numbers": (MODEL.format(BOX.replace("1 1 1", "1 1"), ""), "makes no valid scene"),

@@ -111,6 +111,7 @@ def test_the_paper_selects_objects_by_deepwalk_and_plans_with_rrt_star(
     plan = ask(scene, robots("segway_ur5e"), "paper").plan
     assert plan.key_objects is not None
     assert plan.key_objects.scorer == "deepwalk"
+    assert 0.0 < plan.timing["potential"] < plan.timing["total"]
     assert set(planners) == {"RRTstar"}
 
 

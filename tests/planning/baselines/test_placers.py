@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,15 +17,22 @@ from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.baselines.by_method import PLACERS
 from momapos.planning.baselines.habitat_placer import HINGED, habitat
 from momapos.planning.baselines.m3_placer import HINGED as REGIONS
 from momapos.planning.baselines.m3_placer import NOISE, m3
 from momapos.planning.baselines.map_placers import reuleaux, rm4d
-from momapos.planning.baselines.paper_placer import PaperPlacer, in_area, potential, whole_boxes
+from momapos.planning.baselines.paper_placer import (
+    PaperPlacer,
+    in_area,
+    potential,
+    printed_radius,
+    samples_in_area,
+)
 from momapos.planning.baselines.placer_room import GRASP_WAYPOINT, BasePlacer, PlacerRoom
 from momapos.planning.baselines.samplers import MAX_DISTANCE, behavior, momagen, pycram
-from momapos.planning.config import PaperConfig, PipelineConfig
+from momapos.planning.config import BaselineConfig, PaperConfig, PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.placement.area import base_pose_status
 from momapos.planning.task_setup import cost_map, prepare
@@ -66,7 +74,7 @@ def test_proposals_stand_clear_and_repeat_with_the_seed(room: PlacerRoom, name: 
     poses = proposed(placer, room)
     assert len(poses)
     if name == "paper":  # it checks the base only; the others also check the arm at home
-        assert len(in_area(room, whole_boxes(room), poses)) == len(poses)
+        assert len(in_area(room, room.whole_boxes, poses)) == len(poses)
     else:
         assert room.stands_clear(poses).all()
     np.testing.assert_array_equal(poses, proposed(placer, room))
@@ -96,6 +104,51 @@ def test_habitat_starts_in_the_middle_of_its_area_and_faces_the_object(
     assert (local < HINGED[1] + 0.1).all()
     away = room.object_frame[:2] - poses[:, :2]
     np.testing.assert_allclose(np.arctan2(away[:, 1], away[:, 0]), poses[:, 2], atol=1e-9)
+
+
+def test_m3_proposes_the_nearest_navigable_cells_of_a_rigid_target_in_order(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    robot = robots("segway_ur5e")
+    can = SceneObject.box("can", (0.06, 0.06, 0.12), (0.9, -1.0, 0.80))
+    stand = SceneObject.box("stand", (0.5, 0.5, 0.74), (0.9, -1.0, 0.37))
+    scene = cabinet_room(tmp_path)
+    scene = replace(scene, objects=(*scene.objects, can, stand))
+    task = make_task(scene, "pick", "can")
+    prepared = prepare(scene, robot, task, PipelineConfig(), clearance=0.01)
+    travel = cost_map(prepared, START).lengths
+    room = PlacerRoom(prepared, Everywhere(), travel, START, 24)
+    poses = proposed(m3, room)
+    away = np.linalg.norm(poses[:, :2] - room.target[:2], axis=1)
+    assert (np.diff(away) >= -1e-6).all()
+    cells = room.cells(room.target[:2], 2.5, 0.05)
+    free = room.facing(cells[room.navigable(cells)], room.target[:2])
+    free = free[room.stands_clear(free)]
+    nearest = np.linalg.norm(free[:, :2] - room.target[:2], axis=1).min()
+    assert away[0] == pytest.approx(nearest)
+    equal = np.abs(away - away[0]) < 1e-6
+    drives = travel(poses[equal, :2])
+    assert drives[0] == drives.min()
+
+
+def test_a_placer_that_knows_boxes_keeps_the_base_out_of_them(room: PlacerRoom) -> None:
+    blind = replace(room, knows=BaselineConfig(boxes=True))
+    cells = room.facing(room.cells(room.target[:2], 1.0, 0.05), room.target[:2])
+    clear, boxed = room.stands_clear(cells), blind.stands_clear(cells)
+    assert (clear & ~boxed).any()
+    assert not (boxed & ~clear).any()
+    hits = base_hits(cells[boxed], room.robot.base, room.whole_boxes, clearance=0.01)
+    assert (hits == FREE).all()
+
+
+def test_a_placer_that_knows_one_grasp_counts_only_that(room: PlacerRoom) -> None:
+    one = replace(room, knows=BaselineConfig(one_grasp=True))
+    assert len(one.Ts_world_tool) == 1 < len(room.Ts_world_tool)
+    np.testing.assert_array_equal(one.Ts_world_tool[0], room.Ts_world_tool[0])
+    np.testing.assert_array_equal(one.target, room.target)
+    poses = proposed(reuleaux, one)
+    assert len(poses)
+    assert (one.scores(poses, [GRASP_WAYPOINT])[:, 0, 0] > 0).all()
 
 
 def test_m3_stays_in_its_region_up_to_noise(room: PlacerRoom) -> None:
@@ -151,15 +204,53 @@ def test_other_placers_propose_poses_that_block_the_door(room: PlacerRoom) -> No
 
 
 def test_the_paper_s_area_excludes_whole_boxes(room: PlacerRoom) -> None:
-    boxes = whole_boxes(room)
+    boxes = room.whole_boxes
     cells = room.facing(room.cells(room.target[:2], 1.0, 0.1), room.target[:2])
     inside = in_area(room, boxes, cells)
     assert 0 < len(inside) < len(cells)
     assert (base_hits(inside, room.robot.base, boxes, clearance=0.0) == FREE).all()
 
 
+@pytest.mark.parametrize("count", [1, 40, 200])
+def test_m_samples_are_in_the_paper_s_area_within_the_length_of_the_arm(
+    room: PlacerRoom, count: int
+) -> None:
+    poses = samples_in_area(room, count, np.random.default_rng(0))
+    assert len(poses) == count == len(in_area(room, room.whole_boxes, poses))
+    geometry = room.prepared.geometry
+    axes = place_points(poses, geometry.shoulder[None, :2])[:, 0]
+    radius = printed_radius(geometry)
+    assert radius is not None
+    assert np.linalg.norm(axes - room.target[:2], axis=1).max() <= radius + 1e-9
+    dz = room.target[2] - geometry.shoulder[2]
+    assert radius == pytest.approx(np.sqrt(room.robot.reach**2 - dz**2))
+    few = replace(geometry, Ts_world_tool=geometry.Ts_world_tool[:1])
+    assert printed_radius(few) == radius
+
+
+def test_the_paper_proposes_nothing_for_a_target_above_the_length_of_the_arm(
+    room: PlacerRoom,
+) -> None:
+    high = room.prepared.geometry.Ts_world_tool.copy()
+    high[..., 2, 3] += 5.0
+    above = replace(room.prepared.geometry, Ts_world_tool=high)
+    assert printed_radius(above) is None
+    unreachable = replace(room, prepared=replace(room.prepared, geometry=above))
+    assert len(samples_in_area(unreachable, 10, np.random.default_rng(0))) == 0
+
+
+def test_the_paper_keeps_samples_that_the_map_does_not_reach_unless_they_are_culled_early(
+    room: PlacerRoom,
+) -> None:
+    half = replace(room, reach=OneSide())
+    config = PaperConfig(samples=40, batches=1)
+    assert (proposed(PaperPlacer(config), half)[:, 0] > 0.0).any()
+    culled = proposed(PaperPlacer(replace(config, early_cull=True)), half)
+    assert (culled[:, 0] < 0.0).all()
+
+
 def test_the_potential_is_summed_over_waypoints_and_heights(room: PlacerRoom) -> None:
-    boxes = whole_boxes(room)
+    boxes = room.whole_boxes
     poses = in_area(
         room, boxes, room.facing(room.cells(room.target[:2], 1.0, 0.2), room.target[:2])
     )
@@ -178,17 +269,17 @@ def test_without_the_field_or_the_map_the_other_alone_decides(room: PlacerRoom) 
         config = PaperConfig(samples=64, batches=1, group=1, **changes)
         return np.vstack(list(PaperPlacer(config)(room, np.random.default_rng(0))))
 
-    boxes, heights = whole_boxes(room), np.array(PaperConfig().heights)
+    boxes, heights = room.whole_boxes, np.array(PaperConfig().heights)
     by_map, by_field = proposed(field=False), proposed(inverse_map=False)
     scores = room.scores(by_map, range(room.Ts_world_tool.shape[1])).max(1)
     assert (np.diff(scores[:, GRASP_WAYPOINT:].sum(1)) <= 1e-5).all()
     nothing = np.zeros((len(by_field), room.Ts_world_tool.shape[1]))
     assert (np.diff(potential(room, boxes, by_field, nothing, heights)) <= 1e-9).all()
-    assert len(by_field) >= len(by_map) == len(proposed())
+    assert len(by_field) == len(by_map) == len(proposed()) == 64
 
 
 def test_the_field_is_one_over_the_distance_where_the_handle_is_visible(room: PlacerRoom) -> None:
-    boxes = whole_boxes(room)
+    boxes = room.whole_boxes
     targets = room.Ts_world_tool[0, GRASP_WAYPOINT:, :3, 3]
     in_front_and_behind = room.target[:2] + np.array([[0.0, -0.8], [0.0, 1.5]])
     poses = room.facing(in_front_and_behind, room.target[:2])
@@ -204,7 +295,7 @@ def test_the_paper_tries_groups_of_high_potential_first(room: PlacerRoom) -> Non
     config = PaperConfig(samples=64, batches=1, group=4)
     groups = list(PaperPlacer(config)(room, np.random.default_rng(0)))
     assert all(len(group) == 4 for group in groups[:-1])
-    boxes = whole_boxes(room)
+    boxes = room.whole_boxes
     ones = np.ones((4, room.Ts_world_tool.shape[1]))
     values = [
         potential(room, boxes, group, ones[: len(group)], np.array(config.heights))

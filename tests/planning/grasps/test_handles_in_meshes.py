@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 import tests.meshes as given
 from tests.rooms import cabinet_room
 
+from momapos.model.robots.hand_openings import opened_to
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -20,7 +22,7 @@ from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.handle_core import HandleKind
 from momapos.planning.grasps.handle_shapes import CarriedPart, part_elements
 from momapos.planning.grasps.handles import HandleSource, find_handle, find_handles, handles_in_turn
-from momapos.planning.grasps.part_grasps import grasps_of
+from momapos.planning.grasps.part_grasps import FAMILIES, Family, elements_near_handle, grasps_of
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
 
@@ -109,10 +111,69 @@ def test_the_hull_of_the_mesh_fills_the_space_that_the_hand_uses(
     model = part(tmp_path, given.DOOR_WITH_BOW, slides=False)
     bar = find_handle(model, "j", 1.0)
     in_pieces = grasps_of(robot, model, "j", 1.0, bar, CONFIG)
-    in_hulls = grasps_of(robot, model, "j", 1.0, replace(bar, in_pieces=False), CONFIG)
+    hulls = replace(bar, in_pieces=False, elements=part_elements(CarriedPart.of(model, "j")))
+    in_hulls = grasps_of(robot, model, "j", 1.0, hulls, CONFIG)
     assert len(in_pieces.code) > 0
     assert len(in_hulls.code) == 0
     assert in_hulls.reason
+
+
+BOWS = {"straight": given.triangles_of(given.BOW), "round": given.arch() + np.array([0.3, 0, 0])}
+
+
+def panel_with(folder: Path, handle: np.ndarray, name: str = "") -> Articulated:
+    """Return a drawer's front that is a box, and its handle, which is a mesh in the same link."""
+    given.write_obj(folder / "bow.obj", handle)
+    (folder / "part.urdf").write_text(
+        '<robot name="two"><link name="body"/><link name="part"><collision>'
+        '<origin xyz="0.28 -0.01 0"/><geometry><box size="0.56 0.02 0.6"/></geometry></collision>'
+        f'<collision name="{name}"><geometry><mesh filename="bow.obj"/></geometry></collision>'
+        '</link><joint name="j" type="prismatic"><parent link="body"/><child link="part"/>'
+        '<axis xyz="0 -1 0"/><limit lower="0" upper="0.4" effort="1" velocity="1"/></joint></robot>'
+    )
+    return Articulated(read_urdf(folder / "part.urdf"))
+
+
+@pytest.mark.parametrize("name", ["", "handle"])
+@pytest.mark.parametrize("shape", BOWS)
+def test_a_bow_that_is_a_mesh_of_its_own_is_a_bar(tmp_path: Path, shape: str, name: str) -> None:
+    model = panel_with(tmp_path, BOWS[shape], name)
+    bow, *others = handles_in_turn(model, "j", 1.0)
+    assert bow.kind is HandleKind.BAR
+    assert bow.found is (HandleSource.NAME if name else HandleSource.SHAPE)
+    assert bow.depth < 0.02, "the bar alone"
+    assert all(h.edge for h in others), "its pieces are no further handle"
+    elements, held = elements_near_handle(model, "j", bow)
+    assert {e.index for e, mine in zip(elements, held, strict=True) if mine} == {1}
+    assert sum(e.index == 1 for e in elements) == held.sum() > 1, "pieces instead of the hull"
+
+
+@pytest.mark.parametrize("shape", BOWS)
+def test_a_finger_goes_behind_a_bow_that_is_a_mesh_of_its_own(
+    robots: Callable[[str], Robot], tmp_path: Path, shape: str
+) -> None:
+    model = panel_with(tmp_path, BOWS[shape])
+    robot = opened_to(robots("husky_ur5e"), 0.032)
+    assert robot is not None
+    (bow, *_) = handles_in_turn(model, "j", 1.0)
+    grasps = grasps_of(robot, model, "j", 1.0, bow, CONFIG)
+    assert not grasps.reason
+    hooks = grasps.code == FAMILIES.index(Family.HOOK)
+    assert hooks.any()
+    hand = hand_of(robot)
+    for T in grasps.Ts_part_tool[hooks]:
+        closing = T[:3, :3] @ hand.closing
+        fingers = [hand.boxes.center[hand.side == s] @ T[:3, :3].T + T[:3, 3] for s in (1, -1)]
+        behind = max(fingers, key=lambda points: points[:, 1].max())
+        assert behind[:, 1].max() > bow.grip[1], "between the bar and the front"
+        assert abs(closing[1]) > 0.8
+
+
+def test_a_solid_handle_that_is_a_mesh_stays_a_lip(tmp_path: Path) -> None:
+    block = given.triangles_of((((0.2, -0.05, -0.01), (0.4, -0.02, 0.01)),))
+    lip, *_ = handles_in_turn(panel_with(tmp_path, block), "j", 1.0)
+    assert lip.kind is HandleKind.LIP
+    assert len(lip.elements) == 1
 
 
 def test_a_profile_is_a_lip_and_the_rim_of_a_pocket_a_recessed_pull(tmp_path: Path) -> None:

@@ -20,7 +20,9 @@ from momapos.core.errors import InputError, UnknownNameError
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.importance.config import GraphConfig, ImportanceConfig
+from momapos.planning.importance.key_objects import Selection
 from momapos.planning.importance.ranking import rank
+from momapos.planning.importance.relations import KINDS
 from momapos.planning.importance.scorers import KNEE, MIN_SCORE, SCORERS, score_of_cosine, words
 
 WALKS = ImportanceConfig(scorer="deepwalk")
@@ -65,6 +67,29 @@ def test_s_grows_as_alpha_falls_and_contains_all_objects_at_zero() -> None:
     assert "fridge" in sets[0]
     assert sets[-1] == set(found.names)
     assert found.selected() == found.selected(found.alpha)
+
+
+def test_with_exceed_a_score_equal_to_alpha_is_not_in_s_but_the_target_always_is() -> None:
+    scene = load_scene("kitchen_small")
+    reaches, exceeds = (rank(scene, "fridge", replace(WALKS, exceed=e)) for e in (False, True))
+    alpha = float(reaches.scores[3])
+    equal = set(np.array(reaches.names)[reaches.scores == alpha])
+    assert set(reaches.selected(alpha)) - set(exceeds.selected(alpha)) == equal
+    assert exceeds.selected(1.0) == ("fridge",)
+    assert set(exceeds.selected(0.0)) == set(exceeds.names)
+    selection = Selection(exceeds, 1.0)
+    while selection.boxes:
+        lower = selection.relax_alpha()
+        assert set(lower.names) > set(selection.names)
+        selection = lower
+
+
+def test_without_neighbors_the_graph_has_the_paper_s_relations_only() -> None:
+    scene = load_scene("kitchen_small")
+    found = rank(scene, "fridge", replace(WALKS, graph=GraphConfig(neighbors=0)))
+    assert {KINDS[kind] for kind in found.graph.kind} <= {"on", "in", "inside"}
+    assert found.names[0] == "fridge"
+    assert (found.scores > 0).all()
 
 
 def test_every_object_is_in_s_for_some_alpha_above_zero() -> None:

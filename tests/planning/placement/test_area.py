@@ -27,6 +27,7 @@ from momapos.planning.placement.area import (
     task_frame,
     within_reach,
 )  # fmt: skip
+from momapos.planning.placement.grid_standing import grid_standing
 from momapos.planning.placement.order import by_expected_cost
 from momapos.planning.placement.potential import attraction
 
@@ -162,3 +163,22 @@ def test_a_handle_that_is_too_high_is_reported_as_such(robot: Robot, tmp_path: P
     assert plan.status == "infeasible"
     (reason,) = plan.candidates.rejections
     assert re.fullmatch(r"out of reach in height: 3\.8\d m is too high at any distance", reason)
+
+
+def test_what_is_known_of_a_grid_changes_no_status(robot: Robot, tmp_path: Path) -> None:
+    """Other openings of the same door see the same furniture; the remembered codes serve them."""
+    scene = cabinet_room(tmp_path)
+    cell, turn = 0.1, 30.0
+    for to in (1.5, 0.4, 1.0):
+        geometry = make_geometry(scene, robot, to)
+        corners = sampling_box(geometry)
+        assert corners is not None
+        x, y = (cell * np.arange(np.floor(lo / cell), np.ceil(hi / cell)) for lo, hi in corners.T)
+        yaw = np.radians(np.arange(-180.0, 180.0, turn))
+        local = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
+        poses = compose(task_frame(geometry), local)
+        for _ in range(2):
+            stands = grid_standing(geometry, poses, local, cell, turn)
+            known = base_pose_status(geometry, poses, stands)
+            np.testing.assert_array_equal(known, base_pose_status(geometry, poses))
+    assert {BaseStatus.CLEAR, BaseStatus.BLOCKED} <= set(known[0].tolist())

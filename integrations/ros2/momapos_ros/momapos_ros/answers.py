@@ -12,6 +12,7 @@ import momapos
 from momapos.apps.export.phases import Phase, PhaseKind, phases_of
 from momapos.apps.export.ros2 import messages
 from momapos.core.errors import TaskError
+from momapos.model.robots.hand_openings import opened_as
 
 scene_of = cache(momapos.load_scene)
 robot_of = cache(momapos.load_robot)
@@ -61,7 +62,8 @@ class Answer:
             found = self.plan.tolerance
             tolerance = "" if found is None else f"; tolerance {found}"
             pose = f"x {base[0]:.3f} m, y {base[1]:.3f} m, yaw {base[2]:.3f} rad"
-            return f"base pose {pose}{tolerance}"
+            assumed = f"assumed that {self.plan.assumes}; " if self.plan.assumes else ""
+            return f"{assumed}base pose {pose}{tolerance}"
         most = sorted(count.rejections.items(), key=lambda item: -item[1])[:3]
         reasons = ", ".join(f"{number} x {reason}" for reason, number in most)
         return f"{self.plan.status}: {reasons or 'no base pose was sampled'}"
@@ -101,7 +103,8 @@ def answer_at(given: Answer, reached: Pose) -> Answer:
         TaskError: There is no motion from there; the message states the reason.
     """
     question = given.question
-    scene, robot = scene_of(question.scene), robot_of(question.robot)
+    scene = scene_of(question.scene)
+    robot = opened_as(robot_of(question.robot), given.plan.robot_rest)
     attempt = momapos.check_base_pose(
         scene, robot, task_of(question), reached, map_of(question.robot), how_far=False
     )

@@ -139,7 +139,7 @@ class MomaposNode(Node):
         frame = self._value("frame")
         self._publish(handle, "planning")
         given = self._answer(handle.request)
-        if given.plan.base_pose is None:
+        if given.plan.base_pose is None or given.plan.status != "solved":
             raise StepError(given.message)
         reached = given.plan.base_pose
         drives = [step for step in given.messages(frame)["steps"] if "path" in step]

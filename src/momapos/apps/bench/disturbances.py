@@ -9,7 +9,7 @@ import numpy as np
 
 from momapos.core.geometry import wrap_angle
 from momapos.model.records import PlacementPlan, ReachScorer
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, opened_as
 from momapos.model.scene import Scene
 from momapos.planning import PipelineConfig, check_base_pose
 
@@ -59,7 +59,7 @@ def works_disturbed(
     """
     assert plan.base_pose is not None
     base, rng = np.array(plan.base_pose), np.random.default_rng(seed)
-    task = replace(plan.task, farthest=False)
+    task, robot = replace(plan.task, farthest=False), opened_as(robot, plan.robot_rest)
 
     def works(pose: Float[np.ndarray, "3"]) -> bool:
         attempt = check_base_pose(

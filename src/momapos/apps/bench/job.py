@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.core import MomaposError, require, user_cache
 from momapos.model.records import PlacementPlan, ReachScorer
-from momapos.model.robots import Robot, load_robot
+from momapos.model.robots import Robot, load_robot, opened_as
 from momapos.model.scene import Scene, load_scene
 from momapos.planning import PipelineConfig, plan_by_method
 from momapos.planning.grasps import make_task
@@ -112,7 +112,7 @@ def _check_and_execute(
         planner.reach,
     )
     for step, plan in steps:
-        trace.verified, wrong = _verify(step, plan, robot)
+        trace.verified, wrong = _verify(step, plan, opened_as(robot, plan.robot_rest))
         if not trace.verified:
             trace.end("failed", f"the exact check rejects the plan: {wrong}".strip())
             return

@@ -92,6 +92,8 @@ class StepPlanner:
         most = max(counts, key=lambda reason: counts[reason]) if counts else "no base pose proposed"
         if plan.status == "timeout":
             return "gave up", f"out of time; most frequent rejection: {most}"
+        if plan.status == "assumed":
+            return "gave up", f"only a plan that assumes that {plan.assumes}"
         return ("infeasible" if self.config.place.method in OURS else "gave up"), most
 
 

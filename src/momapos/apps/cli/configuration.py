@@ -115,6 +115,8 @@ class SearchOptions:
     """Objects of lower importance stay boxes, in [0, 1]."""
     seed: int = 0
     """The same seed gives the same plan."""
+    allow_assumed: Flag = False
+    """Accept a plan for a joint type that is not the most probable one (status `assumed`)."""
 
     def __post_init__(self) -> None:
         check_seed(self.seed)

@@ -137,6 +137,8 @@ def _grasps(answer: PlacementResult) -> list[str]:
     """A line for each grasp; those after the first say where the part is then."""
     motion = answer.plan.motion
     lines = [f"  grasp       {words}" for words in answer.holds[:1]]
+    if answer.latch:
+        lines.append(f"  latch       {answer.latch}")
     if motion is not None:
         later = zip(motion.holds[1:], answer.holds[1:], strict=True)
         lines += [
@@ -147,12 +149,16 @@ def _grasps(answer: PlacementResult) -> list[str]:
 
 
 def _joint_type(answer: PlacementResult) -> list[str]:
-    """The assumed joint type, if it is not the most probable one."""
-    task = answer.plan.task
-    if task.joint is None or not answer.plan.scene_hypotheses.get(task.object, {}).get(task.joint):
-        return []
-    kind = answer.prepared.scene.object(task.object).hypotheses[task.joint][0].kind
-    return [f"  joint type  {kind}; the more probable type has no feasible base pose"]
+    """The assumed joint type, and the answer for the most probable one."""
+    found = answer.plan.assumption
+    if found is None:
+        return [f"  assumed     {answer.plan.assumes}"] if answer.plan.assumes else []
+    if found.is_first:
+        return [f"  joint type  {found}, assumed: the most probable one, but improbable"]
+    return [
+        f"  joint type  {found}, assumed: the most probable one has no feasible base pose",
+        f"  probable    {found.instead}",
+    ]
 
 
 def _tolerance(plan: PlacementPlan) -> list[str]:
@@ -263,7 +269,7 @@ def task_text(answer: PlacementResult) -> str:
 
 def _question(answer: PlacementResult, most: bool) -> str:
     plan, task, to = answer.plan, answer.plan.task, ""
-    if most and plan.status == "solved":
+    if most and plan.feasible:
         to = " (maximum)" if task.farthest else " (largest found)"
     return f"{plan.robot_name}: {task_text(answer)}{to}: {plan.status}"
 

@@ -129,8 +129,11 @@ def _read(path: Path, to: str, scene_root: Path | None, robot: str | None) -> _C
     from momapos.simulation import FORMAT
 
     if format_of(path) != FORMAT:
-        return _Content(*open_plan(path, scene_root, robot, "to export"), None)
-    record, plan, scene, machine = open_run(path, scene_root, robot, "to export")
+        plan, scene, machine = open_plan(path, scene_root, robot, "to export", allow_assumed=False)
+        return _Content(plan, scene, machine, None)
+    record, plan, scene, machine = open_run(
+        path, scene_root, robot, "to export", allow_assumed=False
+    )
     if to in OF_PLANS:
         raise InputError(
             f"{path}: a run can't be exported to {to}; export its plan, {path.parent / record.plan}"

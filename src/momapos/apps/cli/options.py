@@ -62,8 +62,13 @@ else:  # tyro takes the members of a plain tuple for texts, and imports typeguar
     SettingsArg = Annotated[Several, arg(metavar="FIELD=VALUE")]
 MAX_SEED = 2**63 - 1
 MAX_SAMPLES = 10_000
-EXIT_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
+EXIT_STATUS = {"solved": 0, "assumed": 3, "infeasible": 3, "timeout": 4}
 """Exit status of the commands that plan, by the status of the plan."""
+
+
+def exit_status(status: str, *, allow_assumed: bool) -> int:
+    """Return the exit status for a plan; with --allow-assumed an assumed plan counts as solved."""
+    return EXIT_STATUS["solved" if allow_assumed and status == "assumed" else status]
 
 
 def check_seed(seed: int) -> None:

@@ -35,6 +35,7 @@ from .options import (
     Target,
     ValueArg,
     check_samples,
+    exit_status,
 )
 
 if TYPE_CHECKING:
@@ -268,7 +269,7 @@ class _ArmQuery:
 
     def needs_smaller_opening(self, task: Task, answers: Sequence[PlacementResult]) -> bool:
         """Whether to search for a smaller opening because no arm solves the task."""
-        solved = any(answer.plan.status == "solved" for answer in answers)
+        solved = any(answer.plan.feasible for answer in answers)
         given_up = not solved and self.at is None and not task.farthest
         return given_up and self.config.place.method in OURS
 
@@ -345,7 +346,7 @@ def _answer(
     _draw(scene, task, chosen, answer, options, config, map_file)
     tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=True)]
     _deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
-    return EXIT_STATUS[answer.plan.status]
+    return exit_status(answer.plan.status, allow_assumed=options.allow_assumed)
 
 
 def _draw(

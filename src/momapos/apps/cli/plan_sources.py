@@ -43,7 +43,7 @@ def plans_of(path: Path, purpose: str) -> list[Path]:
     if not is_tour(path):
         return [path]
     tour = read_tour(path)
-    if tour.status != "solved":
+    if tour.status not in ("solved", "assumed"):  # whether an assumed plan may be used: open_plan
         raise InputError(f"{path}: the tour is {tour.status!r}; there is nothing {purpose}")
     plans = [path.with_name(step.plan) for step in tour.steps]
     for plan in plans:
@@ -57,11 +57,15 @@ def numbered(path: Path, count: int, k: int) -> Path:
 
 
 def open_plans(
-    plans: Sequence[Path], scene_root: Path | None, robot: str | None, purpose: str
-) -> list[tuple[PlacementPlan, Scene, Robot]]:
+    plans: Sequence[Path], scene_root: Path | None, robot: str | None, purpose: str,
+    *, allow_assumed: bool,
+) -> list[tuple[PlacementPlan, Scene, Robot]]:  # fmt: skip
     """Read several plans like `open_plan`; plans of one scene share it."""
     read: dict[Path, Scene] = {}
-    return [open_plan(plan, scene_root, robot, purpose, read=read) for plan in plans]
+    return [
+        open_plan(plan, scene_root, robot, purpose, allow_assumed=allow_assumed, read=read)
+        for plan in plans
+    ]
 
 
 def open_plan(
@@ -70,6 +74,7 @@ def open_plan(
     robot: str | None,
     purpose: str,
     *,
+    allow_assumed: bool,
     read: dict[Path, Scene] | None = None,
 ) -> tuple[PlacementPlan, Scene, Robot]:
     """Read a solved plan, its scene as it was planned in, and its robot.
@@ -79,6 +84,7 @@ def open_plan(
         scene_root: Folder for files that are not next to the plan.
         robot: A library robot or a robot file; None for the robot of the plan.
         purpose: What an unsolved plan has nothing for, such as "to execute".
+        allow_assumed: Whether an assumed plan is read, too.
         read: Scenes that were already read, by file; others are added.
 
     Raises:
@@ -90,7 +96,12 @@ def open_plan(
     from momapos.verification import find_file, read_scene
 
     content = read_plan(plan)
-    if content.status != "solved":
+    if content.status == "assumed" and not allow_assumed:
+        raise InputError(
+            f"{plan}: the plan is 'assumed', not solved ({content.assumes}); "
+            "momapos run --allow-assumed executes it"
+        )
+    if not content.feasible:
         raise InputError(f"{plan}: the plan is {content.status!r}; there is nothing {purpose}")
     folders = [plan.resolve().parent, *([scene_root] if scene_root else []), Path()]
     scene_file = find_file("scene", content.scene, folders, plan)
@@ -105,13 +116,13 @@ def open_plan(
 
 
 def open_run(
-    path: Path, scene_root: Path | None, robot: str | None, purpose: str
+    path: Path, scene_root: Path | None, robot: str | None, purpose: str, *, allow_assumed: bool
 ) -> tuple[RunRecord, PlacementPlan, Scene, Robot]:
     """Read the record of a run, its plan, the true scene and the robot.
 
     Args:
         path: The record.
-        scene_root, robot, purpose: See `open_plan`.
+        scene_root, robot, purpose, allow_assumed: See `open_plan`.
 
     Raises:
         MomaposError: A file is unusable, or the record has no motion.
@@ -128,7 +139,9 @@ def open_run(
             f"{path}: the record has no motion or names no plan; momapos run PLAN --out FILE "
             "writes a complete one"
         )
-    plan, scene, machine = open_plan(path.parent / record.plan, scene_root, robot, purpose)
+    plan, scene, machine = open_plan(
+        path.parent / record.plan, scene_root, robot, purpose, allow_assumed=allow_assumed
+    )
     if record.world:
         nearby = path.parent / record.world
         there = load_scene(
@@ -139,13 +152,13 @@ def open_run(
 
 
 def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:
-    """Load the robot of a plan.
+    """Load the robot of a plan, its hand as open as in the plan.
 
     Raises:
         RobotError: There is no robot file, or it describes another robot.
     """
     from momapos.core import RobotError, user_cache
-    from momapos.model.robots import find_named_robot, library_names, load_robot
+    from momapos.model.robots import find_named_robot, library_names, load_robot, opened_as
 
     nearby = urdf.with_suffix(".toml")
     if given is not None:
@@ -170,4 +183,4 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
             f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
             f"joints {', '.join(content.joints)}; {robot.path} describes another robot"
         )
-    return robot
+    return opened_as(robot, content.robot_rest)

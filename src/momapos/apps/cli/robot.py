@@ -83,7 +83,8 @@ def robot_show(name: RobotArg, /, *, json: Flag = False) -> int:
     from momapos.model.robots import load_robot
 
     facts = describe(load_robot(name, cache=user_cache()))
-    print(json_format.dumps(facts, indent=1) if json else as_text(facts))
+    lines = [as_text(facts), *(f"  note      {text}" for text in facts["notes"])]
+    print(json_format.dumps(facts, indent=1) if json else "\n".join(lines))
     return SOLVED
 
 
@@ -95,6 +96,7 @@ def robot_check(
     on_box: BoxArg = None,
     package: PackagesArg = (),
     xacro_arg: XacroArg = (),
+    visual_hulls: Flag = False,
     plot: OptionalFile = None,
     json: Flag = False,
 ) -> int:
@@ -109,6 +111,7 @@ def robot_check(
         on_box: Put an arm without a base on a driving box of this size, LENGTHxWIDTHxHEIGHT [m].
         package: Folder of a ROS package that the file names, as NAME=DIR.
         xacro_arg: An argument of a xacro file, as NAME=VALUE.
+        visual_hulls: Let the hulls of what is drawn stand in for bodies without collision shapes.
         plot: Draw the robot at home, from above and from its right (PNG, SVG or PDF).
         json: Print one JSON object instead of text.
     """
@@ -118,9 +121,10 @@ def robot_check(
     args, box = _pairs(xacro_arg, "--xacro-arg"), _box(on_box)
     derives = file.suffix.lower() in DERIVED_FROM
     if not derives:
-        if (out, on_box, package, xacro_arg) != (None, None, (), ()):
+        if (out, on_box, package, xacro_arg, visual_hulls) != (None, None, (), (), False):
             raise RobotError(
-                f"--out, --on-box, --package and --xacro-arg need a URDF; {file} is a robot file"
+                "--out, --on-box, --package, --xacro-arg and --visual-hulls need a URDF; "
+                f"{file} is a robot file"
             )
         find_named_robot(str(file))
     for name, folder in packages.items():
@@ -137,7 +141,7 @@ def robot_check(
             from momapos.model.robots import Mount, RobotSource, write_robot
 
             mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
-            source = RobotSource(file, mount, packages)
+            source = RobotSource(file, mount, packages, visual_hulls=visual_hulls)
             file, derived = write_robot(source, out, args=args, cache=cache, report=report)
             guesses = derived.assumptions
         arms = load_arms(file, cache=cache)
@@ -172,6 +176,8 @@ def _print_checked(
         print("\n".join(first) + "\n")
     for robot in arms:
         print(as_text(describe(robot)))
+    notes = () if guesses else arms[0].model.urdf.notes  # the guesses include them
+    print("\n".join(f"  note      {text}" for text in notes), end="\n" * bool(notes))
     if guesses:
         print(f"\nwritten to {arms[0].path}; please check these assumptions:")
         print("\n".join(f"  - {text}" for text in guesses if text not in first))
@@ -294,6 +300,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "grips": str(robot.grips),
         "grip_force": robot.grip_force,
         "assumed": list(robot.assumed),
+        "notes": list(robot.model.urdf.notes),
     }
 
 

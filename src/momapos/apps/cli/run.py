@@ -45,6 +45,7 @@ def run(
     hold: Literal["contact", "weld"] = "contact",
     noise: Flag = True,
     tries: OptionalCount = None,
+    allow_assumed: Flag = False,
     seed: int = 0,
     out: OptionalFile = None,
     out_scene: OptionalFile = None,
@@ -77,6 +78,7 @@ def run(
         noise: No sensor noise of the base, and furniture exactly as heavy as modeled.
         tries: Maximum number of executed motions (default: 3; with --world one more for each
             further hypothesis of the joint type).
+        allow_assumed: Execute also a plan for a less probable joint type (status `assumed`).
         seed: The same seed gives the same run.
         out: Write the record to this JSON file.
         out_scene: Write the scene to this new file, with the joint as estimated and moved.
@@ -101,7 +103,7 @@ def run(
 
     from .console import progress
 
-    opened = open_plans(files.plans, scene_root, robot, "to execute")
+    opened = open_plans(files.plans, scene_root, robot, "to execute", allow_assumed=allow_assumed)
     with require("physics"):
         from momapos.planning.navigation import DriveConfig
         from momapos.simulation import ExecutionConfig, FurnitureConfig, RunTrace, moved
@@ -118,7 +120,7 @@ def run(
             reach = load_reach(machine, default_cache_dir(), report)
         result = run_plan(
             content, scene, machine, reach, start=None if begin is None else np.array(begin),
-            world=there, tries=tries, seed=seed,
+            world=there, tries=tries, allow_assumed=allow_assumed, seed=seed,
             driving=DriveConfig() if noise else DriveConfig(noise=NO_NOISE), physics=physics,
             trace=trace.drive if files.recorded else None, watch=trace if files.recorded else None,
         )  # fmt: skip
@@ -193,10 +195,11 @@ def _write_outputs(
         if result.execution is None:
             print(f"momapos: {film}: not written: nothing was executed", file=sys.stderr)
         else:
-            write_film(trace, film, ending="done" if result.success else result.reason)
+            write_film(trace, film, ending=result.reason or result.verdict)
     if files.out_scene is not None and save_learned(result, scene, files.out_scene) is None:
         print(
-            f"momapos: {files.out_scene}: not written: no joint was moved as planned",
+            f"momapos: {files.out_scene}: not written: no joint was moved as planned, or only in a "
+            "room that is an assumption",
             file=sys.stderr,
         )
 
@@ -230,7 +233,12 @@ def summary(record: RunRecord) -> str:
     """Summarize a run."""
     task = record.task
     what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-    lines = [f"{record.robot}: {task.verb} {what}: {'done' if record.success else 'failed'}"]
+    lines = [f"{record.robot}: {task.verb} {what}: {record.verdict}"]
+    if record.assumed and record.success:
+        lines.append(
+            f"  assumed     the part is a {record.assumed}, which is improbable; whether the true "
+            "part moves so is unknown"
+        )
     if record.reason:
         lines.append(f"  reason      {record.reason}")
     for visit in record.visits:
@@ -251,6 +259,8 @@ def summary(record: RunRecord) -> str:
         return "\n".join(lines)
     if record.kinds:
         lines.append(f"  joint type  {record.kinds[-1]}")
+    if record.true_task is not None:
+        lines.append(f"  true part   {record.true_task.object}/{record.true_task.joint}")
     return "\n".join(lines + _execution_lines(done))
 
 

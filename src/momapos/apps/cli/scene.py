@@ -95,6 +95,8 @@ def scene_show(
         print(f"  {item['name']:20} {item['category']:14} {size} m at ({x:.2f}, {y:.2f}, {z:.2f})")
         for moving in item["joints"]:
             print(f"      {_joint_line(moving)}")
+        if "latch" in item:
+            print(f"      {_latch_line(item)}")
     floor = facts["floor_area"]
     print(f"  floor: {'unknown' if floor is None else f'{floor:.1f} m^2'}")
     start = facts["start"]
@@ -210,7 +212,9 @@ def _describe_object(item: SceneObject) -> dict[str, Any]:
         }
         for name, joint in item.model.joints.items()
     ]
+    latch = {} if item.latch is None else {"latch": item.latch.members()}
     return {
+        **latch,
         "name": item.name,
         "category": item.category,
         "bounds": np.round(item.bounds, 4).tolist(),
@@ -225,6 +229,12 @@ def _joint_line(joint: dict[str, Any]) -> str:
     else:
         span = f"{joint['lower']:.2f} to {joint['upper']:.2f} {unit}"
     return f"{joint['name']:24} {joint['kind']}, {span}, at {joint['value']:.2f}"
+
+
+def _latch_line(item: dict[str, Any]) -> str:
+    turned, to, held = (item["latch"][key] for key in ("joint", "to", "holds"))
+    kind = next(joint["kind"] for joint in item["joints"] if joint["name"] == turned)
+    return f"{held} opens once {turned} is at {to:.2f} {'m' if kind == 'prismatic' else 'rad'}"
 
 
 def _print_json(data: dict[str, Any]) -> None:

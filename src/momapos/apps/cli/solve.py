@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from momapos.core import MAX, check_outputs, parse_quantity, require
+from momapos.core import MAX, InputError, check_outputs, parse_quantity, require
 from momapos.model.robots import find_named_robot
+from momapos.model.scene import find_scene
 
 from .configuration import (
     NO_SETTINGS,
@@ -19,12 +20,7 @@ from .configuration import (
     SearchOptions,
 )
 from .loading import load_arms_with_maps
-from .options import (
-    EXIT_STATUS,
-    Flag,
-    Target,
-    ValueArg,
-)
+from .options import Flag, Target, Text, ValueArg, exit_status, optional
 from .scan import DEFAULT as SCAN_DEFAULT
 from .scan import ScanArgs
 
@@ -50,6 +46,8 @@ class SolveOptions(SearchOptions):
     """How far: 90deg, 1.2rad, 0.3m, 30cm or max (default: 90 deg, or fully)."""
     run: Flag = True
     """Don't execute the plan in simulation."""
+    world: Annotated[Text, optional("SCENE")] = None
+    """The true room of the scan, if known, in the scan's frame; the plan is executed in it."""
     hold: Literal["contact", "weld"] = "contact"
     """How the hand holds in simulation, see `momapos run`."""
     pictures: Flag = True
@@ -86,7 +84,8 @@ def solve(
     folder holds the scene and its report, the plan, the run, and a record of stages and times.
 
     Exit status: 0 solved, and executed successfully; 1 the run failed; 2 unusable input; 3 no
-    feasible base pose; 4 out of time.
+    feasible base pose, or only one for a joint type that is not the most probable one (status
+    `assumed`), which is executed only with --allow-assumed; 4 out of time.
 
     Args:
         source: Folder of posed color and depth images, a point cloud, or a robot's recording.
@@ -102,6 +101,7 @@ def solve(
     if options.to is not None and options.to != MAX:
         parse_quantity(options.to)
     find_named_robot(options.robot)
+    _check_world(options, verb)
     config = options.read_config()
     answer, record = _solve(source, verb, target, out, options, config)
     data = _to_dict(answer, record)
@@ -109,7 +109,20 @@ def solve(
     print(dumps(data, allow_nan=False) if options.json else _summary(answer, record, data, out))
     if record is not None and not record.success:
         return 1
-    return EXIT_STATUS[answer.result.plan.status]
+    return exit_status(answer.result.plan.status, allow_assumed=options.allow_assumed)
+
+
+def _check_world(options: SolveOptions, verb: str) -> None:
+    """Refuse a true room that cannot be used, before the work.
+
+    Raises:
+        MomaposError: There is no such scene, or nothing is opened or closed in it.
+    """
+    if options.world is None:
+        return
+    if not options.run or verb not in ("open", "close"):
+        raise InputError("--world is the room in which a part is opened or closed; leave it out")
+    find_scene(options.world)
 
 
 def _solve(
@@ -170,7 +183,10 @@ def _solve(
     result = answer.result
     robot = result.prepared.robot
     write_plan(with_times(result.with_notes().plan, robot), out / PLAN)
-    if result.plan.status != "solved" or not options.run:
+    executable = result.plan.status == "solved" or (
+        result.plan.status == "assumed" and options.allow_assumed
+    )
+    if not executable or not options.run:
         return answer, None
     chosen = next(k for k, one in enumerate(arms) if one.arm == robot.arm)
     return answer, _run(answer, reach[chosen], out / RUN, options, config.pipeline)
@@ -180,18 +196,25 @@ def _run(
     answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions, config: PipelineConfig
 ) -> RunRecord:
     """Execute the plan, and write the record."""
+    import numpy as np
+
+    from momapos.core import user_cache
     from momapos.model.scene import as_planned, load_scene
-    from momapos.simulation import ExecutionConfig, RunTrace, with_files, write_run
+    from momapos.simulation import ExecutionConfig, RunTrace, moved, with_files, write_run
     from momapos.workflows import run_plan
 
     plan, robot = answer.result.plan, answer.result.prepared.robot
-    trace = RunTrace()
+    trace, there, at = RunTrace(), None, None
+    if options.world is not None:
+        T = answer.modeled.T_scene_scan
+        at = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+        there = moved(load_scene(options.world, cache=user_cache()), at)
     record = run_plan(
-        plan, as_planned(load_scene(answer.modeled.scene), plan), robot, reach,
+        plan, as_planned(load_scene(answer.modeled.scene), plan), robot, reach, world=there,
         config=config, physics=ExecutionConfig(hold=options.hold), seed=options.seed,
-        trace=trace.drive, watch=trace,
+        allow_assumed=options.allow_assumed, trace=trace.drive, watch=trace,
     )  # fmt: skip
-    named = with_files(record, file, file.parent / PLAN)
+    named = with_files(record, file, file.parent / PLAN, options.world, at)
     write_run(replace(named, motion=trace.motion()), file)
     return record
 
@@ -207,7 +230,8 @@ def _to_dict(answer: ScanAnswer, record: RunRecord | None) -> dict[str, Any]:
         "verb": plan.task.verb, "object": plan.task.object, "joint": plan.task.joint,
         "to": plan.task.to, "robot": plan.robot_name, "method": plan.method, "seed": plan.seed,
         "status": plan.status,
-        "done": None if record is None else record.success,
+        **({} if plan.assumption is None else {"assumption": asdict(plan.assumption)}),
+        "done": None if record is None else record.verdict == "done",
         "reason": "" if record is None else record.reason,
         "cloud": CLOUD, "scene": SCENE, "plan": PLAN, "run": None if record is None else RUN,
         "alphas": list(answer.alphas),

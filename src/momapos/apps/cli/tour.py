@@ -12,7 +12,7 @@ from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
 from .loading import load_arms_with_maps
-from .options import EXIT_STATUS, SceneArg, Target, ValueArg
+from .options import EXIT_STATUS, SceneArg, Target, ValueArg, exit_status
 from .parse import parse
 from .place import DEFAULT, Options, Shared, read_region, read_scene
 
@@ -170,7 +170,7 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
                 with_tolerance(step, samples=options.tolerance_samples) for step in tour.steps
             ))  # fmt: skip
     _deliver(tour, options)
-    return EXIT_STATUS[tour.status]
+    return exit_status(tour.status, allow_assumed=options.allow_assumed)
 
 
 def _deliver(tour: Tour, options: Options) -> None:
@@ -200,7 +200,7 @@ def _summary(tour: Tour, options: Options) -> str:
     from .console import pose_text, summary, task_text
 
     name = tour.steps[0].plan.robot_name
-    done = [step for step in tour.steps if step.plan.status == "solved"]
+    done = [step for step in tour.steps if step.plan.feasible]
     stops = max(tour.stops[: len(done)], default=0)
     counted = f"{len(done)} tasks from {stops} base pose{'s' if stops != 1 else ''}"
     lines = [f"{name}: {counted}: {tour.status}", ""]
@@ -214,10 +214,11 @@ def _summary(tour: Tour, options: Options) -> str:
                 f"{plan.navigation_cost:.2f} m{_stop_tolerance(here)}"
             )
         lines += [f"    {task_text(step)}; {words}" for words in step.holds[:1]]
+        lines += [f"    assumed: {plan.assumes}"] if plan.assumes else []
         lines += [f"    note: {words}" for words in step.notes]
     lines += [f"  assumed     {words}" for words in tour.assumed]
     lines += [f"  time        {1000 * tour.seconds:.0f} ms"]
-    if tour.status != "solved":
+    if not tour.steps[-1].plan.feasible:
         lines += ["", summary(tour.steps[-1], None)]
     if options.out is not None:
         files = [f"{options.out.stem}_{k}.json" for k in range(1, 1 + len(tour.steps))]

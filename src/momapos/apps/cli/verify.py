@@ -11,11 +11,15 @@ def verify(
     /,
     *,
     scene_root: OptionalFolder = None,
+    allow_assumed: Flag = False,
     json: Flag = False,
 ) -> int:
     """Check a plan independently of the planner, from the plan file, the scene and the URDF.
 
     For a tour, each plan is checked, and that it begins where the one before it ends.
+
+    A plan for a joint type other than the most probable one (status `assumed`) is checked in the
+    scene that it assumes, and counts as invalid unless --allow-assumed is given.
 
     Exit status: 0 plan valid; 1 plan invalid; 2 unusable file.
 
@@ -23,6 +27,7 @@ def verify(
         plan: A plan file or a tour file.
         scene_root: Folder for files that are not next to the plan, and for models of a BestMan
             scene.
+        allow_assumed: Accept a plan of status `assumed` if all checks pass.
         json: Print the report as one JSON object, and nothing else.
     """
     check_plan_file(plan)
@@ -36,7 +41,7 @@ def verify(
 
     compile_once(VERIFY)
     if is_tour(plan):
-        reports = verify_tour(plan, scene_root, cache=user_cache())
+        reports = verify_tour(plan, scene_root, allow_assumed=allow_assumed, cache=user_cache())
         valid = all(report.valid for report in reports.values())
         if json:
             files = {name: report_to_dict(report) for name, report in reports.items()}
@@ -45,7 +50,7 @@ def verify(
             for name, report in reports.items():
                 print("\n".join([f"{name}:", *report_lines(report)]))
         return 0 if valid else 1
-    report = verify_files(plan, scene_root, cache=user_cache())
+    report = verify_files(plan, scene_root, allow_assumed=allow_assumed, cache=user_cache())
     if json:
         print(dumps(report_to_dict(report)))
     else:

@@ -79,10 +79,12 @@ def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) 
     from .plan_sources import open_plans, open_run, plans_of
 
     if kind == "plan":
-        plans = open_plans(plans_of(path, "to show"), scene_root, robot, "to show")
+        plans = open_plans(
+            plans_of(path, "to show"), scene_root, robot, "to show", allow_assumed=True
+        )
         first, *then = (Opened(str(path), scene, one, plan) for plan, scene, one in plans)
         return replace(first, then=tuple(then))
-    record, plan, scene, machine = open_run(path, scene_root, robot, "to show")
+    record, plan, scene, machine = open_run(path, scene_root, robot, "to show", allow_assumed=True)
     return Opened(str(path), scene, machine, plan, record)
 
 

@@ -173,8 +173,8 @@ def _send_state(bag: _Bag, timeline: Timeline, robot: Robot, i: int) -> None:
 def _send_part(
     bag: _Bag, timeline: Timeline, target: SceneObject, moving: tuple[str, ...], i: int
 ) -> None:
-    samples, joint, Ts = timeline.samples, timeline.task.joint, timeline.Ts_world_object
-    poses = target.link_poses({} if joint is None else {joint: float(samples.object_q[i])})
+    samples, Ts = timeline.samples, timeline.Ts_world_object
+    poses = target.link_poses(timeline.object_values(i))
     if Ts is not None:
         T_now_rest = Ts[i] @ invert(poses[target.model.urdf.root])
         poses = {link: T_now_rest @ T for link, T in poses.items()}

@@ -10,8 +10,8 @@ import numpy as np
 
 from momapos.core import InputError
 from momapos.model import DEFAULT, SpeedConfig, time_motion, time_path
-from momapos.model.records import Hold, Motion, PlacementPlan, Verb
-from momapos.model.robots import Robot
+from momapos.model.records import Motion, PlacementPlan, Verb
+from momapos.model.robots import Robot, opened_as
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -45,6 +45,8 @@ class Phase:
     velocities: Float[np.ndarray, "t n"]
     object_q: Float[np.ndarray, " t"]
     """Value of the object's joint [rad] or [m]; zeros if the task has none."""
+    latch_q: Float[np.ndarray, " t"]
+    """Value of the object's latch [rad] or [m]; zeros if none is turned."""
 
 
 def phases_of(
@@ -52,8 +54,8 @@ def phases_of(
 ) -> tuple[Phase, ...]:
     """Return the phases of a solved plan, in order.
 
-    The base drives along its path with the arm at home. Then the arm moves, and rests while the
-    gripper closes or opens.
+    A hand that is not fully open in the plan is opened to that width first. The base drives along
+    its path with the arm at home. Then the arm moves, and rests while the gripper closes or opens.
 
     Args:
         plan: A solved plan.
@@ -67,19 +69,25 @@ def phases_of(
     if plan.motion is None or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: it has no motion to export")
     motion, base, verb = plan.motion, np.array(plan.base_pose), plan.task.verb
-    phases = [] if plan.base_path is None else [_drive(plan.base_path, motion, robot, step)]
-    q, value = _first(motion), float(motion.object_q[0])
+    robot = opened_as(robot, plan.robot_rest)
+    q, now = _first(motion), _Now.of(motion)
+    phases: list[Phase] = []
+    if robot.fully_open is not None and verb != "place":
+        begin = base if plan.base_path is None else plan.base_path[0]
+        phases.append(_gripper(PhaseKind.OPEN, begin, q, now))
+    if plan.base_path is not None:
+        phases.append(_drive(plan.base_path, motion, robot, step))
     if verb == "place":
-        phases.append(_gripper(PhaseKind.CLOSE, base, q, value))
+        phases.append(_gripper(PhaseKind.CLOSE, base, q, now))
     for part in _parts(verb, motion):
         if isinstance(part, PhaseKind):
-            phases.append(_gripper(part, base, q, value))
+            phases.append(_gripper(part, base, q, now))
         else:
             phases.append(_arm(part, verb, base, robot, speeds, step))
-            q, value = phases[-1].positions[-1], float(phases[-1].object_q[-1])
+            last = phases[-1]
+            q, now = last.positions[-1], _Now(float(last.object_q[-1]), float(last.latch_q[-1]))
     if motion.home is not None:
-        back = np.concatenate([motion.q[-1:], motion.home])
-        section = _Section(back, np.full(len(back), value), None)
+        section = now.rests(np.concatenate([motion.q[-1:], motion.home]))
         phases.append(_arm(section, verb, base, robot, speeds, step))
     return tuple(phases)
 
@@ -88,12 +96,34 @@ def _first(motion: Motion) -> Float[np.ndarray, " n"]:
     return motion.approach[0] if len(motion.approach) else motion.q[0]
 
 
+@dataclass(frozen=True)
+class _Now:
+    """Values of the object's joint and of its latch [rad] or [m]."""
+
+    object_q: float
+    latch_q: float
+
+    @classmethod
+    def of(cls, motion: Motion) -> _Now:
+        """Return the values at the start of a motion."""
+        return cls(float(motion.object_q[0]), float(_latch_q(motion)[0]))
+
+    def rests(self, q: Float[np.ndarray, "m n"]) -> _Section:
+        """Return a section in which only the arm moves."""
+        return _Section(q, np.full(len(q), self.object_q), np.full(len(q), self.latch_q), None)
+
+
+def _latch_q(motion: Motion) -> Float[np.ndarray, " m"]:
+    return np.zeros(len(motion.q)) if motion.latch_q is None else motion.latch_q
+
+
 @dataclass(frozen=True, eq=False)
 class _Section:
     """States of the arm between two actions of the gripper."""
 
     q: Float[np.ndarray, "m n"]
     object_q: Float[np.ndarray, " m"]
+    latch_q: Float[np.ndarray, " m"]
     Ts_world_tool: Float[np.ndarray, "m 4 4"] | None
     """None before the grasp and after the release, where the tool's speed is limited only if it
     carries an object."""
@@ -103,15 +133,14 @@ def _parts(verb: str, motion: Motion) -> list[_Section | PhaseKind]:
     """Cut the motion of the arm where the gripper closes or opens."""
     parts: list[_Section | PhaseKind] = []
     if len(motion.approach):
-        rest = np.full(len(motion.approach), motion.object_q[0])
-        parts.append(_Section(motion.approach, rest, None))
+        parts.append(_Now.of(motion).rests(motion.approach))
     last = len(motion.q) - 1
     if verb == "pick":
         return [*parts, PhaseKind.CLOSE, _between(motion, 0, last)]
     if verb == "place":
         return [*parts, PhaseKind.OPEN, _between(motion, 0, last)]
     at = 0
-    for hold in motion.holds or (Hold(0, last),):
+    for hold in motion.grasps:
         parts += [_between(motion, at, hold.first)] if hold.first > at else []
         parts += [PhaseKind.CLOSE, _between(motion, hold.first, hold.last), PhaseKind.OPEN]
         at = hold.last
@@ -120,22 +149,27 @@ def _parts(verb: str, motion: Motion) -> list[_Section | PhaseKind]:
 
 def _between(motion: Motion, first: int, last: int) -> _Section:
     part = slice(first, last + 1)
-    return _Section(motion.q[part], motion.object_q[part], motion.Ts_world_tool[part])
+    return _Section(
+        motion.q[part], motion.object_q[part], _latch_q(motion)[part], motion.Ts_world_tool[part]
+    )
 
 
 def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: float) -> Phase:
+    """Time the drive. Limits of speed and acceleration hold for the norm of x and y."""
+    apart = robot.max_acceleration / np.sqrt(2.0)  # in x and in y, so that both together keep it
     speed = np.array([robot.max_speed, robot.max_speed, robot.max_yaw_rate])
-    limit = np.array([robot.max_acceleration, robot.max_acceleration, robot.max_yaw_acceleration])
+    limit = np.array([apart, apart, robot.max_yaw_acceleration])
     turned = path.copy()
     turned[:, 2] = np.unwrap(path[:, 2])
     turned[:, 2] += (
         path[-1, 2] - turned[-1, 2]
     )  # by whole turns, to end at the yaw of the arm phases
-    timed = time_path(turned, speed, limit, step)
-    rest = np.tile(_first(motion), (len(timed), 1))
+    place = np.pad(path[:, :2], ((0, 0), (0, 1)))
+    timed = time_path(turned, speed, limit, step, tool=place, tool_speed=robot.max_speed)
+    rest, now = np.tile(_first(motion), (len(timed), 1)), _Now.of(motion)
     return Phase(
         PhaseKind.DRIVE, _times(len(timed), step), timed.q, rest, np.zeros_like(rest),
-        np.full(len(timed), motion.object_q[0]),
+        np.full(len(timed), now.object_q), np.full(len(timed), now.latch_q),
     )  # fmt: skip
 
 
@@ -154,18 +188,18 @@ def _arm(
         motion = Motion(part.q[:0], part.q, part.object_q, part.Ts_world_tool)
         timed = time_motion(robot, motion, speeds, step, verb=verb)[1]
     times = _times(len(timed), step)
-    values = np.interp(times, timed.state_times, part.object_q)
+    values, latch = (np.interp(times, timed.state_times, v) for v in (part.object_q, part.latch_q))
     bases = np.tile(base, (len(timed), 1))
-    return Phase(PhaseKind.ARM, times, bases, timed.q, timed.v, values)
+    return Phase(PhaseKind.ARM, times, bases, timed.q, timed.v, values, latch)
 
 
 def _gripper(
-    kind: PhaseKind, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], object_q: float
+    kind: PhaseKind, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], now: _Now
 ) -> Phase:
     rest = np.tile(q, (2, 1))
     return Phase(
         kind, np.array([0.0, GRIPPER_TIME]), np.tile(base, (2, 1)), rest, np.zeros_like(rest),
-        np.full(2, object_q),
+        np.full(2, now.object_q), np.full(2, now.latch_q),
     )  # fmt: skip
 
 
@@ -184,6 +218,7 @@ class Samples:
     object_q: Float[np.ndarray, " t"]
     phase: Int[np.ndarray, " t"]
     """Index of the phase of each sample."""
+    latch_q: Float[np.ndarray, " t"]
 
 
 def samples_of(phases: tuple[Phase, ...]) -> Samples:
@@ -196,4 +231,5 @@ def samples_of(phases: tuple[Phase, ...]) -> Samples:
         velocities=np.concatenate([phase.velocities for phase in phases]),
         object_q=np.concatenate([phase.object_q for phase in phases]),
         phase=np.repeat(np.arange(len(phases)), [len(phase.times) for phase in phases]),
+        latch_q=np.concatenate([phase.latch_q for phase in phases]),
     )

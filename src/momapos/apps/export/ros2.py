@@ -13,7 +13,7 @@ from typing import Any
 
 from momapos.core import write_atomic
 from momapos.model.records import PlacementPlan
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, opened_as
 
 from .phases import Phase, PhaseKind
 
@@ -59,25 +59,27 @@ def messages(
 ) -> dict[str, Any]:
     """Return all that a node needs to execute the plan, in order."""
     assert plan.base_pose is not None
+    opening = opened_as(robot, plan.robot_rest).opening
     goal = pose_stamped(plan.base_pose, frame)
     steps: list[dict[str, Any]] = []
-    if plan.base_path is not None:
-        poses = [pose_stamped(row, frame) for row in plan.base_path.tolist()]
-        header = {"stamp": stamp(0.0), "frame_id": frame}
-        steps.append(
-            {
-                "action": "nav2_msgs/action/NavigateToPose",
-                "goal": {"pose": goal, "behavior_tree": ""},
-                "path": {"header": header, "poses": poses},
-            }
-        )
     for phase in phases:
-        if phase.kind is PhaseKind.ARM:
+        if phase.kind is PhaseKind.DRIVE:
+            assert plan.base_path is not None
+            poses = [pose_stamped(row, frame) for row in plan.base_path.tolist()]
+            header = {"stamp": stamp(0.0), "frame_id": frame}
+            steps.append(
+                {
+                    "action": "nav2_msgs/action/NavigateToPose",
+                    "goal": {"pose": goal, "behavior_tree": ""},
+                    "path": {"header": header, "poses": poses},
+                }
+            )
+        elif phase.kind is PhaseKind.ARM:
             trajectory = joint_trajectory(phase, plan.joints)
             action = "control_msgs/action/FollowJointTrajectory"
             steps.append({"action": action, "goal": {"trajectory": trajectory}})
-        elif phase.kind is not PhaseKind.DRIVE:
-            position = robot.opening if phase.kind is PhaseKind.OPEN else 0.0
+        else:
+            position = opening if phase.kind is PhaseKind.OPEN else 0.0
             command = {"position": position, "max_effort": robot.grip_force}
             action = "control_msgs/action/GripperCommand"
             steps.append({"action": action, "goal": {"command": command}})

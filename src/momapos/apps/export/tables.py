@@ -24,7 +24,8 @@ OBJECT = tuple(f"object_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "q
 def write_csv(timeline: Timeline, path: Path) -> None:
     """Write one line per sample: time, phase, base pose, joint positions and velocities, object_q.
 
-    For a movable object, its pose follows: position and quaternion. Units are s, m and rad.
+    If a latch is turned, its value follows as latch_q; for a movable object, its pose: position and
+    quaternion. Units are s, m and rad.
     """
     samples, names = timeline.samples, timeline.joints
     text = io.StringIO()
@@ -32,6 +33,9 @@ def write_csv(timeline: Timeline, path: Path) -> None:
     velocities = [f"{name}_velocity" for name in names]
     columns = [samples.base, samples.positions, samples.velocities, samples.object_q]
     header = ["time", "phase", *BASE, *names, *velocities, "object_q"]
+    if timeline.latch:
+        header.append("latch_q")
+        columns.append(samples.latch_q)
     if timeline.Ts_world_object is not None:
         header += OBJECT
         columns.append(_poses(timeline.Ts_world_object))
@@ -46,16 +50,17 @@ def write_csv(timeline: Timeline, path: Path) -> None:
 def write_npz(timeline: Timeline, path: Path) -> None:
     """Write the samples as arrays: times, base, positions, velocities, object_q, phase, names.
 
-    For a movable object, `object_poses` contains x, y, z and the quaternion wxyz.
+    If a latch is turned, `latch_q` contains its values. For a movable object, `object_poses`
+    contains x, y, z and the quaternion wxyz.
     """
     samples, content = timeline.samples, io.BytesIO()
-    poses: dict[str, Any] = {}
+    extra: dict[str, Any] = {"latch_q": samples.latch_q} if timeline.latch else {}
     if timeline.Ts_world_object is not None:
-        poses["object_poses"] = _poses(timeline.Ts_world_object)
+        extra["object_poses"] = _poses(timeline.Ts_world_object)
     np.savez_compressed(
         content, times=samples.times, base=samples.base, positions=samples.positions,
         velocities=samples.velocities, object_q=samples.object_q, phase=samples.phase,
-        phases=np.array(timeline.stages), joints=np.array(timeline.joints), **poses,
+        phases=np.array(timeline.stages), joints=np.array(timeline.joints), **extra,
     )  # fmt: skip
     write_atomic(path, content.getvalue())
 

@@ -39,6 +39,16 @@ class Timeline:
     """Path of the base: x [m], y [m], yaw [rad]; None without a drive."""
     Ts_world_object: Float[np.ndarray, "t 4 4"] | None
     """Pose of a movable object's root link; None if the task moves a joint."""
+    latch: str = ""
+    """Joint of the object's latch that is turned; "" if none is."""
+
+    def object_values(self, sample: int) -> dict[str, float]:
+        """Return the values of the object's joints that move, at a sample [rad] or [m]."""
+        if self.task.joint is None:
+            return {}
+        samples = self.samples
+        turned = {self.latch: float(samples.latch_q[sample])} if self.latch else {}
+        return {self.task.joint: float(samples.object_q[sample]), **turned}
 
     def phases(self) -> Iterator[tuple[int, slice]]:
         """Yield the index and the samples of each phase."""
@@ -55,6 +65,7 @@ def plan_timeline(
     assert plan.motion is not None
     samples, kinds = samples_of(phases), tuple(phase.kind for phase in phases)
     carried, poses = CarriedObject.of(scene, plan.task, plan.motion), None
+    latch = scene.object(plan.task.object).latch
     if carried is not None:
         tools = robot.chain.tool_poses(robot.chain.freedom_values(samples.positions))
         tools = pose_planar(samples.base) @ tools
@@ -62,6 +73,7 @@ def plan_timeline(
     return Timeline(
         plan.task, plan.joints, samples, tuple(map(str, kinds)),
         tuple(kind is PhaseKind.ARM for kind in kinds), plan.base_path, poses,
+        "" if latch is None or plan.motion.latch_q is None else latch.joint,
     )  # fmt: skip
 
 
@@ -87,6 +99,7 @@ def run_timeline(record: RunRecord, robot: Robot) -> Timeline:
     phase = np.cumsum(np.append(False, words[1:] != words[:-1]))
     stages = tuple(words[np.searchsorted(phase, np.arange(phase[-1] + 1))].tolist())
     part = np.array(motion.part)[later] if motion.part else np.zeros(len(times))
+    latch, turned = next(iter(motion.latch.items()), ("", motion.times))
     poses = None
     if motion.poses:
         rows = [pose_wxyz(tuple(row[:3]), tuple(row[3:])) for row in motion.poses]
@@ -94,9 +107,9 @@ def run_timeline(record: RunRecord, robot: Robot) -> Timeline:
     drives: Bool[np.ndarray, " t"] = words == DRIVE
     return Timeline(
         task, tuple(motion.joints),
-        Samples(times, base, positions, velocities, part, phase),
+        Samples(times, base, positions, velocities, part, phase, np.array(turned)[later]),
         stages, tuple(stage != DRIVE for stage in stages), base[drives] if drives.any() else None,
-        poses,
+        poses, latch,
     )  # fmt: skip
 
 

@@ -118,7 +118,7 @@ def placement_stream(
         with closing(answers):  # type: ignore[type-var]
             for answer in answers:
                 assert answer.plan.base_pose is not None
-                yield answer.plan.base_pose, ArmTrajectory(answer.plan, robot)
+                yield answer.plan.base_pose, ArmTrajectory(answer.plan, answer.prepared.robot)
 
     return gen_fn
 

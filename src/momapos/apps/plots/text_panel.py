@@ -93,7 +93,7 @@ def shown_base(answer: PlacementResult) -> Float[np.ndarray, "3"] | None:
 def reached_value(answer: PlacementResult) -> float | None:
     """Return the joint value reached from the base pose that is drawn [rad] or [m]."""
     plan = answer.plan
-    return plan.task.to if plan.status == "solved" else plan.feasible_to
+    return plan.task.to if plan.feasible else plan.feasible_to
 
 
 def value_text(answer: PlacementResult, value: float) -> str:
@@ -113,13 +113,18 @@ def _write_facts(column: TextColumn, answer: PlacementResult) -> None:
     here = plan.status == "infeasible" and plan.base_pose is not None
     status, color = {
         "solved": ("solved", palette.GOOD),
+        "assumed": ("assumed", palette.PART),
         "infeasible": ("not feasible from here" if here else "no feasible base pose", palette.BAD),
         "timeout": ("out of time", palette.BAD),
     }[plan.status]
-    marker = "o" if plan.status == "solved" else "X"
+    marker = "o" if plan.feasible else "X"
     column.axes.plot(0.05, column.y + 0.045, marker, color=color, markersize=6, markeredgewidth=0)
     column.text(status, x=0.16, size=9, weight="bold", color=color, fit=width - 0.16, down=0.21)
     rows = []
+    if plan.assumption is not None:
+        rows.append(("joint type", str(plan.assumption)))
+        if not plan.assumption.is_first:
+            rows.append(("most probable", plan.assumption.instead.partition(":")[0]))
     if plan.base_pose is not None:
         x, y, yaw = plan.base_pose
         rows.append(("base pose", f"({x:.2f}, {y:.2f}) m, {np.degrees(yaw):.0f}°"))

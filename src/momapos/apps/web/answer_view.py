@@ -16,7 +16,7 @@ from .cameras import look_at
 from .light import Light
 from .motion_view import MotionView
 from .panel import joint_ranges
-from .playback import Story
+from .playback import Story, values_at_end
 from .question import Question, RobotArms
 from .robot_view import home_values, joint_values
 from .state import PageState
@@ -96,7 +96,7 @@ class AnswerView:
                 words += f"\n- no motion to show: {escaped(str(error))}"
             state.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
             if plan.task.joint is not None:
-                state.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
+                state.room.move(values_at_end(shown.scene, plan.task, plan.motion))
         shown_base = plan.base_pose or plan.feasible_from
         if plan.motion is None and shown_base is not None:
             state.robot.move(np.array(shown_base), home_values(robot))

@@ -12,7 +12,7 @@ from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
 
 from .cameras import look_at, viewpoint
-from .playback import Story
+from .playback import Story, values_at_end
 from .robot_view import RobotView, joint_values
 from .room_view import RoomView
 from .state import PageState
@@ -143,7 +143,7 @@ class Compare:
         one.robot.show(robot, np.array(plan.base_pose), opacity=opacity, color=one.color)
         one.robot.move(None, joint_values(robot, plan.motion.q[-1]))
         if plan.task.joint is not None:
-            one.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
+            one.room.move(values_at_end(one.scene, plan.task, plan.motion))
 
     def _remove_captions(self) -> None:
         for caption in self._captions:

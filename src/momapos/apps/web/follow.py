@@ -13,6 +13,7 @@ from momapos.core import Clock
 
 from .motion_view import MotionView
 from .moving import DetailControl
+from .playback import values_at_end
 from .probe import Finding, Probe
 from .robot_view import home_values, joint_values
 from .state import PageState
@@ -69,7 +70,7 @@ class DragFollower:
         return shown.probe
 
     def _show(self, finding: Finding, probe: Probe, seconds: float) -> None:
-        state, robot, joint, motion = self._state, probe.robot, probe.task.joint, finding.motion
+        state, robot, motion = self._state, probe.robot, finding.motion
         with state.drawing, state.server.atomic():
             if state.shown.probe is not probe:  # the question has changed
                 return
@@ -80,7 +81,7 @@ class DragFollower:
                 state.panel.show_joint_values({})
             else:
                 state.robot.move(None, joint_values(robot, motion.q[-1]))
-                values = {} if joint is None else {joint: float(motion.object_q[-1])}
+                values = values_at_end(probe.scene, probe.task, motion)
                 state.room.move(values)
                 state.panel.show_joint_values(values)
                 carried = CarriedObject.of(probe.scene, probe.task, motion)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from momapos.apps.export import PhaseKind, Timeline, phases_of, plan_timeline
-from momapos.model.records import PlacementPlan, Task
+from momapos.model.records import Motion, PlacementPlan, Task
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, part_values
 
 from .robot_view import RobotView, joint_values
 from .room_view import RoomView
@@ -47,7 +47,8 @@ class Moment:
     joints: dict[str, float]
     """Values of the arm's joints [rad] or [m]."""
     object_q: dict[str, float]
-    """Value of the joint that the task moves [rad] or [m]; empty where it moves none."""
+    """Value of the joint that the task moves, and of its latch [rad] or [m]; empty where it moves
+    none."""
     phase: str
     """The phase of the motion."""
     force: Float[np.ndarray, "3"] | None = None
@@ -98,15 +99,21 @@ class Story:
     def at(self, seconds: float) -> Moment:
         """Return the sampled moment at a time [s], clipped to the duration."""
         samples, poses = self.timeline.samples, self.timeline.Ts_world_object
-        times, joint = samples.times, self.task.joint
+        times = samples.times
         i = int(np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 1))
         return Moment(
             samples.base[i],
             joint_values(self.robot, samples.positions[i]),
-            {} if joint is None else {joint: float(samples.object_q[i])},
+            self.timeline.object_values(i),
             WORDS[self.timeline.stages[samples.phase[i]]],
             T_world_object=None if poses is None else poses[i],
         )
+
+
+def values_at_end(scene: Scene, task: Task, motion: Motion) -> dict[str, float]:
+    """Return the values of the object's joints that a motion moves, at its end [rad] or [m]."""
+    latch = None if motion.latch_q is None else float(motion.latch_q[-1])
+    return part_values(scene.object(task.object), task.joint, float(motion.object_q[-1]), latch)
 
 
 class Playable(Protocol):

@@ -54,6 +54,7 @@ class RunStory:
         base = begin + share * np.append(end[:2] - begin[:2], wrap_angle(end[2] - begin[2]))
         moved = {name: between(values) for name, values in motion.joints.items()}
         object_q = {self.joint: between(motion.part)} if self.joint and motion.part else {}
+        object_q |= {name: between(values) for name, values in motion.latch.items()}
         near = i + round(share)
         return Moment(
             base, {**home_values(self.robot), **moved}, object_q, motion.stages[near],

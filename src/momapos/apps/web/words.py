@@ -23,7 +23,12 @@ MAX_FINDINGS = 2
 """Findings on a scene that are listed, per kind [-]."""
 MAX_ROWS = 6
 """Rejection reasons, or collisions of an attempt, that are listed [-]."""
-STATUS = {"solved": "Solved", "infeasible": "No feasible base pose", "timeout": "Out of time"}
+STATUS = {
+    "solved": "Solved", "assumed": "Assumed, not solved", "infeasible": "No feasible base pose",
+    "timeout": "Out of time",
+}  # fmt: skip
+
+RUN_OUTCOMES = {"done": "Succeeded", "moved as assumed": "Moved as assumed", "failed": "Failed"}
 
 
 def escaped(text: str) -> str:
@@ -58,10 +63,15 @@ def answer_text(answer: PlacementResult) -> str:
         status = "Not feasible from here"
     lines = [f"**{status}**", f"{escaped(what)} {escaped(how)}", ""]
     if plan.motion is not None and plan.base_pose is not None:
+        if plan.assumption is not None:
+            lines.append(f"- assumed joint type: {escaped(str(plan.assumption))}")
+            if not plan.assumption.is_first:
+                lines.append(f"- most probable: {escaped(plan.assumption.instead)}")
         lines.append(f"- base pose: {pose_text(plan.base_pose)}")
         if plan.navigation_cost is not None:
             lines.append(f"- driving length: {plan.navigation_cost:.2f} m")
         lines += [f"- grasp: {escaped(words)}" for words in answer.holds]
+        lines += [f"- latch: {escaped(answer.latch)}"] if answer.latch else []
         lines.append("- collision-free: base, arm and moving part along the whole motion")
         lines += tolerance_lines(plan)
         lines += [f"- note: {escaped(words)}" for words in answer.notes]
@@ -105,7 +115,7 @@ def target_text(task: Task) -> str:
 def run_text(record: RunRecord) -> str:
     """Describe a run in simulation."""
     task = record.true_task or record.task
-    outcome = "Succeeded" if record.success else "Failed"
+    outcome = RUN_OUTCOMES[record.verdict]
     what = f"{task.verb} {target_text(task)} with {record.robot}"
     lines = [f"**{outcome}** in simulation", escaped(what), ""]
     if record.reason:

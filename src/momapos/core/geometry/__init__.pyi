@@ -22,6 +22,7 @@ from .transforms import pose_wxyz as pose_wxyz
 from .transforms import rotation_about as rotation_about
 from .transforms import rotation_angle as rotation_angle
 from .transforms import rotation_of as rotation_of
+from .transforms import rpy_of as rpy_of
 from .transforms import upright_frame as upright_frame
 from .transforms import wrap_angle as wrap_angle
 from .upright_boxes import UprightBox as UprightBox

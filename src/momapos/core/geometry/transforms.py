@@ -33,6 +33,16 @@ def pose_rpy(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Float[np.ndarray
     return pose(xyz, _quaternion_matrix(_quaternion_product(_quaternion_product(r, p), y)))
 
 
+def rpy_of(R: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw about fixed axes of a rotation matrix [rad]."""
+    flat = math.hypot(R[0, 0], R[1, 0])
+    if flat > 1e-6:
+        roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
+    else:  # only the sum or difference of roll and yaw is determined
+        roll, yaw = 0.0, math.atan2(-R[0, 1], R[1, 1])
+    return roll, math.atan2(-R[2, 0], flat), yaw
+
+
 def pose_wxyz(xyz: tuple[float, ...], wxyz: tuple[float, ...]) -> Float[np.ndarray, "4 4"]:
     """Build a transform from a translation [m] and a quaternion (w first, any length > 0)."""
     w, x, y, z = map(float, wxyz)

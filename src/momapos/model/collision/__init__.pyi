@@ -36,3 +36,4 @@ from .spheres import Spheres as Spheres
 from .spheres import build_spheres as build_spheres
 from .spheres import carry as carry
 from .spheres import neighbors as neighbors
+from .spheres import reposed as reposed

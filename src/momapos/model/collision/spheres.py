@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import apply
+from momapos.core.geometry import apply, invert
 from momapos.model.kinematics import Segments, SphereArrays
 from momapos.model.urdf import Articulated, Boxes
 
 from .arm_collision import FINGER, OTHER, PALM
 from .link_hulls import LinkHulls, link_hulls
+from .side_followers import with_swept_followers
 from .sphere_cover import ARM, BODY, GRIPPER, MARGIN, box_spheres, cover_shapes
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def build_spheres(
         disabled: Pairs of links that are never checked (SRDF).
         gripper_links: Links that may touch the grasped part.
     """
+    model = with_swept_followers(model, segments.side_followers)
     moving = [link for link in model.links if segments.of_link[link] > 0 and model.hulls[link]]
     bodies = _bodies(model, segments)
     groups = []
@@ -144,6 +146,24 @@ def build_spheres(
         exact=np.zeros(len(pairs), bool),
         base_exact=np.zeros_like(against),
     )
+
+
+def reposed(spheres: Spheres, model: Articulated, before: Segments, after: Segments) -> Spheres:
+    """Return the spheres of a robot whose links rest elsewhere, such as its fingers.
+
+    Args:
+        spheres: The robot.
+        model: The robot with the other rest values.
+        before, after: The poses of its links.
+    """
+    Ts = np.array(
+        [after.T_segment_link[n] @ invert(before.T_segment_link[n]) for n in spheres.links]
+    )
+    each = np.repeat(Ts, np.diff(spheres.start), axis=0)
+    center = np.einsum("sij,sj->si", each[:, :3, :3], spheres.center) + each[:, :3, 3]
+    bound = np.einsum("gij,gj->gi", Ts[:, :3, :3], spheres.bound_center) + Ts[:, :3, 3]
+    hulls = link_hulls(model, after, spheres.links, _standing(model, after))
+    return replace(spheres, center=center, bound_center=bound, hulls=hulls)
 
 
 def _role(model: Articulated, link: str, gripper_links: set[str]) -> int:

@@ -136,6 +136,8 @@ class Segments:
     of_link: dict[str, int]
     T_segment_link: dict[str, Float[np.ndarray, "4 4"]]
     """Pose of the link relative to its segment's joint, in base axes at zero."""
+    side_followers: tuple[str, ...] = ()
+    """Mimic joints that follow the chain but do not carry the tool, such as a head's."""
 
 
 def chain_arrays(chain: Chain) -> ChainArrays:
@@ -155,6 +157,9 @@ def build_chain(
     model: Articulated, base_link: str, tool_link: str, names: Sequence[str]
 ) -> tuple[Chain, Segments]:
     """Extract an arm from a robot, with all joints at rest except the arm's and their mimic joints.
+
+    A mimic joint that does not carry the tool, such as a head that follows the torso, is not in the
+    chain; see `Segments.side_followers`.
 
     Args:
         model: The robot.
@@ -200,7 +205,12 @@ def build_chain(
         tool_offset=zero[tool_link][:3, 3] - origin[-1],
         tool_rotation=zero[tool_link][:3, :3].copy(),
     )
-    return chain, _segments(model, zero, joints, origin)
+    side_followers = tuple(
+        joint.name
+        for joint in model.joints.values()
+        if joint.mimic is not None and joint.mimic.joint in names and joint.name not in joints
+    )
+    return chain, replace(_segments(model, zero, joints, origin), side_followers=side_followers)
 
 
 def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upper: float) -> Chain:
@@ -230,23 +240,13 @@ def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upp
 
 
 def _between(model: Articulated, tool_link: str, names: Sequence[str]) -> list[Joint]:
-    """Return the joints that move with the given ones, base to tool.
-
-    Raises:
-        RobotError: One of them does not carry the tool.
-    """
-    found = [
+    """Return the joints that move with the given ones and carry the tool, base to tool."""
+    return [
         joint
         for joint in model.joints.values()
         if (joint.mimic.joint if joint.mimic else joint.name) in names
+        and tool_link in model.links_below(joint.child)
     ]
-    for joint in found:
-        if tool_link not in model.links_below(joint.child):
-            raise RobotError(
-                f"{model.urdf.name}: joint {joint.name!r} follows an arm joint but does not carry "
-                f"{tool_link!r}; only joints between base and tool may follow arm joints"
-            )
-    return found
 
 
 def _poses_at_zero(

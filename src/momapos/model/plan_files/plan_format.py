@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
@@ -20,11 +20,13 @@ from momapos.core import (
     read_text_bounded,
 )
 from momapos.model.records import (
+    Assumption,
     BaseRegion,
     CostTerm,
     KeyObjects,
     Outline,
     PlacementPlan,
+    Status,
     Task,
     Tolerance,
 )
@@ -34,9 +36,6 @@ from . import plan_members as members
 from .named_files import portable_name, sha256, sha256_of, write_text
 from .plan_candidates import candidates_to_dict, read_candidates
 from .plan_motion import motion_to_dict, read_array, read_motion
-
-if TYPE_CHECKING:
-    pass
 
 FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
 MAX_BYTES = 20_000_000
@@ -67,6 +66,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             for name, known in plan.resistance.items()
         },
         "status": plan.status,
+        **({} if plan.assumption is None else {"assumption": asdict(plan.assumption)}),
         "loads": None if plan.loads is None else asdict(plan.loads),
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
@@ -253,10 +253,11 @@ def _check(data: members.Plan, path: Path) -> None:
         and (data.task.to is not None or data.task.joint is None),
         "task.joint must name the moving joint, and task.to its target value",
     )
-    if data.status == "solved":
-        need(bool(data.joints), "joints is empty; a solved plan needs the arm's joints")
-        need(data.base_pose is not None, "base_pose is missing; a solved plan needs one")
-        need(data.manipulation is not None, "manipulation is missing; a solved plan needs one")
+    if data.status in ("solved", "assumed"):
+        what = f"{'a solved' if data.status == 'solved' else 'an assumed'} plan needs"
+        need(bool(data.joints), f"joints is empty; {what} the arm's joints")
+        need(data.base_pose is not None, f"base_pose is missing; {what} one")
+        need(data.manipulation is not None, f"manipulation is missing; {what} one")
 
 
 def _record(data: members.Plan, path: Path) -> PlacementPlan:
@@ -269,7 +270,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         base_link=robot.base_link,
         tool_link=robot.tool_link,
         task=Task(**msgspec.structs.asdict(data.task)),
-        status=data.status,
+        status=_status(data),
         joints=tuple(data.joints),
         base_pose=_triple(data.base_pose),
         motion=read_motion(data, path),
@@ -291,6 +292,9 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         robot_arm=robot.arm,
         scene_joints=data.scene_joints,
         scene_hypotheses=data.scene_hypotheses,
+        assumption=None
+        if data.assumption is None
+        else Assumption(**msgspec.structs.asdict(data.assumption)),
         resistance=data.resistance,
         loads=data.loads,
         feasible_to=data.feasible_to,
@@ -303,6 +307,12 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         region=BaseRegion(**msgspec.structs.asdict(data.region)),
         notes=data.notes,
     )
+
+
+def _status(data: members.Plan) -> Status:
+    """Return the status; earlier versions wrote `solved` also for a less probable joint."""
+    less_probable = any(i for taken in data.scene_hypotheses.values() for i in taken.values())
+    return "assumed" if data.status == "solved" and less_probable else data.status
 
 
 def _triple(pose: members.PlanPose | None) -> tuple[float, float, float] | None:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from momapos.model.records import JointResistance, MotionLoads, Status, Verb
+from momapos.model.records import JointResistance, MotionLoads, PartKind, Status, Verb
 
 
 class PlanRobot(msgspec.Struct):
@@ -47,6 +47,7 @@ class Manipulation(msgspec.Struct):
     q: list[list[float]]
     object_q: list[float]
     T_world_tool: list[list[list[float]]]
+    latch_q: list[float] | None = None
     times: list[float] | None = None
     holds: list[tuple[int, int]] = []
     turn_axes: list[tuple[float, float, float] | None] = []
@@ -104,6 +105,16 @@ class PlanCostTerm(msgspec.Struct):
     weight: float | None
 
 
+class PlanAssumption(msgspec.Struct):
+    """The joint motion that an assumed plan is for, and the answer for the most probable one."""
+
+    kind: PartKind
+    probability: Annotated[float, msgspec.Meta(ge=0, le=1)]
+    instead_of: PartKind
+    instead_probability: Annotated[float, msgspec.Meta(ge=0, le=1)]
+    feasible_to: float | None = None
+
+
 class Plan(msgspec.Struct):
     """The whole plan."""
 
@@ -114,6 +125,7 @@ class Plan(msgspec.Struct):
     joints: list[str]
     scene_joints: dict[str, dict[str, float]] = {}
     scene_hypotheses: dict[str, dict[str, int]] = {}
+    assumption: PlanAssumption | None = None
     resistance: dict[str, dict[str, JointResistance]] = {}
     loads: MotionLoads | None = None
     feasible_to: float | None = None

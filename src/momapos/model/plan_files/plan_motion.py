@@ -28,6 +28,7 @@ def motion_to_dict(motion: Motion | None) -> dict[str, Any]:
         "manipulation": {
             "q": motion.q.tolist(),
             "object_q": motion.object_q.tolist(),
+            **({} if motion.latch_q is None else {"latch_q": motion.latch_q.tolist()}),
             "times": _list(motion.times),
             "T_world_tool": motion.Ts_world_tool.tolist(),
             **holds_to_dict(motion.holds),
@@ -49,6 +50,11 @@ def read_motion(data: members.Plan, path: Path) -> Motion | None:
     q = read_array(motion.q, (n,), path, "manipulation.q")
     object_q = read_array(motion.object_q, (), path, "manipulation.object_q")
     Ts_world_tool = read_array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool")
+    latch_q = None
+    if motion.latch_q is not None:
+        latch_q = read_array(motion.latch_q, (), path, "manipulation.latch_q")
+        if len(latch_q) != len(q):
+            raise FileFormatError(f"{path}: manipulation.latch_q must have {len(q)} values")
     if not len(q) == len(object_q) == len(Ts_world_tool):
         raise FileFormatError(
             f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
@@ -62,6 +68,7 @@ def read_motion(data: members.Plan, path: Path) -> Motion | None:
         approach_times=_times(data.approach_times, len(approach), path, "approach_times"),
         times=_times(motion.times, len(motion.q), path, "manipulation.times"),
         holds=read_holds(motion, path),
+        latch_q=latch_q,
         home=None if data.home is None else read_array(data.home, (n,), path, "home"),
     )
 

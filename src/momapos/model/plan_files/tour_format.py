@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import msgspec
 
 from momapos.core import FileFormatError, read_bytes_bounded
-from momapos.model.records import PlacementPlan, Status
+from momapos.model.records import PlacementPlan, Status, status_of_all
 
 from . import plan_members as members
 from .named_files import write_text
@@ -89,7 +89,7 @@ def tour_of(
         TourStep(stop, f"{path.stem}_{number}.json") for number, stop in enumerate(stops, start=1)
     )
     driving = sum(plan.navigation_cost or 0.0 for plan in plans)
-    return TourFile(plans[-1].status, steps, max(stops), driving, tuple(assumed))
+    return TourFile(status_of_all(plans), steps, max(stops), driving, tuple(assumed))
 
 
 def is_tour(path: Path) -> bool:

@@ -1,3 +1,4 @@
+from .latches import Latch as Latch
 from .loads import MAX_EFFORT_SHARE as MAX_EFFORT_SHARE
 from .loads import MIN_STABILITY as MIN_STABILITY
 from .loads import MotionLoads as MotionLoads
@@ -12,6 +13,7 @@ from .outcomes import PoseOutcome as PoseOutcome
 from .outcomes import PoseStatus as PoseStatus
 from .outcomes import Tolerance as Tolerance
 from .plans import ArmPathResult as ArmPathResult
+from .plans import Assumption as Assumption
 from .plans import Attempt as Attempt
 from .plans import Candidates as Candidates
 from .plans import Hold as Hold
@@ -19,6 +21,7 @@ from .plans import KeyObjects as KeyObjects
 from .plans import Motion as Motion
 from .plans import PlacementPlan as PlacementPlan
 from .plans import Status as Status
+from .plans import status_of_all as status_of_all
 from .protocols import ArticulationPredictor as ArticulationPredictor
 from .protocols import Detector as Detector
 from .protocols import ReachScorer as ReachScorer

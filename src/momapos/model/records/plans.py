@@ -5,8 +5,8 @@ All values are in SI units, in the world frame unless a field names another.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -16,13 +16,54 @@ from momapos.core import compare_by_content
 from .loads import MotionLoads
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
 from .resistances import JointResistance
+from .scans import Hypothesis, PartKind
 from .tasks import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-Status = Literal["solved", "infeasible", "timeout"]
+Status = Literal["solved", "assumed", "infeasible", "timeout"]
+"""Answer to a query. "assumed": there is a plan, but only if a joint moves in an improbable way or
+in another than the most probable one, so it is not known whether the plan does the task."""
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """The joint motion that a plan assumes, and the answer for the most probable one."""
+
+    kind: PartKind
+    """Assumed kind of the part."""
+    probability: float
+    """Probability of that motion in the scene [-]."""
+    instead_of: PartKind
+    """Most probable kind of the part."""
+    instead_probability: float
+    feasible_to: float | None = None
+    """Farthest feasible value found of the most probable joint [rad] or [m]; None if none was."""
+
+    @classmethod
+    def of_first(cls, hypothesis: Hypothesis) -> Assumption:
+        """Return the assumption of the most probable motion, which is still improbable."""
+        kind, probability = hypothesis.kind, hypothesis.probability
+        return cls(kind, probability, kind, probability)
+
+    @property
+    def is_first(self) -> bool:
+        """Whether the assumed motion is the most probable one."""
+        return (self.kind, self.probability) == (self.instead_of, self.instead_probability)
+
+    def __str__(self) -> str:
+        return f"{self.kind} ({100 * self.probability:.2g} %)"
+
+    @property
+    def instead(self) -> str:
+        """Return the answer for the most probable joint, "door_left (96 %): feasible to 73 deg"."""
+        most, to = f"{self.instead_of} ({100 * self.instead_probability:.2g} %)", self.feasible_to
+        if to is None:
+            return f"{most}: not feasible"
+        value = f"{100 * to:.0f} cm" if self.instead_of == "drawer" else f"{np.degrees(to):.0f} deg"
+        return f"{most}: feasible to {value}"
 
 
 @dataclass(frozen=True)
@@ -63,9 +104,18 @@ class Motion:
     without a turn. Between two holds the part does not move."""
     home: Float[np.ndarray, "h n"] | None = None
     """Arm states of the path home after the manipulation; None if the arm stays there."""
+    latch_q: Float[np.ndarray, " m"] | None = None
+    """Value of the object's latch at each state [rad] or [m]; None if no latch is turned. The hand
+    holds the latch from the first state on, and the first hold begins where the part moves."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
+
+    @property
+    def grasps(self) -> tuple[Hold, ...]:
+        """Return the phases in which the hand holds the part or its latch, in order."""
+        holds = self.holds or (Hold(0, len(self.q) - 1),)
+        return holds if self.latch_q is None else (replace(holds[0], first=0), *holds[1:])
 
 
 @compare_by_content
@@ -174,7 +224,9 @@ class PlacementPlan:
     """Joint values that differ from the scene file's, by object and joint [rad] or [m]."""
     scene_hypotheses: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Index of the motion hypothesis used, by object and joint, from 0 as in the scene file; by
-    default the first, which is the most probable."""
+    default the first, which is the most probable. A plan that uses another is `assumed`."""
+    assumption: Assumption | None = None
+    """What an `assumed` plan assumes of the task's joint; None if unknown."""
     resistance: Mapping[str, Mapping[str, JointResistance]] = field(default_factory=dict)
     """Resistance of the moved part that the plan assumes, by object and joint; empty if unknown."""
     loads: MotionLoads | None = None
@@ -194,8 +246,31 @@ class PlacementPlan:
     notes: tuple[str, ...] = ()
     """What the user should know about the answer, such as that the arm leaves the floor."""
 
+    @property
+    def feasible(self) -> bool:
+        """Whether there is a base pose and a motion in the planned scene: solved or assumed."""
+        return self.status in ("solved", "assumed")
+
+    @property
+    def assumes(self) -> str:
+        """Return what an assumed plan assumes about a joint; "" for another status."""
+        if self.status != "assumed":
+            return ""
+        if self.assumption is None:
+            return "a joint doesn't move in its most probable way"
+        found = self.assumption
+        other = f", not a {found.instead_of} ({100 * found.instead_probability:.2g} %)"
+        words = f"{self.task.object}/{self.task.joint} is a {found}"
+        return words if found.is_first else words + other
+
     def __repr__(self) -> str:
         what = (
             self.task.object if self.task.joint is None else f"{self.task.object}/{self.task.joint}"
         )
         return f"<PlacementPlan of {self.robot_name}: {self.task.verb} {what}: {self.status}>"
+
+
+def status_of_all(plans: Sequence[PlacementPlan]) -> Status:
+    """Return the status of plans in a row: of the last, or `assumed` if an earlier one is that."""
+    assumed = any(plan.status == "assumed" for plan in plans)
+    return "assumed" if assumed and plans[-1].status == "solved" else plans[-1].status

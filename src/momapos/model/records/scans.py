@@ -22,6 +22,8 @@ PartKind = Literal["door_left", "door_right", "door_down", "door_up", "drawer"]
 """How a part opens, as seen from the front: a `door_left` has its hinge on the left."""
 LabelSource = Literal["size", "segmenter", "detector", "given"]
 """Source of an object's label: rules about its size, the segmenter, an image detector, the user."""
+MIN_PROBABLE = 0.5
+"""Probability of a joint motion from which on a plan for it is solved instead of assumed [-]."""
 UNKNOWN: tuple[str, float] = ("object", 0.2)
 """Label and confidence of an unidentified object."""
 
@@ -178,6 +180,11 @@ class Hypothesis:
     """Unit axis of the rotation or translation."""
     upper: float
     """Upper limit [rad] or [m]."""
+
+    @property
+    def is_probable(self) -> bool:
+        """Whether the part moves in this way rather than not."""
+        return self.probability >= MIN_PROBABLE
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ from .fingertips import finger_links as finger_links
 from .fingertips import pivots as pivots
 from .fingertips import squared as squared
 from .fingertips import tips_of as tips_of
+from .hand_openings import opened_as as opened_as
+from .hand_openings import opened_to as opened_to
 from .robot import MAX_REACH as MAX_REACH
 from .robot import Grip as Grip
 from .robot import Robot as Robot

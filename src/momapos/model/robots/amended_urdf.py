@@ -1,4 +1,4 @@
-"""URDFs with the additions of a robot file: frames, a mount, package folders and mimic joints."""
+"""URDFs with the additions of a robot file: frames, a mount, packages, mimic joints, limits."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from momapos.core import Cache, RobotError, UrdfError, parse_xml, read_text_bounded, unknown_name
+from momapos.core.geometry import rpy_of
 from momapos.model.urdf import (
     MAX_MESH_PARENTS,
     MAX_URDF_BYTES,
@@ -19,7 +20,9 @@ from momapos.model.urdf import (
     check_coupled,
     fix_root_joints,
     leader_of,
+    link_of,
     mimics,
+    origin_pose,
     read_tree,
     read_urdf,
 )
@@ -68,13 +71,18 @@ class Amendments:
     """Package folders by name."""
     coupled: Mapping[str, Mimic] = field(default_factory=dict)
     """Mimic joints by name; they replace those of the URDF."""
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Limits of joints, by joint and by name as in `<limit>`; they replace those of the URDF."""
+    visual_hulls: bool = False
+    """Whether bodies without collision shapes get the hulls of what is drawn."""
     content: str | None = None
     """Content of the URDF, if it is not in a file yet."""
 
     @property
     def none(self) -> bool:
         """Whether the URDF is used unchanged."""
-        return not (self.frames or self.mount or self.packages or self.coupled or self.content)
+        tables = self.frames, self.mount, self.packages, self.coupled, self.limits
+        return not (any(tables) or self.visual_hulls or self.content)
 
     def text(self, urdf: Path) -> str | None:
         """Return the URDF with all additions and absolute mesh paths; None if it is unchanged.
@@ -104,6 +112,7 @@ class Amendments:
             _fix(tree, frame.parent, frame.name, frame.xyz, frame.rpy)
             links.append(frame.name)
         _couple(tree, self.coupled, urdf)
+        _limit(tree, self.limits, urdf)
         return tostring(tree, encoding="unicode")
 
     def read(self, urdf: Path, cache: Cache | None = None) -> tuple[Urdf, str | None]:
@@ -117,8 +126,8 @@ class Amendments:
         """
         text = self.text(urdf)
         if text is None:
-            return read_urdf(urdf, cache=cache, visuals=False), None
-        model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path)
+            return read_urdf(urdf, cache=cache, visuals=False, actuated=True), None
+        model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path, actuated=True)
         check_coupled(model, self.coupled, f"{urdf} (coupled)")
         return model, text
 
@@ -129,12 +138,33 @@ class Amendments:
         )
         tree = read_tree(text, urdf)
         finder = MeshFinder(urdf, packages=self.packages)
+        for origin in tree.iter("origin"):
+            if origin.get("quat_xyzw") is not None:  # readers of plans may know URDF 1.0 only
+                origin.set("rpy", _words(rpy_of(origin_pose(origin)[:3, :3])))
+                del origin.attrib["quat_xyzw"]
+        if self.visual_hulls:
+            _draw_collisions(tree)
         for link in tree.iter("link"):
             for visual in link.findall("visual"):  # not used, and their meshes are often missing
                 link.remove(visual)
+        finder.check_packages(mesh.get("filename", "") for mesh in tree.iter("mesh"))
         for mesh in tree.iter("mesh"):
             mesh.set("filename", str(finder.find(mesh.get("filename", ""))))
         return tree
+
+
+def _draw_collisions(tree: Element) -> None:
+    """Give bodies without collision shapes those that are drawn; fixed joints join a body."""
+    body = {link.get("name", ""): link.get("name", "") for link in tree.findall("link")}
+    for joint in tree.findall("joint"):
+        if joint.get("type") == "fixed":
+            one, other = (body.get(link_of(joint, end), "") for end in ("parent", "child"))
+            body = {name: one if root == other else root for name, root in body.items()}
+    solid = {body[link.get("name", "")] for link in tree.findall("link[collision]")}
+    for link in tree.findall("link[visual]"):
+        if body[link.get("name", "")] not in solid:
+            for visual in link.findall("visual"):
+                visual.tag = "collision"
 
 
 def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
@@ -153,6 +183,28 @@ def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
     every = mimics(tree, urdf, 1.0)
     for name in follows:
         leader_of(name, every, where, RobotError)
+
+
+def _limit(tree: Element, limits: Mapping[str, Mapping[str, float]], urdf: Path) -> None:
+    """Replace limits of joints. A range replaces soft limits, and ends the turns of a joint."""
+    movable = {j.get("name", ""): j for j in tree.findall("joint") if j.get("type") != "fixed"}
+    for name, values in limits.items():
+        joint = movable.get(name)
+        if joint is None:
+            raise unknown_name("movable joint", name, movable, f"{urdf} (limits)")
+        limit = joint.find("limit")
+        limit = SubElement(joint, "limit") if limit is None else limit
+        for key, value in values.items():
+            limit.set(key, f"{value:.17g}")
+        if "acceleration" in values:
+            limit.attrib.pop("deceleration", None)
+        if values.keys() & {"lower", "upper"}:
+            for safety in joint.findall("safety_controller"):
+                joint.remove(safety)
+            if joint.get("type") == "continuous" and not values.keys() >= {"lower", "upper"}:
+                raise RobotError(f"{urdf} (limits): {name!r} has no limits; give lower and upper")
+            if joint.get("type") == "continuous":
+                joint.set("type", "revolute")
 
 
 def portable(text: str, folder: Path, what: str) -> str:
@@ -238,4 +290,4 @@ def _fix(tree: Element, parent: str, child: str, xyz: Triple, rpy: Triple) -> No
 
 
 def _words(values: Triple) -> str:
-    return " ".join(f"{value:.9g}" for value in values)
+    return " ".join(repr(float(value)) for value in values)

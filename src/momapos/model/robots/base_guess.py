@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import RobotError
+from momapos.core.geometry import apply, rpy_of
 from momapos.model.urdf import Articulated
 
 from .amended_urdf import AddedFrame
+from .drive_guess import DriveGuess
 from .gripper_guess import fixed_to, points_of
-from .joint_tree import WHEEL
+from .running_gear import OMNI, WHEEL, RunningGear
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_OMNI = re.compile(r"mecanum|omni|swerve", re.I)
 FLOOR_TOLERANCE = 0.03
 """Maximum height of the base's lowest point above or below z = 0 of the base link [m]."""
 MAX_WHEEL_HEIGHT = 0.15
 """Maximum height of the geometry above a base_footprint link, if the wheels have none [m]."""
 MAX_MOUNT_SIZE = 0.35
 """Size below which a base without wheels is only the mounting plate of an arm [m]."""
+UPRIGHT_COSINE = 0.999
+"""Least cosine between the z axis of a base link and the vertical [-]."""
+AHEAD_COSINE = 0.95
+"""Least cosine between the x axis of a base link and the direction in which its wheels roll [-]."""
 FLOOR_FRAME = "base_floor"
 MAX_CORNERS = 16
 
@@ -35,16 +39,16 @@ def base_links(model: Articulated, firsts: Sequence[str]) -> list[str]:
     return [name for name in model.links if name not in moved]
 
 
-def refuse_without_base(model: Articulated, anchor: str, firsts: Sequence[str]) -> None:
+def refuse_without_base(
+    model: Articulated, anchor: str, firsts: Sequence[str], gear: RunningGear
+) -> None:
     """Check that the robot has more than an arm.
 
     Raises:
         RobotError: It has no base; the message says how to add one.
     """
     driving = anchor != model.urdf.root or bool(model.urdf.rigid)
-    names = [*model.urdf.links, *(joint.name for joint in model.urdf.joints)]
-    wheels = any(WHEEL.search(name) or _OMNI.search(name) for name in names)
-    if driving or wheels:
+    if driving or gear.wheels or _named_wheels(model):
         return
     points = points_of(model, model.urdf.root, base_links(model, firsts))
     if not len(points) or float(np.ptp(points[:, :2], axis=0).max()) < MAX_MOUNT_SIZE:
@@ -52,6 +56,24 @@ def refuse_without_base(model: Articulated, anchor: str, firsts: Sequence[str]) 
             f"{model.urdf.path}: the arm has no base: there are no wheels and no geometry on the "
             "floor; put it on a driving box with --on-box LENGTHxWIDTHxHEIGHT of momapos robot "
             "check, or on another base with [mount] in a robot file (docs/robots.md)"
+        )
+
+
+def _named_wheels(model: Articulated) -> bool:
+    names = [*model.urdf.links, *(joint.name for joint in model.urdf.joints)]
+    return any(WHEEL.search(name) or OMNI.search(name) for name in names)
+
+
+def refuse_car(model: Articulated, guess: DriveGuess | None) -> None:
+    """Check that the base is one that momapos plans for.
+
+    Raises:
+        RobotError: It is car-like; the message says why.
+    """
+    if guess is not None and guess.drive == "car":
+        raise RobotError(
+            f"{model.urdf.path}: the base is car-like: {guess.why}. momapos plans for bases that "
+            "turn on the spot or drive sideways"
         )
 
 
@@ -74,14 +96,24 @@ def lift_as_base(model: Articulated, joints: Sequence[str], notes: list[str]) ->
 
 
 def find_base_link(
-    model: Articulated, anchor: str, firsts: Sequence[str], notes: list[str]
+    model: Articulated,
+    anchor: str,
+    firsts: Sequence[str],
+    gear: RunningGear,
+    guess: DriveGuess | None,
+    notes: list[str],
 ) -> tuple[str, AddedFrame | None]:
-    """Find a link fixed to the base with z = 0 on the floor, or define a frame there."""
+    """Find a link fixed to the base with z = 0 on the floor, z up and x ahead, or define a frame.
+
+    The wheels tell where up and ahead are. Without any, these are z and x of the root.
+    """
     rigid = fixed_to(model, anchor)
     usual: tuple[str, ...] = ("base_footprint", "base_link")
     preferred = [name for name in usual if name in rigid]
     body = base_links(model, firsts)
-    offsets = {}
+    up, ahead, seen = _directions(model, anchor, firsts, gear, guess)
+    forward = "it drives along x" if seen else "its x axis is assumed to point forward"
+    turned: dict[str, str] = {}
     for name in dict.fromkeys([*preferred, anchor, *rigid]):
         points = points_of(model, name, body)
         if not len(points):
@@ -89,9 +121,14 @@ def find_base_link(
                 f"{model.urdf.path}: no link below the arm has collision geometry; add the "
                 "collision geometry of the base"
             )
-        offsets[name] = low = float(points[:, 2].min())
+        R = model.rest_poses[name][:3, :3]
+        if R[:, 2] @ up < UPRIGHT_COSINE or abs(R[:, 0] @ ahead) < AHEAD_COSINE:
+            wrong = "z does not point up" if R[:, 2] @ up < UPRIGHT_COSINE else "x is not ahead"
+            turned[name] = wrong
+            continue
+        low = float(points[:, 2].min())
         if abs(low) <= FLOOR_TOLERANCE:
-            notes.append(f"base_link: {name}; its x axis is assumed to point forward")
+            notes.append(f"base_link: {name}; {forward}")
             return name, None
         if name == "base_footprint" and 0 < low < MAX_WHEEL_HEIGHT:
             notes.append(
@@ -99,14 +136,51 @@ def find_base_link(
             )
             return name, None
     name = (preferred or [anchor])[-1]
-    frame = AddedFrame(FLOOR_FRAME, name, (0.0, 0.0, round(offsets[name], 4)))
-    if model.rest_poses[name][2, 2] < 0.999:
-        notes.append(f"IMPORTANT: the z axis of {name} does not point up; check the base link")
+    R = np.stack([ahead, np.cross(up, ahead), up], -1)
+    rpy = rpy_of(model.rest_poses[name][:3, :3].T @ R)
+    low = float((points_of(model, name, body) @ (model.rest_poses[name][:3, :3].T @ up)).min())
+    x, y, z = np.round(model.rest_poses[name][:3, :3].T @ up * low, 4) + 0.0
+    frame = AddedFrame(FLOOR_FRAME, name, (float(x), float(y), float(z)), rpy)
+    why = f" ({name}: {turned[name]})" if name in turned else ""
     notes.append(
-        f"base_link: {FLOOR_FRAME}, a frame that the robot file adds {-offsets[name]:.3f} m below "
-        f"{name}, at the base's lowest point; its x axis is assumed to point forward"
+        f"base_link: {FLOOR_FRAME}, a frame that the robot file adds {abs(low):.3f} m "
+        f"{'below' if low < 0 else 'above'} {name}{why}, at the base's lowest point; {forward}"
     )
     return FLOOR_FRAME, frame
+
+
+def _directions(
+    model: Articulated,
+    anchor: str,
+    firsts: Sequence[str],
+    gear: RunningGear,
+    guess: DriveGuess | None,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], bool]:
+    """Return where up and ahead are in the root's frame, and whether wheels tell ahead."""
+    T = model.rest_poses[anchor]
+    up = np.array([0.0, 0.0, 1.0])
+    if gear.wheels:
+        # The base drawn upside down: its wheels are above its body and above its arms.
+        wheels = np.mean([apply(T, w.center[None])[0, 2] for w in gear.wheels])
+        arms = [model.rest_poses[model.joint(name).child][2, 3] for name in firsts]
+        links = {w.link for w in gear.wheels}
+        names = [name for name in base_links(model, firsts) if name not in links]
+        points = points_of(model, model.urdf.root, names)
+        if len(points) and wheels > points[:, 2].mean() and wheels > max(arms):
+            up = -up
+    if guess is None or guess.ahead is None:
+        return up, _level_x(T[:3, 0], up), False
+    ahead = T[:3, :2] @ guess.ahead
+    # Wheels roll both ways; x of the anchor tells which one is forward, or y if x is across.
+    axes = T[:3, 0], T[:3, 1], -T[:3, 0]
+    usual = next((axis for axis in axes if abs(axis @ ahead) > AHEAD_COSINE), T[:3, 0])
+    return up, _level_x(ahead * np.sign(ahead @ usual), up), True
+
+
+def _level_x(x: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    level = x - (x @ up) * up
+    length = float(np.linalg.norm(level))
+    return level / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
 
 
 def find_footprint(
@@ -131,14 +205,20 @@ def find_footprint(
     return outline
 
 
-def find_drive(model: Articulated, anchor: str, boxed: bool, notes: list[str]) -> str:
-    """Guess the drive from the names of the wheels."""
+def find_drive(
+    model: Articulated, anchor: str, boxed: bool, guess: DriveGuess | None, notes: list[str]
+) -> str:
+    """Return the drive that the wheels tell, or guess it from names."""
+    if guess is not None and not boxed:
+        notes.append(f"drive: {guess.drive}: {guess.why}; speeds are guesses")
+        if guess.doubt:
+            notes.append(f"IMPORTANT: drive: {guess.doubt}")
+        return guess.drive
     names = [*model.urdf.links, *(joint.name for joint in model.urdf.joints)]
-    if any(_OMNI.search(name) for name in names):
+    if any(OMNI.search(name) for name in names):
         notes.append("drive: omni, by the names of its wheels")
         return "omni"
-    wheels = any(WHEEL.search(name) for name in names)
-    if not (wheels or boxed or anchor != model.urdf.root or model.urdf.rigid):
+    if not (_named_wheels(model) or boxed or anchor != model.urdf.root or model.urdf.rigid):
         notes.append(
             "IMPORTANT: there are no wheels; a mobile robot needs a base: --on-box of momapos "
             "robot check or [mount] puts an arm on one"
@@ -151,7 +231,7 @@ def find_drive(model: Articulated, anchor: str, boxed: bool, notes: list[str]) -
     also = (
         f"; {', '.join(sideways)} slide: use omni if the base drives sideways" if sideways else ""
     )
-    notes.append(f"drive: differential, with guessed speeds{also}")
+    notes.append(f"drive: differential, with guessed speeds; no wheels tell{also}")
     return "differential"
 
 

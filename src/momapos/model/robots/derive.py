@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,21 +28,23 @@ from .base_guess import (
     find_drive,
     find_footprint,
     lift_as_base,
+    refuse_car,
     refuse_without_base,
 )
+from .drive_guess import drive_of
 from .fingers import find_force, jaws
 from .gripper_guess import find_grip, find_grips, find_tool, listed
-from .joint_tree import MIN_ARM_JOINTS, ArmChain, find_anchor, find_arms
+from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_arms
 from .never_checked import NESTED, nested_pairs, rigid_pairs, without
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
+from .running_gear import RunningGear, drawn_meshes, find_running_gear
 from .srdf import Srdf, find_srdf, srdf_next_to
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_LINKS = 500
-_SIDE = re.compile("left|right", re.I)
 ReportProgress = Callable[[float, str], None]
 """Receives the completed share of the work, and the current step."""
 
@@ -58,6 +60,8 @@ class RobotSource:
     """Package folders by name."""
     content: str | None = None
     """Content of the URDF, if it is not in a file yet."""
+    visual_hulls: bool = False
+    """Whether bodies without collision shapes get the hulls of what is drawn."""
     near: Path | None = None
     """File whose folder is searched for an SRDF; None for the URDF."""
 
@@ -109,27 +113,35 @@ def derive_robot(
         source = RobotSource(source)
     urdf, out = source.urdf, out or source.urdf.with_suffix(".toml")
     report(0.0, "reading")
-    amendments = Amendments(mount=source.mount, packages=source.packages, content=source.content)
+    amendments = Amendments(
+        mount=source.mount, packages=source.packages, visual_hulls=source.visual_hulls,
+        content=source.content,
+    )  # fmt: skip
     model = Articulated(amendments.read(urdf, cache)[0], cache=cache)
+    notes = list(model.urdf.notes)
     if len(model.links) > MAX_LINKS:
         raise RobotError(f"{urdf}: {len(model.links)} links; a robot has at most {MAX_LINKS}")
-    notes: list[str] = []
     anchor = find_anchor(model, notes)
     srdf = find_srdf(source.near or urdf, model.urdf.name)
     report(0.1, "geometry")
-    chains = _chains(model, anchor, source, srdf, notes)
+    drawn = drawn_meshes(source.content, urdf)
+    gear = find_running_gear(model, anchor, drawn)
+    guess = drive_of(gear)
+    refuse_car(model, guess)
+    chains = _chains(model, anchor, source, srdf, gear, notes)
     couplings = {name: mimic for chain in chains for name, mimic in chain.coupled}
     firsts = [chain.joints[0] for chain in chains]
-    base_link, floor = find_base_link(model, anchor, firsts, notes)
-    names = _arm_names(model, chains)
+    base_link, floor = find_base_link(model, anchor, firsts, gear, guess, notes)
+    names = arm_names(model, chains)
     arms = {
-        name: _tool(model, chain, name, notes) for name, chain in zip(names, chains, strict=True)
+        name: _tool(model, chain, name, drawn, notes)
+        for name, chain in zip(names, chains, strict=True)
     }
     frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
     model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
     footprint = find_footprint(model, base_link, firsts, notes)
-    drive = find_drive(model, anchor, source.mount is not None, notes)
+    drive = find_drive(model, anchor, source.mount is not None, guess, notes)
     pairs: dict[tuple[str, str], str] = {}
     for index, name in enumerate(names):
         report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")
@@ -155,6 +167,7 @@ def derive_robot(
         coupled=couplings,
         frames=frames,
         mount=source.mount,
+        visual_hulls=source.visual_hulls,
         mount_urdf="" if mount_urdf is None else _relative(mount_urdf, out),
         packages={name: _relative(folder, out) for name, folder in source.packages.items()},
     )
@@ -163,17 +176,22 @@ def derive_robot(
 
 
 def _chains(
-    model: Articulated, anchor: str, source: RobotSource, srdf: Srdf, notes: list[str]
+    model: Articulated,
+    anchor: str,
+    source: RobotSource,
+    srdf: Srdf,
+    gear: RunningGear,
+    notes: list[str],
 ) -> list[ArmChain]:
     """Find the arms, without a lift that belongs to the base.
 
     Raises:
         RobotError: There is no arm, or no base below it.
     """
-    chains = find_arms(model, anchor, _fingers(model, srdf), notes)
+    chains = find_arms(model, anchor, _fingers(model, srdf), gear.joints, notes)
     _note_groups(model, chains, srdf, notes)
     if source.mount is None:
-        refuse_without_base(model, anchor, [chain.joints[0] for chain in chains])
+        refuse_without_base(model, anchor, [chain.joints[0] for chain in chains], gear)
     return [replace(chain, joints=lift_as_base(model, chain.joints, notes)) for chain in chains]
 
 
@@ -237,32 +255,14 @@ def _same_shapes(record: Urdf, model: Articulated, held: Mapping[str, float]) ->
     return again
 
 
-def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
-    """Name the arms: left and right by joint names or by their positions, else by number."""
-    if len(chains) == 1:
-        return [""]
-    own = [
-        next(
-            name for name in chain.joints if all(name not in c.joints for c in chains if c != chain)
-        )
-        for chain in chains
-    ]
-    aside = [float(model.rest_poses[model.joint(name).child][1, 3]) for name in own]
-    if len(chains) == 2 and all(_SIDE.search(name) for name in own):
-        sides = ["left" if re.search("left", name, re.I) else "right" for name in own]
-        if sides[0] != sides[1]:
-            return sides
-    if len(chains) == 2 and abs(aside[0] - aside[1]) > 0.02:
-        return ["left" if y == max(aside) else "right" for y in aside]
-    return [f"arm{index + 1}" for index in range(len(chains))]
-
-
-def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _Arm:
+def _tool(
+    model: Articulated, chain: ArmChain, name: str, drawn: Collection[str], notes: list[str]
+) -> _Arm:
     """Return the tool of an arm, as far as it does not depend on states of the arm."""
     mine: list[str] = []
     link, gripper, fingers = find_tool(model, chain.last, mine)
     grip = find_grip(model, chain.last, link, fingers, mine)
-    grips = find_grips(model, chain.last, fingers, mine)
+    grips = find_grips(model, chain.last, fingers, drawn, mine)
     force = None
     if fingers and grips == "fingers":
         sides = jaws(model, link, fingers, grip.closing)

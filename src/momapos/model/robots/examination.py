@@ -6,8 +6,11 @@ import numpy as np
 
 from .arm_states import sample_states, self_collision_shares, touches
 from .base_guess import FLOOR_TOLERANCE, MAX_WHEEL_HEIGHT, base_links, outside
+from .drive_guess import drive_of
 from .gripper_guess import points_of
+from .joint_tree import find_anchor
 from .robot import Robot
+from .running_gear import drawn_meshes, find_running_gear
 
 MAX_REPORTED_PAIRS, MIN_REPORTED_SHARE = 5, 0.02
 """Maximum number of reported link pairs, and minimum share of states that each blocks [-]."""
@@ -49,6 +52,7 @@ def examine(robot: Robot, *, seed: int = 0) -> list[str]:
         doubts.append(f"the base protrudes {out:.2f} m from its footprint")
     if touches(robot.chain, robot.spheres, robot.home[None], floor=True)[0]:
         doubts.append("the arm touches the robot or the floor in its home state")
+    doubts += _drive_doubts(robot)
     states = sample_states(robot.chain, np.random.default_rng(seed))
     share = touches(robot.chain, robot.spheres, states).mean()
     if share > 0.9:
@@ -57,3 +61,15 @@ def examine(robot: Robot, *, seed: int = 0) -> list[str]:
             "pairs of links"
         )
     return doubts
+
+
+def _drive_doubts(robot: Robot) -> list[str]:
+    """Report a drive of the robot file that the wheels do not have."""
+    urdf = robot.model.urdf.path
+    assert urdf is not None
+    anchor = find_anchor(robot.model, [])
+    guess = drive_of(find_running_gear(robot.model, anchor, drawn_meshes(None, urdf)))
+    if guess is None or guess.doubt or guess.drive == robot.drive:
+        return []
+    kind = "car-like" if guess.drive == "car" else guess.drive
+    return [f"base.drive is {robot.drive!r}, but the wheels are {kind}: {guess.why}"]

@@ -63,6 +63,12 @@ class TomlTable:
             )
         return value
 
+    def flag(self, key: str) -> bool:
+        value = self.data.get(key, False)
+        if not isinstance(value, bool):
+            raise RobotError(f"{self.path}: {self.prefix}{key} must be true or false")
+        return value
+
     def positive(self, key: str, default: float) -> float:
         value = self.data.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:

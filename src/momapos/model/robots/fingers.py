@@ -13,7 +13,7 @@ from momapos.core.geometry import apply, invert
 from momapos.model.urdf import Articulated, slab
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 THUMB = re.compile("thumb", re.I)
 TIP_LENGTH = 0.03
@@ -88,18 +88,58 @@ def widest(
         sides: Fingers of both sides, as from `jaws`.
         axes: Closing axis and approach axis.
     """
-    thumb = any(THUMB.search(name) for side in sides for name in side)
     best = Stroke()
     for names, states in _strokes(model, sides):
-        gap, pads = _gaps(model, tool, sides, names, states, axes)
-        met = pads[int(np.argmin(np.abs(gap)))]
-        lean = np.arccos(np.clip((pads * met).sum(-1), -1.0, 1.0)).max(-1)
-        holds = np.flatnonzero(thumb | (lean <= MAX_PAD_ANGLE))
+        gap, holds = _holding_gaps(model, tool, sides, names, states, axes)
         k = holds[int(np.argmax(gap[holds]))]
         if best.opening < gap[k] and PLAUSIBLE_OPENINGS[0] < gap[k] < PLAUSIBLE_OPENINGS[1]:
-            rest = {} if thumb else dict(zip(names, np.round(states[k], 4).tolist(), strict=True))
-            best = Stroke(float(gap[k]), rest)
+            values = dict(zip(names, np.round(states[k], 4).tolist(), strict=True))
+            best = Stroke(float(gap[k]), {} if _has_thumb(sides) else values)
     return Stroke(round(best.opening, 3), best.rest)
+
+
+def narrower(
+    model: Articulated,
+    tool: str,
+    sides: tuple[Sequence[str], Sequence[str]],
+    axes: Float[np.ndarray, "2 3"],
+) -> tuple[tuple[str, ...], Float[np.ndarray, "m n"], Float[np.ndarray, " m"]]:
+    """Return how fingers close from their widest gap: joints, states and gaps, the widest first.
+
+    The states are those of the stroke with the widest gap, as long as the gap shrinks and the pads
+    face each other; none for a hand with a thumb. Arguments are those of `widest`.
+    """
+    best: tuple[list[str], np.ndarray, np.ndarray] = ([], np.zeros((0, 0)), np.zeros(0))
+    for names, states in [] if _has_thumb(sides) else _strokes(model, sides):
+        gap, holds = _holding_gaps(model, tool, sides, names, states, axes)
+        first = holds[int(np.argmax(gap[holds]))]
+        step = 1 if int(np.argmin(gap)) > first else -1
+        rows = np.arange(first, len(gap) if step > 0 else -1, step)
+        shrinks = np.isin(rows, holds) & (np.diff(gap[rows], prepend=np.inf) < 0.0)
+        rows = rows[: len(rows) if shrinks.all() else int(np.argmin(shrinks))]
+        if len(rows) and gap[first] > best[2].max(initial=0.0):
+            best = names, states[rows], gap[rows]
+    names, states, gap = best
+    return tuple(names), states, gap
+
+
+def _has_thumb(sides: tuple[Sequence[str], Sequence[str]]) -> bool:
+    return any(THUMB.search(name) for side in sides for name in side)
+
+
+def _holding_gaps(
+    model: Articulated,
+    tool: str,
+    sides: tuple[Sequence[str], Sequence[str]],
+    names: Sequence[str],
+    states: Float[np.ndarray, "m n"],
+    axes: Float[np.ndarray, "2 3"],
+) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " k"]]:
+    """Return the gap at each state, and the states in which the pads can hold."""
+    gap, pads = _gaps(model, tool, sides, names, states, axes)
+    met = pads[int(np.argmin(np.abs(gap)))]
+    lean = np.arccos(np.clip((pads * met).sum(-1), -1.0, 1.0)).max(-1)
+    return gap, np.flatnonzero(_has_thumb(sides) | (lean <= MAX_PAD_ANGLE))
 
 
 def facing(
@@ -127,14 +167,23 @@ def _strokes(
 ) -> list[tuple[list[str], Float[np.ndarray, "m n"]]]:
     """Return the names of the finger joints, and their states from one end to the other."""
     inside = {link for side in sides for name in side for link in model.links_below(name)}
+    leaders = {
+        joint.name if joint.mimic is None else joint.mimic.joint
+        for joint in model.joints.values()
+        if joint.child in inside
+    }
     movers = [
         joint
         for joint in model.joints.values()
-        if joint.child in inside and joint.mimic is None and np.isfinite(joint.upper - joint.lower)
+        if joint.name in leaders
+        and np.isfinite(joint.upper - joint.lower)
+        and not inside.issubset(model.links_below(joint.child))  # it moves the whole hand
     ]
     lower, upper = (np.array([getattr(j, end) for j in movers]) for end in ("lower", "upper"))
     flipped = np.abs(lower) > np.abs(upper)
     ends = [(lower, upper), (np.where(flipped, upper, lower), np.where(flipped, lower, upper))]
+    if (ends[0][0] == ends[1][0]).all():
+        ends = ends[:1]
     share = np.linspace(0.0, 1.0, _STATES)[:, None]
     return [([j.name for j in movers], begin + share * (end - begin)) for begin, end in ends]
 

@@ -76,13 +76,22 @@ def facing_pose(robot: Robot, fingers: set[str]) -> tuple[dict[str, float], floa
     """
     model = robot.model
     joints = [joint for joint in model.joints.values() if joint.child in fingers]
-    roots = [joint.child for joint in joints if joint.parent not in fingers]
     turning = any(j.kind != "prismatic" and j.mimic is None and j.upper > j.lower for j in joints)
-    if not turning or len(roots) < 2:
+    sides = opposed(robot, fingers) if turning else None
+    if sides is None:
         return {}, None
     axes = np.stack([robot.closing_axis, robot.approach_axis])
-    sides = jaws(model, robot.tool_link, roots, robot.closing_axis)
-    return facing(model, robot.tool_link, sides, axes) if all(sides) else ({}, None)
+    return facing(model, robot.tool_link, sides, axes)
+
+
+def opposed(robot: Robot, fingers: set[str]) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """Return the first links of the fingers on each side; None if they do not form two sides."""
+    joints = [joint for joint in robot.model.joints.values() if joint.child in fingers]
+    roots = [joint.child for joint in joints if joint.parent not in fingers]
+    if len(roots) < 2:
+        return None
+    sides = jaws(robot.model, robot.tool_link, roots, robot.closing_axis)
+    return sides if all(sides) else None
 
 
 def tips_of(

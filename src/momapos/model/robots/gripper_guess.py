@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -22,18 +22,22 @@ FINGER = re.compile(
     r"finger|thumb|knuckle|phalanx|crank|jaw|claw|(left|right|[lr])_?gripper|gripper_?(left|right)",
     re.I,
 )
-HAND = re.compile(r"tool|tcp|grasp|gripper|hand|palm|end_?effector|(^|_)eef?(_|$)|vacuum", re.I)
+HAND = re.compile(
+    r"tool|tcp|grasp|gripper|hand|palm|end_?effector|(^|_)eef?(_|$)|vacuum|suction|magnet", re.I
+)
 _TOOLS = tuple(
     re.compile(pattern, re.I)
     for pattern in (
-        r"tcp|tool_?center", r"grasp", r"(^|_)tool", r"(^|_)eef?(_|$)|end_?effector", r"gripper",
-        r"hand|palm",
+        r"tcp|tool_?center", r"grasp", r"(^|_)tool", r"(^|_)eef?(_|$)|end_?effector",
+        r"suction|vacuum|magnet", r"gripper", r"hand|palm",
     )
 )  # fmt: skip
 """Name patterns of tool frames, the best first."""
 _SUCTION, _HOOK = re.compile(r"suction|vacuum|magnet", re.I), re.compile(r"hook", re.I)
 MAX_TOOL_OFFSET = 0.03
 """Maximum distance of the tool link from the center between the fingers [m]."""
+MAX_RIM = 0.005
+"""Depth of the rim of a suction cup, and distance of the tool link that counts as at it [m]."""
 ASSUMED_OPENING = 0.08
 """Assumed opening of a gripper whose geometry does not show it [m]."""
 
@@ -73,15 +77,38 @@ def find_tool(model: Articulated, last: str, notes: list[str]) -> tuple[str, lis
     tool = matches[-1] if matches else hand[-1]
     why = "by its name" if matches else "the last link of the arm, since no name indicates a tool"
     notes.append(f"tool_link: {tool}, {why}")
-    fingers = [j.child for name in hand for j in joints_below(model, name) if j.movable]
-    moving = [name for finger in fingers for name in model.links_below(finger)]
-    palms = {joint.parent for joint in model.urdf.joints if joint.child in fingers}
+    roots = [j.child for name in hand for j in joints_below(model, name) if j.movable]
+    fingers = _without_linkages(model, last, roots)
+    if len(fingers) < len(roots):
+        linkages = [name for name in roots if name not in fingers]
+        notes.append(f"fingers: {', '.join(fingers)}; {', '.join(linkages)} are linkages")
+    moving = [name for root in roots for name in model.links_below(root)]
+    palms = {joint.parent for joint in model.urdf.joints if joint.child in roots}
     own = [name for name in hand if HAND.search(name) or FINGER.search(name)]
     held = [name for name in hand if name in palms or (name != last and name in own)]
     gripper = [*(held or hand[1:]), *moving]
     gripper = [name for name in gripper if model.urdf.links[name].collisions] or [last]
     notes.append(f"gripper_links, which may touch a held object: {', '.join(gripper)}")
     return tool, gripper, fingers
+
+
+def _without_linkages(model: Articulated, last: str, roots: Sequence[str]) -> list[str]:
+    """Return the first links of fingers: those that reach as far as the tips, or have no shape.
+
+    Rods and cranks of a linkage end well behind the tips. A thumb does, too, but has a name.
+    """
+    points = {name: points_of(model, last, model.links_below(name)) for name in roots}
+    shaped = [name for name in roots if len(points[name])]
+    if len(shaped) < 3 or any(map(THUMB.search, roots)):
+        return list(roots)
+    middles = np.array([(points[n].min(0) + points[n].max(0)) / 2 for n in shaped])
+    along = middles.mean(0)
+    if np.linalg.norm(along) < 1e-6:
+        return list(roots)
+    along /= np.linalg.norm(along)
+    reach = {name: float((points[name] @ along).max()) for name in shaped}
+    far = [name for name in shaped if reach[name] > max(reach.values()) - TIP_LENGTH]
+    return [name for name in roots if name in far] if len(far) > 1 else list(roots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +141,7 @@ def find_grip(
         hands = [points_of(model, tool, model.links_below(name)) for name in fingers]
         shaped = [0, 1]
     if not shaped:
-        approach = _snap(-back[:3, 3] if np.linalg.norm(back[:3, 3]) > 0.01 else back[:3, 0])
-        closing = orthonormal(approach)
-        notes.append(
-            f"no fingers: approach_axis {listed(approach)} is the direction of the arm, "
-            f"closing_axis {listed(closing)} is any perpendicular, and the opening of "
-            f"{ASSUMED_OPENING} m is a guess"
-        )
-        return GripperGeometry(approach, closing, ASSUMED_OPENING)
+        return _bare(model, last, tool, notes)
     if len(shaped) > 2:
         notes.append(
             f"IMPORTANT: a hand of {len(shaped)} fingers is planned as a pinch of two sides; the "
@@ -152,6 +172,40 @@ def find_grip(
     tip = max(float((hands[i] @ approach).max()) for i in shaped)
     grasp = _grasp(tool, middle, tip, approach, notes)
     return GripperGeometry(approach, closing, opening or ASSUMED_OPENING, grasp, stroke.rest)
+
+
+def _bare(model: Articulated, last: str, tool: str, notes: list[str]) -> GripperGeometry:
+    """Return the geometry of a flange, cup or hook: it approaches along the arm's last axis."""
+    T_tool_root = invert(model.rest_poses[tool])
+    T = T_tool_root @ model.rest_poses[last]
+    joint = next(j for j in model.urdf.joints if j.child == last)
+    axis = T[:3, :3] @ joint.axis
+    points = points_of(model, tool, fixed_to(model, last))
+    # Outward is from the last joint to the tool, or to the hand's shapes, or from the joint before.
+    before = (T_tool_root @ model.rest_poses[joint.parent])[:3, 3]
+    ways = [-T[:3, 3], *([points.mean(0) - T[:3, 3]] if len(points) else []), T[:3, 3] - before]
+    along = next((way @ axis for way in ways if abs(way @ axis) > 0.01), 1.0)
+    approach = _snap(axis * np.sign(along))
+    closing = orthonormal(approach)
+    notes.append(
+        f"no fingers: approach_axis {listed(approach)} is the axis of the arm's last joint, "
+        f"closing_axis {listed(closing)} is any perpendicular, and the opening of "
+        f"{ASSUMED_OPENING} m is a guess"
+    )
+    held = points_of(model, tool, [n for n in fixed_to(model, last) if _SUCTION.search(n)])
+    if not len(held):
+        return GripperGeometry(approach, closing, ASSUMED_OPENING)
+    tip = float((held @ approach).max())
+    rim = held[held @ approach > tip - MAX_RIM]
+    cup = (rim.min(0) + rim.max(0)) / 2
+    grasp = cup + (tip - cup @ approach) * approach
+    if np.linalg.norm(grasp) < MAX_RIM:
+        return GripperGeometry(approach, closing, ASSUMED_OPENING)
+    notes.append(
+        f"{tool} is {np.linalg.norm(grasp):.2f} m from the cup's rim, where it must be: the robot "
+        f"file adds a frame at {listed(grasp)} in {tool}"
+    )
+    return GripperGeometry(approach, closing, ASSUMED_OPENING, grasp)
 
 
 def _opposed(
@@ -222,10 +276,23 @@ def _one_jaw(
     return GripperGeometry(approach, closing, opening, grasp, rest)
 
 
-def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: list[str]) -> str:
+def find_grips(
+    model: Articulated,
+    last: str,
+    fingers: Sequence[str],
+    drawn: Collection[str],
+    notes: list[str],
+) -> str:
     """Return what a tool holds with, as in robot files: fingers, suction or hook.
 
     Moving fingers close; a tool without any is a suction cup or a hook by its name.
+
+    Args:
+        model: The robot.
+        last: Link that the arm's last joint moves.
+        fingers: First links of its fingers.
+        drawn: Links with a shape, drawn ones too.
+        notes: Receives the assumptions.
     """
     names = " ".join(fixed_to(model, last))
     shaped = [name for name in fingers if any(model.hulls[n] for n in model.links_below(name))]
@@ -236,9 +303,16 @@ def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: lis
     elif not moving and _HOOK.search(names):
         grips = "hook"
     if grips == "fingers" and not moving:
+        only = [n for name in fingers for n in model.links_below(name) if n in drawn]
+        help_ = (
+            f"its fingers ({', '.join(only)}) are only drawn: with --visual-hulls of momapos robot "
+            "check, or visual_hulls = true in the robot file, the hulls of their drawings count"
+            if only
+            else "use a URDF with the gripper, or set grips to suction or hook"
+        )
         notes.append(
             "IMPORTANT: grips: no finger with a collision shape moves, so the tool holds nothing; "
-            "use a URDF with the gripper, or set grips to suction or hook"
+            + help_
         )
     else:
         notes.append(f"grips: {grips}, {'which close' if grips == 'fingers' else 'by its name'}")

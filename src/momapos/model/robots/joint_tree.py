@@ -13,13 +13,14 @@ from momapos.core import RobotError
 from momapos.model.urdf import Articulated, Joint, Mimic
 
 from .gripper_guess import FINGER, HAND, fixed_to, joints_below
+from .running_gear import WHEEL
 
-WHEEL = re.compile(r"wheel|caster|castor|track(?!ing)|roller", re.I)
 _HEAD = re.compile(r"head|neck|camera|kinect|lidar|laser|antenna|suspension", re.I)
 _LEG = re.compile(
     r"(^|_)(leg|hip|knee|ankle|foot|thigh|calf|shank|hfe|kfe|haa)s?(_|\d|$)|leg_", re.I
 )
 _GRIPPER = re.compile(r"gripper|hand", re.I)
+_SIDE = re.compile("left|right", re.I)
 _TURNS = re.compile(r"wrist|roll|yaw|pitch|flex|rotat|lift", re.I)
 MIN_ARM_JOINTS = 4
 """Minimum number of joints of an arm [-]."""
@@ -71,7 +72,11 @@ def find_anchor(model: Articulated, notes: list[str]) -> str:
 
 
 def find_arms(
-    model: Articulated, anchor: str, fingers: Collection[str], notes: list[str]
+    model: Articulated,
+    anchor: str,
+    fingers: Collection[str],
+    gear: Collection[str],
+    notes: list[str],
 ) -> list[ArmChain]:
     """Find all arms of a robot: chains of joints that end where a hand begins.
 
@@ -79,17 +84,18 @@ def find_arms(
         model: The robot.
         anchor: Link that carries the base.
         fingers: Links of hands according to an SRDF.
+        gear: Joints of wheels and their steering.
         notes: Receives the assumptions.
 
     Raises:
         RobotError: There is no arm; the message says what would help.
     """
-    paths = _paths(model, anchor, fingers)
+    paths = _paths(model, anchor, fingers, gear)
     legs = [path for path in paths if any(_named(_LEG, joint) for joint in path.joints)]
     arms = [
         path for path in paths if path not in legs and len(_leaders(path.joints)) >= MIN_ARM_JOINTS
     ]
-    wheels = any(_named(WHEEL, joint) for joint in model.urdf.joints)
+    wheels = bool(gear) or any(_named(WHEEL, joint) for joint in model.urdf.joints)
     if len(legs) > 1 and not wheels:
         raise RobotError(_walks(model, legs, arms))
     if not arms:
@@ -108,7 +114,29 @@ def find_arms(
     return chains
 
 
-def _paths(model: Articulated, anchor: str, fingers: Collection[str]) -> list[_Path]:
+def arm_names(model: Articulated, chains: Sequence[ArmChain]) -> list[str]:
+    """Name the arms: left and right by joint names or by their positions, else by number."""
+    if len(chains) == 1:
+        return [""]
+    own = [
+        next(
+            name for name in chain.joints if all(name not in c.joints for c in chains if c != chain)
+        )
+        for chain in chains
+    ]
+    aside = [float(model.rest_poses[model.joint(name).child][1, 3]) for name in own]
+    if len(chains) == 2 and all(_SIDE.search(name) for name in own):
+        sides = ["left" if re.search("left", name, re.I) else "right" for name in own]
+        if sides[0] != sides[1]:
+            return sides
+    if len(chains) == 2 and abs(aside[0] - aside[1]) > 0.02:
+        return ["left" if y == max(aside) else "right" for y in aside]
+    return [f"arm{index + 1}" for index in range(len(chains))]
+
+
+def _paths(
+    model: Articulated, anchor: str, fingers: Collection[str], gear: Collection[str]
+) -> list[_Path]:
     found: list[_Path] = []
     stack: list[tuple[str, tuple[Joint, ...]]] = [(anchor, ())]
     while stack:
@@ -118,7 +146,10 @@ def _paths(model: Articulated, anchor: str, fingers: Collection[str]) -> list[_P
             joint
             for name in body
             for joint in joints_below(model, name)
-            if joint.movable and not _named(WHEEL, joint) and not _named(_HEAD, joint)
+            if joint.movable
+            and joint.name not in gear
+            and not _named(WHEEL, joint)
+            and not _named(_HEAD, joint)
         ]
         begins = bool(below) and _is_hand(model, joints, below, fingers)
         if below and not begins:

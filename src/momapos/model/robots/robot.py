@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
@@ -109,6 +109,8 @@ class Robot:
     amended: str | None = None
     """URDF with the robot file's additions and absolute mesh paths; None if the URDF is used
     unchanged."""
+    fully_open: Robot | None = field(default=None, repr=False)
+    """The robot with its hand fully open, if this hand is not; see `hand_openings`."""
 
     @property
     def source(self) -> str:

@@ -17,6 +17,8 @@ VERSION = 1
 """Version of the robot file format; files without a version have version 1."""
 ANY = "any"
 """Name that stands for all arms."""
+_LIMITS = ("lower", "upper", "velocity", "acceleration")
+"""Limits of a joint that a robot file can replace."""
 MAX_FRAMES, MAX_PACKAGES = 50, 200
 MAX_TOML_BYTES = 20_000
 """Maximum size of a robot file [bytes]; TOML parsing time grows with the square of dotted keys."""
@@ -64,8 +66,11 @@ def check_version(table: TomlTable) -> None:
 
 
 def amendments_of(table: TomlTable) -> Amendments:
-    """Return the additions to the URDF: the tables frames, mount, packages and coupled."""
-    return Amendments(_frames(table), _mount(table), _packages(table), _couplings(table))
+    """Return the additions to the URDF: visual_hulls, and the tables named here."""
+    return Amendments(
+        _frames(table), _mount(table), _packages(table), _couplings(table), _limits(table),
+        table.flag("visual_hulls"),
+    )  # fmt: skip
 
 
 def _frames(table: TomlTable) -> tuple[AddedFrame, ...]:
@@ -116,6 +121,21 @@ def _couplings(table: TomlTable) -> dict[str, Mimic]:
         name: Mimic(follows.text("joint"), follows.number("ratio", 1.0), follows.number("offset"))
         for name, follows in table.tables("coupled").items()
     }
+
+
+def _limits(table: TomlTable) -> dict[str, dict[str, float]]:
+    found = {}
+    for name, limits in table.tables("limits").items():
+        unknown = next((key for key in limits.data if key not in _LIMITS), None)
+        if unknown is not None:
+            raise RobotError(
+                f"{table.path}: {limits.prefix}{unknown} is unknown; limits are "
+                f"{', '.join(_LIMITS)}"
+            )
+        ends = {key: limits.number(key) for key in _LIMITS[:2] if key in limits.data}
+        rates = {key: limits.positive(key, 1.0) for key in _LIMITS[2:] if key in limits.data}
+        found[name] = {**ends, **rates}
+    return found
 
 
 def arm_tables(table: TomlTable) -> dict[str, TomlTable]:

@@ -51,6 +51,7 @@ class RobotText:
     coupled: Mapping[str, Mimic]
     frames: Sequence[AddedFrame]
     mount: Mount | None
+    visual_hulls: bool
     mount_urdf: str
     packages: Mapping[str, str]
 
@@ -64,6 +65,7 @@ class RobotText:
             f"name = {quoted(self.name)}",
             key("urdf", self.urdf),
             *([key("srdf", self.srdf)] if self.srdf else []),
+            *(["visual_hulls = true"] if self.visual_hulls else []),
             f"base_link = {quoted(self.base_link)}",
             *([] if one is None else _arm(one)),
             "",
@@ -108,6 +110,7 @@ class RobotText:
         for frame in self.frames:
             lines += ["", f"[frames.{quoted(frame.name)}]", key("parent", frame.parent)]
             lines += [f"xyz = {listed(np.array(frame.xyz))}"]
+            lines += [f"rpy = {listed(np.array(frame.rpy))}"] if any(frame.rpy) else []
         if self.packages:
             lines += ["", "[packages]"]
             lines += [f"{quoted(name)} = {quoted(path)}" for name, path in self.packages.items()]

@@ -12,6 +12,9 @@ from .kitchens import empty_kitchen as empty_kitchen
 from .kitchens import free_start as free_start
 from .kitchens import generate_kitchen as generate_kitchen
 from .kitchens import with_joint_limits as with_joint_limits
+from .latches import latch_to_turn as latch_to_turn
+from .latches import latch_value as latch_value
+from .latches import part_values as part_values
 from .model_copies import copied as copied
 from .model_copies import model_files as model_files
 from .other_motion import as_planned as as_planned

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, get_args
 
 import numpy as np
@@ -34,17 +35,18 @@ def hypotheses_to_json(found: Sequence[Hypothesis]) -> list[dict[str, Any]]:
 
 
 def read_hypotheses(
-    value: object, joints: Sequence[str], where: str
+    value: object, joints: Mapping[str, bool], where: str
 ) -> dict[str, tuple[Hypothesis, ...]]:
     """Read the hypotheses of an object's joints.
 
     Args:
         value: Content of the file.
-        joints: The object's movable joints.
+        joints: The object's movable joints, and whether each slides.
         where: File and object, for messages.
 
     Raises:
-        SceneError: A value is invalid, or the probabilities of a joint do not sum to 1.
+        SceneError: A value is invalid, the probabilities of a joint do not sum to 1 or increase, or
+            the first hypothesis is not the joint of the URDF.
         UnknownNameError: The object has no such joint.
     """
     if not isinstance(value, dict):
@@ -52,7 +54,7 @@ def read_hypotheses(
     found = {}
     for name, rows in value.items():
         if name not in joints:
-            raise unknown_name("movable joint", name, joints, f"{where}: hypotheses")
+            raise unknown_name("movable joint", name, list(joints), f"{where}: hypotheses")
         at = f"{where}: hypotheses of {name!r}"
         if not isinstance(rows, list) or not 1 <= len(rows) <= MAX_HYPOTHESES:
             raise SceneError(f"{at} must be a list of 1 to {MAX_HYPOTHESES} hypotheses")
@@ -60,7 +62,28 @@ def read_hypotheses(
         total = sum(one.probability for one in found[name])
         if abs(total - 1.0) > ROUNDING_TOLERANCE * len(rows):
             raise SceneError(f"{at}: the probabilities sum to {total:.4g}; they must sum to 1")
+        _check_first(found[name], joints[name], at)
     return found
+
+
+def _check_first(found: Sequence[Hypothesis], slides: bool, at: str) -> None:
+    """Check that the most probable hypothesis stands first and fits the joint of the URDF.
+
+    Planners take the joint of the URDF for the most probable one.
+    """
+    for before, after in pairwise(found):
+        if after.probability > before.probability:
+            raise SceneError(
+                f"{at}: {after.kind} ({after.probability:g}) stands after the less probable "
+                f"{before.kind} ({before.probability:g}); list the most probable first, which is "
+                "the joint of the URDF"
+            )
+    if (found[0].kind == "drawer") != slides:
+        joint = "prismatic" if slides else "a hinge"
+        raise SceneError(
+            f"{at}: the first is a {found[0].kind}, but the joint of the URDF is {joint}; the "
+            "first must be the joint of the URDF"
+        )
 
 
 def _hypothesis(row: object, where: str) -> Hypothesis:

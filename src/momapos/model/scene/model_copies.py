@@ -138,4 +138,4 @@ def _moved(model: Articulated, places: Mapping[Path, Path]) -> Articulated:
         )
         for name, link in model.urdf.links.items()
     }
-    return Articulated(replace(model.urdf, path=places[model.urdf.path], links=links))
+    return replace(model, urdf=replace(model.urdf, path=places[model.urdf.path], links=links))

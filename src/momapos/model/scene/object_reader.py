@@ -15,6 +15,7 @@ from momapos.model.urdf import Articulated, box_urdf
 from .confidence import read_confidence
 from .floor_areas import MAX_DISTANCE, read_numbers
 from .hypotheses import read_hypotheses
+from .latches import read_latch
 from .object_models import ObjectModels
 from .resistance_members import read_resistance
 from .scene_object import MAX_MASS, SceneObject
@@ -59,13 +60,15 @@ class ObjectReader:
         closed = self.joint_values("closed", model)
         if closed:
             model = model.changed(closed=closed)
-        found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
+        slides = {name: joint.kind == "prismatic" for name, joint in model.joints.items()}
+        found = read_hypotheses(self.item.get("hypotheses", {}), slides, self.where)
         sure = read_confidence(self.item.get("confidence"), names, self.where)
         followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
         known = read_resistance(self.item.get("resistance", {}), followers, self.where)
         return SceneObject(
-            self.name, category, self.pose(), model, joints, found, sure, known, self.mass()
-        )
+            self.name, category, self.pose(), model, joints, found, sure, known, self.mass(),
+            latch=read_latch(self.item.get("latch"), model, self.where),
+        )  # fmt: skip
 
     def mass(self) -> float | None:
         """Return its known mass [kg]; None if the file gives none."""

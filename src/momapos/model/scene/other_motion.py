@@ -11,9 +11,15 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from momapos.core import SceneError, UrdfError, parse_xml, read_text_bounded, write_atomic
-from momapos.core.geometry import apply, invert, pose, pose_rpy
+from momapos.core.geometry import apply, invert, pose
 from momapos.model.records import Hypothesis, PartKind, PlacementPlan
-from momapos.model.urdf import MAX_URDF_BYTES, Articulated, opening_of, read_furniture
+from momapos.model.urdf import (
+    MAX_URDF_BYTES,
+    Articulated,
+    opening_of,
+    origin_pose,
+    read_furniture,
+)
 
 from .model_copies import copied
 from .scene import Scene
@@ -46,9 +52,14 @@ def with_part_motion(item: SceneObject, joint: str, way: Hypothesis) -> SceneObj
     cache = item.model.cache
     text = _urdf_text(item, joint, way)
     urdf = read_furniture(path, scale=item.model.urdf.scale, cache=cache, text=text)
-    model = Articulated(urdf, item.model.held, cache)
+    model = Articulated(urdf, item.model.held, cache, _closed_without(item.model, joint))
     others = {name: value for name, value in item.joints.items() if name != joint}
     return replace(item, model=model, joints=others)
+
+
+def _closed_without(model: Articulated, joint: str) -> dict[str, float]:
+    """Return the closed values of a model's joints, without that of a joint that is replaced."""
+    return {name: value for name, value in model.closed.items() if name != joint}
 
 
 def scene_with_part_motion(scene: Scene, name: str, joint: str, way: Hypothesis) -> Scene:
@@ -189,7 +200,9 @@ def save_with_part_motion(
         except OSError as error:
             raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
         model = Articulated(
-            read_furniture(file, root=out.resolve().parent, scale=item.model.urdf.scale)
+            read_furniture(file, root=out.resolve().parent, scale=item.model.urdf.scale),
+            item.model.held,
+            closed=_closed_without(item.model, joint),
         )
         known = replace(
             item,
@@ -228,7 +241,7 @@ def _urdf_text(item: SceneObject, joint: str, way: Hypothesis) -> str:
     moved += [j for j in tree.findall("joint") if _link(j, "parent") == record.child]
     for element in moved:
         if element is not None:
-            _set_origin(element, shift @ _origin(element, scale), scale)
+            _set_origin(element, shift @ origin_pose(element.find("origin"), scale), scale)
     here = _named(tree, "joint", joint, path)
     here.set("type", "prismatic" if slides else "revolute")
     _set_origin(here, invert(T_root_parent) @ T_root_joint, scale)
@@ -282,21 +295,11 @@ def _child(element: Element, tag: str) -> Element:
     return SubElement(element, tag) if found is None else found
 
 
-def _origin(element: Element, scale: float) -> Float[np.ndarray, "4 4"]:
-    origin = element.find("origin")
-    if origin is None:
-        return np.eye(4)
-    xyz, rpy = (
-        np.array([float(v) for v in origin.get(key, "0 0 0").replace(",", " ").split()])
-        for key in ("xyz", "rpy")
-    )
-    return pose_rpy(tuple(scale * xyz), tuple(rpy))
-
-
 def _set_origin(element: Element, T: Float[np.ndarray, "4 4"], scale: float) -> None:
     from scipy.spatial.transform import Rotation  # slow to import
 
     origin = _child(element, "origin")
+    origin.attrib.pop("quat_xyzw", None)
     origin.set("xyz", _numbers(T[:3, 3] / scale))
     origin.set("rpy", _numbers(Rotation.from_matrix(T[:3, :3]).as_euler("xyz")))
 

@@ -69,6 +69,19 @@ class Scene:
                 return item
         raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
 
+    def is_assumed(self, name: str, joint: str | None) -> bool:
+        """Check whether a plan for a joint is an assumption.
+
+        It is if the joint's motion is improbable, or if any joint of the scene moves by another
+        hypothesis than its most probable one.
+
+        Args:
+            name, joint: Object and joint of the task; no joint for a rigid object.
+        """
+        others = [index for taken in self.hypotheses_set.values() for index in taken.values()]
+        ways = () if joint is None else self.object(name).hypotheses.get(joint, ())
+        return any(others) or not all(way.is_probable for way in ways[:1])
+
     @property
     def walls(self) -> tuple[Wall, ...]:
         """Return the walls of the room; boxes that only look like walls are none."""

@@ -231,6 +231,8 @@ def object_members(item: SceneObject) -> dict[str, Any]:
         members["mass"] = item.mass
     if item.resistance:
         members["resistance"] = {name: one.members() for name, one in item.resistance.items()}
+    if item.latch is not None:
+        members["latch"] = item.latch.members()
     if item.confidence is not None:
         members["confidence"] = confidence_to_json(item.confidence)
     if item.hypotheses:

@@ -36,6 +36,7 @@ _OBJECT: Keys = {
     "closed": Named(None),
     "mass": None,
     "resistance": Named(None),
+    "latch": dict.fromkeys(("joint", "to", "holds")),
     "hypotheses": Named(_HYPOTHESIS),
     "confidence": {"object": None, "label": None, "joints": Named(None), "handles": Named(None)},
 }

@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.core import SceneError, as_path, finite_array, finite_number
 from momapos.core.geometry import apply, pose, pose_planar, upright_frame
-from momapos.model.records import Confidence, Hypothesis, JointResistance
+from momapos.model.records import Confidence, Hypothesis, JointResistance, Latch
 from momapos.model.urdf import (
     Articulated,
     Boxes,
@@ -61,6 +61,8 @@ class SceneObject:
     """Known mass of the whole object [kg]; None for that of its model, or an assumed one."""
     wall: Wall | None = None
     """The wall of the room that this box stands for; None for other objects."""
+    latch: Latch | None = None
+    """What must be turned before one of its parts opens; None for nothing."""
 
     @classmethod
     def box(
@@ -243,10 +245,20 @@ class SceneObject:
         return _posed(model, tuple(sorted(values.items()))) if values else model
 
     def moving_poses(
-        self, joint: str, values: Float[np.ndarray, " v"]
+        self,
+        joint: str,
+        values: Float[np.ndarray, " v"],
+        latch: Float[np.ndarray, " v"] | None = None,
     ) -> dict[str, Float[np.ndarray, "v 4 4"]]:
-        """World poses of the links that a joint moves, at values of the joint [rad] or [m]."""
-        return self.model.moving_poses(joint, values, self.joints, self._poses)
+        """World poses of the links that a joint moves, at values of the joint [rad] or [m].
+
+        Args:
+            joint: The joint.
+            values: Its values.
+            latch: Values of the object's latch, where it turns, too.
+        """
+        turned = {} if self.latch is None or latch is None else {self.latch.joint: latch}
+        return self.model.moving_poses(joint, values, {**self.joints, **turned}, self._poses)
 
     @cached_property
     def static_boxes(self) -> dict[str, Boxes]:

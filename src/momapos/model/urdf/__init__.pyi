@@ -1,5 +1,4 @@
 from .articulated import Articulated as Articulated
-from .articulated import joint_motion as joint_motion
 from .code_meshes import mesh_model as mesh_model
 from .code_meshes import trimesh_parts as trimesh_parts
 from .coupling import check_coupled as check_coupled
@@ -11,11 +10,14 @@ from .hulls import Hull as Hull
 from .hulls import MovingBoxes as MovingBoxes
 from .hulls import cover as cover
 from .hulls import fit_box as fit_box
+from .hulls import hull_around as hull_around
 from .hulls import hull_of as hull_of
 from .hulls import slab as slab
 from .joint_opening import JointOpening as JointOpening
 from .joint_opening import opening_of as opening_of
 from .joint_opening import opens_both_ways as opens_both_ways
+from .link_elements import capsule_shapes as capsule_shapes
+from .link_elements import origin_pose as origin_pose
 from .mesh_files import MAX_MESH_PARENTS as MAX_MESH_PARENTS
 from .mesh_files import MeshFinder as MeshFinder
 from .meshes import MAX_MESH_BYTES as MAX_MESH_BYTES
@@ -35,8 +37,10 @@ from .urdf_records import Link as Link
 from .urdf_records import Mesh as Mesh
 from .urdf_records import Mimic as Mimic
 from .urdf_records import Urdf as Urdf
+from .urdf_records import joint_motion as joint_motion
 from .urdf_tree import MAX_LINKS as MAX_LINKS
 from .urdf_tree import MAX_URDF_BYTES as MAX_URDF_BYTES
 from .urdf_tree import fix_root_joints as fix_root_joints
+from .urdf_tree import link_of as link_of
 from .urdf_tree import mimics as mimics
 from .urdf_tree import read_tree as read_tree

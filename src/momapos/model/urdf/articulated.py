@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 
 from momapos.core import Cache, unknown_name
-from momapos.core.geometry import rotation_about
 
 from .convex_pieces import pieces_of
 from .hulls import Boxes, Hull, cover_shape, fit_box, hull_of
 from .meshes import mesh_digest
 from .model_cache import freeze, once
-from .reader import Geometry, Joint, Urdf
 from .static_shapes import StaticElement, static_element
+from .urdf_records import Geometry, Joint, Urdf, joint_motion
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -129,7 +128,7 @@ class Articulated:
         self,
         joint: str,
         values: Float[np.ndarray, " v"],
-        others: Mapping[str, float],
+        others: JointValues,
         poses: Mapping[str, Float[np.ndarray, "4 4"]],
     ) -> dict[str, Float[np.ndarray, "v 4 4"]]:
         """Return the poses of the links that a joint and its mimic joints move.
@@ -137,7 +136,8 @@ class Articulated:
         Args:
             joint: The joint, which is no mimic joint.
             values: Its values [rad] or [m].
-            others: Values of the other joints; joints without a value are at rest.
+            others: Values of the other joints, one or one per value of the joint; joints without a
+                value are at rest.
             poses: Poses of all links, in any frame, at one value of the joint.
 
         Returns:
@@ -151,13 +151,20 @@ class Articulated:
                 found[one.child] = np.broadcast_to(T, (len(values), 4, 4))
         return found
 
-    def rigid_groups(self, joint: str) -> dict[str, str]:
+    def rigid_groups(self, joint: str, *inner: str) -> dict[str, str]:
         """Return the links that a joint moves, each with the link that carries it.
 
         A carrier is the child of the joint or of one of its mimic joints. The links that it carries
         keep their pose in it, as long as no other joint moves.
+
+        Args:
+            joint: The joint.
+            inner: Joints of the part that move, too; their children are carriers as well.
         """
-        carriers = {self.joint(joint).child, *(other.child for other in self.followers(joint))}
+        leaders = (joint, *inner)
+        carriers = {
+            one.child for name in leaders for one in (self.joint(name), *self.followers(name))
+        }
         moved, groups = set(self.moved_by(joint)), dict[str, str]()
         for one in self.urdf.joints:
             if one.child in moved:
@@ -292,16 +299,3 @@ class Articulated:
             shapes = list(link.collisions or link.visuals) if named else exact
             found += [(name, shape) for shape in shapes]
         return found
-
-
-def joint_motion(
-    joint: Joint, value: float | Float[np.ndarray, " *batch"]
-) -> Float[np.ndarray, "*batch 4 4"]:
-    """Return transforms of a joint's child at values [rad] or [m], in the joint's frame."""
-    values = np.asarray(value)
-    T = np.tile(np.eye(4), (*values.shape, 1, 1))
-    if joint.kind == "prismatic":
-        T[..., :3, 3] = values[..., None] * joint.axis
-    else:
-        T[..., :3, :3] = rotation_about(joint.axis, values)
-    return T

@@ -53,7 +53,7 @@ def read_furniture(
     """
     visuals = _Visuals(MeshFinder(path, root), cache)
     urdf = read_urdf(path, root=root, scale=scale, cache=cache, text=text, find_visual=visuals.find)
-    notes: list[str] = []
+    notes = list(urdf.notes)
     if visuals.lost:
         for links in rigid_bodies(urdf):
             shapes = any(urdf.links[n].collisions or urdf.links[n].visuals for n in links)

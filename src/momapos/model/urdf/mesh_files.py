@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 
 from momapos.core import UrdfError, parse_xml, read_text_bounded
@@ -38,14 +38,23 @@ class MeshFinder:
             UrdfError: The mesh does not exist, or is outside the allowed folders.
         """
         scheme, relative = _SCHEME.match(filename), _SCHEME.sub("", filename)
+        kind = scheme[1] if scheme else ""
+        absolute = kind == "file" and relative.startswith("/")
         try:
-            found = self._look(scheme[1] if scheme else "", relative)
+            found = self._look(kind, relative) or (self._elsewhere(relative) if absolute else None)
             folder, *_ = self._folders
             outside = not self._allowed((folder / relative).resolve())
         except (OSError, RuntimeError, ValueError) as error:  # too long, cyclic links, NUL
             raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
         if found is not None:
             return found
+        if absolute:
+            lost = _package_of(relative)
+            raise UrdfError(
+                f"{self.path}: mesh {filename!r} does not exist here, or is outside {self._root}; "
+                f"give the folder {lost!r} of that path: --package {lost}=DIR of momapos robot "
+                "check, [packages] in a robot file"
+            )
         if outside:
             raise UrdfError(
                 f"{self.path}: mesh {filename!r} is outside {self._root}; move it inside"
@@ -69,6 +78,45 @@ class MeshFinder:
         beside = self.path.resolve().parent
         where = self.packages.get(name, self._root) if scheme else beside
         raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {where}")
+
+    def check_packages(self, filenames: Iterable[str]) -> None:
+        """Check whether several packages of meshes, or folders of absolute paths, are missing.
+
+        Raises:
+            UrdfError: Two or more are missing; it names all of them.
+        """
+        lost: dict[str, None] = {}
+        for filename in filenames:
+            scheme, relative = _SCHEME.match(filename), _SCHEME.sub("", filename)
+            kind = scheme[1] if scheme else ""
+            absolute = kind == "file" and relative.startswith("/")
+            name = _package_of(relative) if absolute else relative.partition("/")[0]
+            if not (absolute or kind == "package") or name in lost or name in self.packages:
+                continue
+            with suppress(OSError, RuntimeError, ValueError):
+                found = self._elsewhere(relative) if absolute else self._package(name)
+                if found is None and self._look(kind, relative) is None:
+                    lost[name] = None
+        if len(lost) > 1:
+            looked = ", ".join(str(folder) for folder in self._folders)
+            options = " ".join(f"--package {name}=DIR" for name in lost)
+            raise UrdfError(
+                f"{self.path}: packages {', '.join(map(repr, lost))} were not found (searched in "
+                f"{looked}); move them there, or give their folders: {options} of momapos robot "
+                "check, [packages] in a robot file"
+            )
+
+    def _elsewhere(self, path: str) -> Path | None:
+        """Return the mesh of an absolute path of another machine, by a package folder in it."""
+        parts = [part for part in path.split("/") if part]
+        near = {folder.name: folder for folder in reversed(self._folders)}
+        for index, name in enumerate(parts[:-1]):
+            folder = self.packages.get(name) or near.get(name)
+            if folder is not None:
+                mesh = folder.joinpath(*parts[index + 1 :]).resolve()
+                if self._allowed(mesh) and mesh.is_file():
+                    return mesh
+        return None
 
     def _package(self, name: str) -> Path | None:
         """Return the folder of a package near the URDF: by its own name, or as in `package.xml`."""
@@ -110,6 +158,13 @@ class MeshFinder:
             if self._allowed(resolved) and resolved.is_file():
                 return resolved
         return None
+
+
+def _package_of(path: str) -> str:
+    """Return the folder of an absolute path that is most likely a package's: above `meshes`."""
+    parts = [part for part in path.split("/") if part][:-1]
+    before = [a for a, b in pairwise(parts) if b.lower() in ("mesh", "meshes")]
+    return (before or parts or [""])[-1]
 
 
 def _subfolders(folder: Path) -> Iterator[Path]:

@@ -1,26 +1,25 @@
-"""Read untrusted URDF files into frozen records, scaled to meters.
+"""Read untrusted URDF files, versions 1.0 to 1.2, into frozen records, scaled to meters.
 
-yourdfpy parses. `urdf_tree` checks its input; this module checks which files the URDF names (none
-outside the root folder) and the result (a tree, finite numbers, ordered limits).
+`urdf_tree` checks the file; `link_elements` and `joint_elements` convert it; this module checks
+which files the URDF names (none outside the root folder) and the result (a tree, unique names).
 """
 
 from __future__ import annotations
 
-import io
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
 from momapos.core import Cache, UrdfError, read_text_bounded
 
 from .coupling import follow
+from .joint_elements import MAX_NAMED, JointReader, fix_equal_limits
+from .link_elements import LinkReader
 from .mesh_files import MeshFinder
 from .model_cache import once
 from .urdf_records import Geometry, Joint, JointKind, Link, Mesh, Mimic, Urdf
@@ -28,14 +27,10 @@ from .urdf_tree import (
     MAX_LINKS,
     MAX_URDF_BYTES,
     fix_root_joints,
-    inertials,
     mimics,
-    needed,
     read_tree,
+    version_notes,
 )
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 __all__ = [
     "MAX_LINKS",
@@ -68,8 +63,9 @@ def read_urdf(
     find_mesh: FindMesh | None = None,
     find_visual: FindVisual | None = None,
     visuals: bool = True,
+    actuated: bool = False,
 ) -> Urdf:
-    """Read a URDF file.
+    """Read a URDF file; its notes say what is not honored, or read differently.
 
     Args:
         path: The file.
@@ -81,6 +77,8 @@ def read_urdf(
         find_mesh: Function to find meshes instead of `MeshFinder`.
         find_visual: Function to find visual meshes; by default as for collisions.
         visuals: Whether to read visual elements; if not, their meshes need not exist.
+        actuated: Whether motors move the joints, as in robots: soft limits narrow their ranges, and
+            joints with equal limits are fixed.
 
     Raises:
         UrdfError: The file is unusable.
@@ -89,10 +87,14 @@ def read_urdf(
         raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
     content = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError) if text is None else text
     urdf, meshes = once(
-        cache, "urdf", (content, scale), lambda: _parse(content, path, scale),
+        cache, "urdf", (content, scale, actuated),
+        lambda: _parse(content, path, scale, actuated=actuated),
         (Urdf, Link, Joint, Geometry, Mimic),
     )  # fmt: skip
-    find = find_mesh or MeshFinder(path, root).find
+    finder = MeshFinder(path, root)
+    if find_mesh is None:
+        finder.check_packages(_needed(urdf, meshes, visuals=visuals and find_visual is None))
+    find = find_mesh or finder.find
     drawn = find_visual or (lambda _, name: find(name))
     urdf = _with_meshes(urdf, path, iter(meshes), find, drawn if visuals else lambda *_: None)
     if visuals:
@@ -108,111 +110,51 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
     return Urdf(name, None, "box", {"box": Link("box", (shape,), (shape,))}, ())
 
 
-def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
+def _parse(text: str, path: Path, scale: float, *, actuated: bool) -> tuple[Urdf, tuple[str, ...]]:
     """Return a checked URDF without mesh files, and the names of these in order."""
     tree = read_tree(text, path)
+    notes = version_notes(tree)
     rigid, follows = fix_root_joints(tree), mimics(tree, path, scale)
-    masses = inertials(tree, path, scale)
-    robot = _with_yourdfpy(tree, path)
-    reader = _Reader(path, scale)
-    links = {link.name: reader.link(link) for link in robot.links}
-    links |= {n: replace(links[n], mass=m, center=at) for n, (m, at) in masses.items()}
-    if len(links) != len(robot.links):
+    elements = {link.get("name", ""): link for link in tree.findall("link")}
+    if not elements:
+        raise UrdfError(f"{path}: has no links")
+    if len(elements) != len(tree.findall("link")):
         raise UrdfError(f"{path}: two links share a name; link names must be unique")
-    joints = [reader.joint(joint) for joint in robot.joints]
+    by_joint = JointReader(path, scale, actuated=actuated)
+    joints = [by_joint.joint(element) for element in tree.findall("joint")]
     duplicate = next((n for n, k in Counter(joint.name for joint in joints).items() if k > 1), None)
     if duplicate is not None:
         raise UrdfError(f"{path}: two joints are named {duplicate!r}; names must be unique")
-    root_link, ordered = _order(path, links, joints)
+    root_link, ordered = _order(path, list(elements), joints)
+    kept = {root_link, *(joint.child for joint in ordered)}
+    if len(kept) < len(elements):
+        notes.append(_unconnected(root_link, [name for name in elements if name not in kept]))
+    reader = LinkReader(path, scale)
+    links = {name: reader.link(link) for name, link in elements.items() if name in kept}
+    if actuated:
+        ordered, follows = fix_equal_limits(ordered, follows, by_joint)
     movable = {joint.name for joint in ordered if joint.movable}
     # A mimic joint with a fixed leader moves by itself.
     follows = {n: m for n, m in follows.items() if n in movable and m.joint in movable}
-    ordered = follow(ordered, follows, str(path), UrdfError)
-    urdf = Urdf(robot.name or path.stem, None, root_link, links, ordered, scale, rigid)
+    urdf = Urdf(
+        tree.get("name", ""), None, root_link, links,
+        follow(ordered, follows, str(path), UrdfError), scale, rigid,
+        notes=tuple(f"{path}: {words}" for words in (*notes, *by_joint.words())),
+        without_axis=tuple(by_joint.without_axis),
+    )  # fmt: skip
     return urdf, tuple(reader.meshes)
 
 
-def _with_yourdfpy(tree: Element, path: Path) -> Any:
-    import yourdfpy
-
-    text = tostring(needed(tree))
-    try:
-        urdf = yourdfpy.URDF.load(io.BytesIO(text), build_scene_graph=False, load_meshes=False)
-    except Exception as error:  # yourdfpy raises errors of any class
-        raise UrdfError(f"{path}: not a usable URDF ({error})") from error
-    if not urdf.robot.links:
-        raise UrdfError(f"{path}: has no links")
-    return urdf.robot
-
-
-class _Reader:
-    """Converts yourdfpy's records to ours, scaled and checked."""
-
-    def __init__(self, path: Path, scale: float) -> None:
-        self.path, self.scale = path, scale
-        self.meshes: list[str] = []
-
-    def link(self, link: Any) -> Link:
-        shapes = [
-            tuple(self.geometry(link.name, item) for item in items if item.geometry is not None)
-            for items in (link.collisions, link.visuals)
-        ]
-        return Link(link.name, shapes[0], shapes[1])
-
-    def geometry(self, link: str, item: Any) -> Geometry:
-        T, g, s = self.transform(item.origin), item.geometry, self.scale
-        name = item.name or ""
-        if g.mesh is not None:
-            factor = np.ones(3) if g.mesh.scale is None else np.broadcast_to(g.mesh.scale, 3)
-            shape = Geometry("mesh", tuple(s * factor), T, name)
-            self.meshes.append(g.mesh.filename)
-        elif g.box is not None:
-            shape = Geometry("box", tuple(s * np.asarray(g.box.size, float)), T, name)
-        elif g.cylinder is not None:
-            shape = Geometry("cylinder", (s * g.cylinder.radius, s * g.cylinder.length), T, name)
-        elif g.sphere is not None:
-            shape = Geometry("sphere", (s * g.sphere.radius,), T, name)
-        else:
-            raise UrdfError(f"{self.path}: a shape of link {link!r} has no geometry")
-        sizes = np.abs(shape.size)
-        if not (len(sizes) and np.isfinite(sizes).all() and sizes.min() > 0):
-            raise UrdfError(f"{self.path}: a {shape.kind} of link {link!r} has size {shape.size}")
-        return shape
-
-    def transform(self, origin: Any) -> Float[np.ndarray, "4 4"]:
-        T = np.eye(4) if origin is None else np.array(origin, float)
-        T[:3, 3] *= self.scale
-        return T
-
-    def joint(self, joint: Any) -> Joint:
-        kind, where = joint.type, f"{self.path}: joint {joint.name!r}"
-        if kind not in ("revolute", "continuous", "prismatic", "fixed"):
-            raise UrdfError(
-                f"{where} is {kind!r}; revolute, continuous, prismatic and fixed are supported"
-            )
-        axis = np.array([1.0, 0.0, 0.0] if joint.axis is None else joint.axis, float)
-        length = float(np.linalg.norm(axis))
-        if kind != "fixed" and length < 1e-9:
-            raise UrdfError(f"{where} has a zero axis")
-        lower, upper = self.limits(where, kind, joint.limit)
-        velocity = getattr(joint.limit, "velocity", None) or math.inf
-        effort = getattr(joint.limit, "effort", None) or math.inf
-        unit = axis / length if length > 1e-9 else axis
-        T = self.transform(joint.origin)
-        ends = joint.parent, joint.child
-        return Joint(joint.name, kind, *ends, T, unit, lower, upper, velocity, effort=effort)
-
-    def limits(self, where: str, kind: str, limit: Any) -> tuple[float, float]:
-        if kind == "fixed":
-            return 0.0, 0.0
-        lower, upper = getattr(limit, "lower", None), getattr(limit, "upper", None)
-        if kind == "continuous" or (lower is None and upper is None):
-            return -math.inf, math.inf
-        factor = self.scale if kind == "prismatic" else 1.0
-        lower, upper = factor * (lower or 0.0), factor * (upper or 0.0)
-        if lower > upper:
-            raise UrdfError(f"{where} has lower limit {lower:g} above upper limit {upper:g}")
-        return lower, upper
+def _needed(urdf: Urdf, meshes: Sequence[str], *, visuals: bool) -> list[str]:
+    """Return the names of the meshes that must exist, of all meshes in the order of the links."""
+    needed = [
+        shapes is link.collisions or visuals
+        for link in urdf.links.values()
+        for shapes in (link.collisions, link.visuals)
+        for shape in shapes
+        if shape.kind == "mesh"
+    ]
+    return [name for name, used in zip(meshes, needed, strict=True) if used]
 
 
 def _with_meshes(
@@ -245,10 +187,11 @@ def _with_meshes(
     return replace(urdf, path=path, links=links)
 
 
-def _order(
-    path: Path, links: dict[str, Link], joints: list[Joint]
-) -> tuple[str, tuple[Joint, ...]]:
-    """Sort joints with parents first, and check that they form one tree."""
+def _order(path: Path, links: list[str], joints: list[Joint]) -> tuple[str, list[Joint]]:
+    """Sort joints with parents first, and check that they form a tree.
+
+    Of several trees, the one with the most movable joints counts, and of equal ones the largest.
+    """
     by_parent: dict[str, list[Joint]] = {}
     parents: dict[str, str] = {}
     for joint in joints:
@@ -259,17 +202,28 @@ def _order(
             raise UrdfError(f"{path}: link {joint.child!r} has two parents (a loop); need a tree")
         parents[joint.child] = joint.parent
         by_parent.setdefault(joint.parent, []).append(joint)
-    roots = [name for name in links if name not in parents]
-    if not roots:
+    trees = {name: _below(name, by_parent) for name in links if name not in parents}
+    if sum(map(len, trees.values())) != len(joints) or not trees:
         raise UrdfError(f"{path}: the joints form a loop; a URDF must be a tree")
+    root = max(trees, key=lambda name: (sum(j.movable for j in trees[name]), len(trees[name])))
+    return root, trees[root]
+
+
+def _below(root: str, by_parent: dict[str, list[Joint]]) -> list[Joint]:
+    """Return the joints below a link, parents first."""
     ordered: list[Joint] = []
-    queue = [roots[0]]
+    queue = [root]
     while queue:
         for joint in by_parent.get(queue.pop(0), []):
             ordered.append(joint)
             queue.append(joint.child)
-    if len(ordered) != len(joints):
-        raise UrdfError(f"{path}: the joints form a loop; a URDF must be a tree")
-    if len(roots) > 1:
-        raise UrdfError(f"{path}: links {roots[0]!r} and {roots[1]!r} are not connected")
-    return roots[0], tuple(ordered)
+    return ordered
+
+
+def _unconnected(root: str, left_out: list[str]) -> str:
+    more = len(left_out) - MAX_NAMED
+    named = ", ".join(map(repr, left_out[:MAX_NAMED])) + (f" and {more} more" if more > 0 else "")
+    return (
+        f"no joint connects {named} to {root!r}, so their place is unknown; they are left out. Add "
+        "a joint, or remove them"
+    )

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from momapos.core.geometry import rotation_about
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
@@ -88,6 +90,9 @@ class Joint:
     """Mimic relation, if any."""
     effort: float = math.inf
     """Largest torque [Nm] or force [N]; infinite if the file has none."""
+    acceleration: float = math.inf
+    """Limit of acceleration and deceleration, the smaller one [rad/s^2] or [m/s^2]; infinite if
+    the file has none."""
 
     @property
     def movable(self) -> bool:
@@ -110,3 +115,18 @@ class Urdf:
     """Planar or floating joints that carry the whole model, treated as fixed."""
     notes: tuple[str, ...] = ()
     """What the reader assumed or left out, in words."""
+    without_axis: tuple[str, ...] = ()
+    """Movable joints without an `<axis>` in the file; their axis is x, as URDF says."""
+
+
+def joint_motion(
+    joint: Joint, value: float | Float[np.ndarray, " *batch"]
+) -> Float[np.ndarray, "*batch 4 4"]:
+    """Return transforms of a joint's child at values [rad] or [m], in the joint's frame."""
+    values = np.asarray(value)
+    T = np.tile(np.eye(4), (*values.shape, 1, 1))
+    if joint.kind == "prismatic":
+        T[..., :3, 3] = values[..., None] * joint.axis
+    else:
+        T[..., :3, :3] = rotation_about(joint.axis, values)
+    return T

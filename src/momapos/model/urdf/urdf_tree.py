@@ -1,4 +1,4 @@
-"""Check the XML tree of an untrusted URDF, and reduce it to the elements to parse."""
+"""Check the XML tree of an untrusted URDF."""
 
 from __future__ import annotations
 
@@ -10,36 +10,29 @@ from xml.etree.ElementTree import Element
 
 from momapos.core import UrdfError, parse_xml
 
+from .link_elements import SHAPES
 from .urdf_records import Mimic
 
 MAX_URDF_BYTES = 20_000_000
 MAX_LINKS = 5_000
-MAX_SHAPES = 2_000
+MAXSHAPES = 2_000
 """Largest number of collision elements, and of visual ones; detailed furniture has 150 [-]."""
 MAX_SIZE = 1e4
 """Largest edge, radius, length or distance [m]."""
-MAX_MASS = 1e6
-"""Largest mass of a link [kg]."""
+MIN_QUATERNION = 1e-6
+"""Length of a quaternion below which its direction means nothing [-]."""
 MAX_DEPTH = 50
+VERSIONS = ("1.0", "1.1", "1.2")
+"""Known versions of URDF; files without a version have the first."""
+_LARGEST = {"velocity", "effort", "acceleration", "deceleration", "jerk"}
+"""Limits of a joint that are magnitudes; infinity means none."""
+_UNLIMITED = {*_LARGEST, "lower", "upper", "soft_lower_limit", "soft_upper_limit"}
 _COUNTS = {
-    "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
-    "lower": (1,), "upper": (1,), "velocity": (1,), "effort": (1,),
+    "xyz": (3,), "rpy": (3,), "quat_xyzw": (4,), "size": (3,), "scale": (1, 3), "radius": (1,),
+    "length": (1,), "k_position": (1,), "k_velocity": (1,), **dict.fromkeys(_UNLIMITED, (1,)),
 }  # fmt: skip
 """Allowed numbers of values in an attribute."""
 _LENGTHS = {"xyz", "size", "radius", "length", "scale"}
-_SHAPES = {
-    "box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
-    "mesh": ("filename",),
-}  # fmt: skip
-"""Shapes of a URDF and their required attributes."""
-_PARTS: dict[str, tuple[str, ...]] = {
-    "robot": ("link", "joint"), "link": ("collision", "visual"),
-    "collision": ("origin", "geometry"), "visual": ("origin", "geometry"),
-    "geometry": tuple(_SHAPES), "joint": ("parent", "child", "origin", "axis", "limit"),
-}  # fmt: skip
-"""Child elements that are used, by element."""
-_ATTRIBUTES = {*_COUNTS, "name", "type", "link", "filename"}
-"""Attributes that are used."""
 _PREFIXES = re.compile(r"[<\s]([A-Za-z]\w{0,30}):(?=[A-Za-z])")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
 _OPTENV = re.compile(r"\$\(optenv\s([^()]{0,1000}+)\)")
@@ -77,8 +70,8 @@ def _check_tree(path: Path, tree: Element) -> None:
     if len(tree.findall("link")) > MAX_LINKS or len(tree.findall("joint")) > MAX_LINKS:
         raise UrdfError(f"{path}: more than {MAX_LINKS} links")
     for kind in ("collision", "visual"):
-        if len(tree.findall(f"link/{kind}")) > MAX_SHAPES:
-            raise UrdfError(f"{path}: more than {MAX_SHAPES} {kind} elements; use simpler shapes")
+        if len(tree.findall(f"link/{kind}")) > MAXSHAPES:
+            raise UrdfError(f"{path}: more than {MAXSHAPES} {kind} elements; use simpler shapes")
     level = [tree]
     for _ in range(MAX_DEPTH):
         level = [child for element in level for child in element]
@@ -103,23 +96,13 @@ def _check_part(part: Any, where: str) -> None:
     for element in part.iter():
         if element.tag == "geometry":
             _check_geometry(element, where)
+        if element.tag == "origin":
+            _check_origin(element, where)
         if element.tag in ("collision", "visual") and element.find("geometry") is None:
             raise UrdfError(f"{where}: a <{element.tag}> has no <geometry>")
         for key in _COUNTS.keys() & set(element.keys()):
-            if element.tag in ("texture", "color"):
-                continue
-            text = element.get(key)
-            values = [_float(word) for word in text.replace(",", " ").split()]
-            if len(values) not in _COUNTS[key] or not all(map(math.isfinite, values)):
-                count = " or ".join(map(str, _COUNTS[key]))
-                raise UrdfError(
-                    f"{where}: {key}={text!r:.80} in <{element.tag}> must be {count} finite "
-                    f"number{'s' * (count != '1')}"
-                )
-            if key in _LENGTHS and max(map(abs, values)) > MAX_SIZE:
-                raise UrdfError(f"{where}: {key}={text!r:.80} is larger than {MAX_SIZE:g}")
-            if key in ("size", "radius", "length") and min(values) <= 0:
-                raise UrdfError(f"{where}: {key}={text!r:.80} in <{element.tag}> must be > 0")
+            if element.tag not in ("texture", "color"):
+                _check_numbers(element, key, where)
     if part.tag == "joint":
         for end in ("parent", "child"):
             element = part.find(end)
@@ -129,12 +112,45 @@ def _check_part(part: Any, where: str) -> None:
                 raise UrdfError(f"{where}: <{end}> has no link")
 
 
+def _check_numbers(element: Any, key: str, where: str) -> None:
+    text = element.get(key)
+    values = [_float(word) for word in text.replace(",", " ").split()]
+    unlimited = key in _UNLIMITED
+    usable = all(math.isfinite(v) or (unlimited and math.isinf(v)) for v in values)
+    if len(values) not in _COUNTS[key] or not usable:
+        count = " or ".join(map(str, _COUNTS[key]))
+        raise UrdfError(
+            f"{where}: {key}={text!r:.80} in <{element.tag}> must be {count} finite "
+            f"number{'s' * (count != '1')}{' or inf' * unlimited}"
+        )
+    if key in _LENGTHS and max(map(abs, values)) > MAX_SIZE:
+        raise UrdfError(f"{where}: {key}={text!r:.80} is larger than {MAX_SIZE:g}")
+    ball = key == "length" and element.tag == "capsule" and values == [0.0]
+    if key in ("size", "radius", "length") and min(values) <= 0 and not ball:
+        raise UrdfError(f"{where}: {key}={text!r:.80} in <{element.tag}> must be > 0")
+    if key in _LARGEST and min(values) < 0:
+        raise UrdfError(f"{where}: {key}={text!r:.80} in <{element.tag}> must not be negative")
+
+
+def _check_origin(origin: Any, where: str) -> None:
+    text = origin.get("quat_xyzw")
+    if text is None:
+        return
+    if origin.get("rpy") is not None:
+        raise UrdfError(f"{where}: <origin> has both rpy and quat_xyzw; keep the one that is meant")
+    values = [_float(word) for word in text.replace(",", " ").split()]
+    if values and math.hypot(*values) < MIN_QUATERNION:
+        raise UrdfError(
+            f"{where}: quat_xyzw={text!r:.80} in <origin> has length 0; no rotation is 0 0 0 1"
+        )
+
+
 def _check_geometry(geometry: Any, where: str) -> None:
     tags = [child.tag for child in geometry]
-    if len(tags) != 1 or tags[0] not in _SHAPES:
-        found, shapes = ", ".join(map(str, tags)) or "nothing", ", ".join(_SHAPES)
+    if len(tags) != 1 or tags[0] not in SHAPES:
+        found, shapes = ", ".join(map(str, tags)) or "nothing", ", ".join(SHAPES)
         raise UrdfError(f"{where}: <geometry> must contain one of {shapes}, not {found:.80}")
-    for key in _SHAPES[tags[0]]:
+    for key in SHAPES[tags[0]]:
         if not geometry[0].get(key):
             raise UrdfError(f"{where}: <{tags[0]}> has no {key}")
 
@@ -146,18 +162,6 @@ def _float(word: str) -> float:
         return math.nan
 
 
-def needed(element: Element) -> Element:
-    """Return a tree with only the elements and attributes that are used."""
-    found = Element(element.tag)
-    for key, value in element.items():
-        if key in _ATTRIBUTES:
-            found.set(key, value.replace(",", " ") if key in _COUNTS else value)
-    for child in element:
-        if child.tag in _PARTS.get(element.tag, ()):
-            found.append(needed(child))
-    return found
-
-
 def fix_root_joints(tree: Element) -> tuple[str, ...]:
     """Fix planar and floating joints at the root, which represent a mobile base.
 
@@ -165,49 +169,43 @@ def fix_root_joints(tree: Element) -> tuple[str, ...]:
         The names of these joints.
     """
     joints = tree.findall("joint")
-    children = {_link(joint, "child") for joint in joints}
+    children = {link_of(joint, "child") for joint in joints}
     fixed = [
         joint
         for joint in joints
-        if joint.get("type") in ("planar", "floating") and _link(joint, "parent") not in children
+        if joint.get("type") in ("planar", "floating") and link_of(joint, "parent") not in children
     ]
     for joint in fixed:
         joint.set("type", "fixed")
     return tuple(joint.get("name", "") for joint in fixed)
 
 
-def inertials(
-    tree: Element, path: Path, scale: float
-) -> dict[str, tuple[float, tuple[float, float, float]]]:
-    """Return mass [kg] and scaled center of mass [m] of the links that have a mass.
-
-    Zero and negative masses count as none.
-
-    Raises:
-        UrdfError: A mass is not a finite number of at most 1e6 kg.
-    """
-    found = {}
-    for link in tree.findall("link"):
-        mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
-        text = None if mass is None else mass.get("value")
-        if text is None:
-            continue
-        value = _float(text)
-        if not abs(value) <= MAX_MASS:
-            raise UrdfError(
-                f"{path}: link {link.get('name')!r}: value={text!r:.80} in <mass> must be a finite "
-                f"number of at most {MAX_MASS:g}"
-            )
-        xyz = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
-        x, y, z = (scale * float(word) for word in xyz.replace(",", " ").split())
-        if value > 0:
-            found[link.get("name", "")] = value, (x, y, z)
-    return found
-
-
-def _link(joint: Element, end: str) -> str:
+def link_of(joint: Element, end: str) -> str:
+    """Return the link that `<parent>` or `<child>` of a joint names."""
     element = joint.find(end)
     return "" if element is None else element.get("link", "")
+
+
+def version_notes(tree: Element) -> list[str]:
+    """Return in words how the version of a URDF differs from its content.
+
+    Every known feature is read in a file of any version.
+    """
+    stated = tree.get("version", VERSIONS[0])
+    if stated not in VERSIONS:
+        return [f"version {stated!r:.40} of <robot> is unknown; the file is read as {VERSIONS[-1]}"]
+    if stated > VERSIONS[0]:
+        return []
+    later = [
+        word
+        for word, found in (
+            ("quat_xyzw", any(origin.get("quat_xyzw") for origin in tree.iter("origin"))),
+            ("<capsule>", tree.find(".//geometry/capsule") is not None),
+        )
+        if found
+    ]
+    words = f"{' and '.join(later)} are of URDF 1.1, but <robot> states no version above 1.0; they"
+    return [f"{words} are read, while ROS leaves them out"] if later else []
 
 
 def mimics(tree: Element, path: Path, scale: float) -> dict[str, Mimic]:

@@ -197,6 +197,7 @@ class Feasibility:
         motion = Motion(
             chain.joint_values(approach), chain.joint_values(q[steps]),
             self.motion.object_q[steps], Ts_world_tool[steps], holds=holds,
+            latch_q=None if self.motion.latch_q is None else self.motion.latch_q[steps],
         )  # fmt: skip
         if self.home_again:
             home = self.path_home(base, q[-1], grasp)

@@ -70,7 +70,7 @@ def _by_placer(placer: BasePlacer) -> Callable[[PlacementQuery], PlacementResult
 def _as_printed(query: PlacementQuery) -> PlacementResult:
     """Plan as MoMa-Pos: model the key objects, draw more samples, then lower alpha."""
     scene, task, config = query.scene, query.task, query.config
-    placer = PaperPlacer(config.paper)
+    placer = PaperPlacer(config.paper, query.watch)
     with query.watch.stage("importance"):
         ranked = rank(scene, task.object, config.ranking, seed=query.seed)
     with query.watch.stage("model"):
@@ -95,7 +95,10 @@ def _search(ready: SearchSetup, placer: BasePlacer, *, last: bool = True) -> Sea
     """
     query, problem = ready.query, ready.problem
     place, watch = query.config.place, query.watch
-    room = PlacerRoom(ready.prepared, query.reach, problem.travel_cost, problem.start, place.grasps)
+    room = PlacerRoom(
+        ready.prepared, query.reach, problem.travel_cost, problem.start, place.grasps,
+        query.config.baselines,
+    )  # fmt: skip
     proposed: list[Float[np.ndarray, "n 3"]] = []
 
     def proposals() -> Iterator[Float[np.ndarray, "n 3"]]:

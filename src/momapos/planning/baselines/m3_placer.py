@@ -1,7 +1,8 @@
-"""M3: draw navigable cells of a region at random, with the noise of its skills' start poses.
+"""M3*: random navigable cells of a region; for rigid targets the nearest navigable cell.
 
 Source: Gu et al., Multi-skill Mobile Manipulation for Object Rearrangement (ICLR 2023), and its
-public code: regions of the navigation skill, `SetArticulatedObjectTask`, `RearrangePickTask`.
+public code: regions of the navigation skill, `SetArticulatedObjectTask`; for rigid targets
+MoMa-Pos's baseline M3*.
 """
 
 from __future__ import annotations
@@ -26,34 +27,34 @@ OPEN_DRAWER = (np.array([[0.8, -0.35], [0.95, 0.35]]), np.array([[0.8, -0.6], [1
 """Regions to open a drawer, corners in the handle frame [m]."""
 CLOSE_DRAWER = (np.array([[0.3, -0.35], [0.45, 0.35]]), np.array([[0.3, -0.6], [1.0, 0.6]]))
 """Regions to close a drawer, corners in the handle frame [m]."""
-RADII = np.arange(0.8, 2.0 + 1e-9, 0.1)
-"""Radii around a rigid target; the first that has a navigable cell counts [m]."""
 NOISE = np.array([0.05, 0.05, 0.15])
 """Standard deviation of x, y [m] and yaw [rad], truncated at two sigma."""
+ROUNDING = 6
+"""Decimals of a distance [m]; symmetric cells are equally near [-]."""
 DRAWS, NOISE_DRAWS = 20, 10
 """Number of draws of a cell, and of the noise until the position is navigable [-]."""
 
 
 def m3(room: PlacerRoom, rng: np.random.Generator) -> Iterator[Float[np.ndarray, "n 3"]]:
-    """Propose draws from the region; if none stands clear, from the wider one."""
+    """Propose draws from the region; if none stands clear, from the wider one.
+
+    For rigid targets propose the cells, nearest first and of equally near ones the shorter drive.
+    """
     cells = room.cells(room.target[:2], MAX_DISTANCE, CELL)
     cells = cells[room.navigable(cells)]
-    look = room.target[:2]
-    regions: list[Float[np.ndarray, "k 2"]] = []
-    if room.articulated:
-        closing = room.prepared.task.verb == "close"
-        drawer = CLOSE_DRAWER if closing else OPEN_DRAWER
-        frame = room.handle_frame if room.slides else room.object_frame
-        look = frame[:2]
-        local = local_points(frame, cells)
-        for low, high in drawer if room.slides else HINGED:
-            regions.append(cells[((local >= low) & (local <= high)).all(1)])
-    else:
-        away = np.linalg.norm(cells - look, axis=1)
-        radius = next((r for r in RADII if (away <= r).any()), RADII[-1])
-        regions.append(cells[away <= radius])
-    for region in regions:
-        poses = _draws(room, region, look, rng)
+    if not room.articulated:
+        away = np.linalg.norm(cells - room.target[:2], axis=1).round(ROUNDING)
+        near = np.lexsort((room.travel_cost(cells), away))
+        poses = room.facing(cells[near], room.target[:2])
+        yield poses[room.stands_clear(poses)]
+        return
+    closing = room.prepared.task.verb == "close"
+    drawer = CLOSE_DRAWER if closing else OPEN_DRAWER
+    frame = room.handle_frame if room.slides else room.object_frame
+    local = local_points(frame, cells)
+    for low, high in drawer if room.slides else HINGED:
+        region = cells[((local >= low) & (local <= high)).all(1)]
+        poses = _draws(room, region, frame[:2], rng)
         poses = poses[room.stands_clear(poses)]
         if len(poses):
             yield poses

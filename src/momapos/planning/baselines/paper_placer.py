@@ -7,17 +7,17 @@ reason.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import Stopwatch
 from momapos.core.geometry import latin_hypercube, rotation
 from momapos.model.collision import FREE, base_hits
-from momapos.model.scene import upright_boxes
 from momapos.model.urdf import Boxes
 from momapos.planning.config import PaperConfig
-from momapos.planning.placement import arm_radius, sees
+from momapos.planning.placement import PlacementGeometry, sees
 
 from .open_tours import open_tour
 from .placer_room import GRASP_WAYPOINT, PlacerRoom
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
 MIN_DISTANCE = 1e-3
 """Bounds 1 / distance at the target [m]."""
+MAX_DESIGN = 64
+"""Largest Latin Hypercube design as a multiple of M; in kitchens 3 to 8 times M is enough [-]."""
+POTENTIAL = "potential"
+"""Stage of section III-C: the area, the inverse reachability and the field."""
 
 
 @dataclass(frozen=True)
@@ -34,23 +38,17 @@ class PaperPlacer:
     """Proposes base poses in the order of MoMa-Pos."""
 
     config: PaperConfig
+    watch: Stopwatch = field(default_factory=lambda: Stopwatch(lambda: 0.0))
+    """Measures the stage `POTENTIAL`."""
 
     def __call__(
         self, room: PlacerRoom, rng: np.random.Generator
     ) -> Iterator[Float[np.ndarray, "n 3"]]:
         """Propose groups of T of each batch of samples, the highest potential first."""
         config = self.config
-        boxes = whole_boxes(room)
         for batch in range(config.batches):
-            poses = in_area(room, boxes, _samples(room, config.samples * 2**batch, rng))
-            scores = room.scores(poses, range(room.Ts_world_tool.shape[1])).max(1)
-            if config.inverse_map:
-                reached = scores[:, GRASP_WAYPOINT] > 0
-                poses, scores = poses[reached], scores[reached]
-            else:
-                scores = np.zeros_like(scores)
-            heights = np.array(config.heights)
-            value = potential(room, boxes, poses, scores, heights, field=config.field)
+            with self.watch.stage(POTENTIAL):
+                poses, value = self._candidates(room, config.samples * 2**batch, rng)
             ranked = np.argsort(-value, kind="stable")
             for first in range(0, len(ranked), config.group):
                 group = ranked[first : first + config.group]
@@ -60,13 +58,51 @@ class PaperPlacer:
                 )  # fmt: skip
                 yield poses[group[tour]]
 
+    def _candidates(
+        self, room: PlacerRoom, count: int, rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+        """Return samples in A, and the potential of each."""
+        config = self.config
+        poses = samples_in_area(room, count, rng)
+        scores = room.scores(poses, range(room.Ts_world_tool.shape[1])).max(1)
+        if config.early_cull:
+            reached = scores[:, GRASP_WAYPOINT] > 0
+            poses, scores = poses[reached], scores[reached]
+        if not config.inverse_map:
+            scores = np.zeros_like(scores)
+        heights = np.array(config.heights)
+        return poses, potential(room, room.whole_boxes, poses, scores, heights, field=config.field)
 
-def whole_boxes(room: PlacerRoom) -> Boxes:
-    """Return the objects' bounding boxes, on which the field and the area are computed."""
-    task = room.prepared.task
-    # The box of a rigid target would hide the target.
-    items = [o for o in room.prepared.scene.objects if room.articulated or o.name != task.object]
-    return upright_boxes(items)
+
+def printed_radius(geometry: PlacementGeometry) -> float | None:
+    """Return Delta_r = sqrt(r_l^2 - dz^2) [m]; None if the target is too high or too low.
+
+    r_l is the length of the arm and its tool, with the travel of an arm that telescopes; dz is the
+    height of the target above the arm's axis, a lift being at the middle of its range.
+    """
+    target = geometry.Ts_world_tool[0, GRASP_WAYPOINT, 2, 3]
+    squared = (geometry.robot.reach + geometry.telescope) ** 2 - (
+        target - geometry.shoulder[2]
+    ) ** 2
+    return float(np.sqrt(squared)) if squared > 0.0 else None
+
+
+def samples_in_area(
+    room: PlacerRoom, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Return Latin Hypercube samples in A; fewer than `count` only if A is nearly empty.
+
+    If too few points of a design over the disc are in A, another has twice as many points.
+    """
+    radius = printed_radius(room.prepared.geometry)
+    if radius is None:
+        return np.zeros((0, 3))
+    size = count
+    while True:
+        poses = in_area(room, room.whole_boxes, _design(room, radius, size, rng))
+        if len(poses) >= count or size >= MAX_DESIGN * count:
+            return poses[:count]
+        size *= 2
 
 
 def in_area(
@@ -112,13 +148,14 @@ def potential(
     return total
 
 
-def _samples(room: PlacerRoom, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Return Latin Hypercube samples of the arm axis within Delta_r of the target.
+def _design(
+    room: PlacerRoom, radius: float, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Return Latin Hypercube samples of the arm's axis that are within Delta_r of the target.
 
     The base faces the target; the paper's positions have no yaw.
     """
-    geometry = room.prepared.geometry
-    radius, target = arm_radius(geometry)[GRASP_WAYPOINT], room.target[:2]
+    geometry, target = room.prepared.geometry, room.target[:2]
     offset = radius * (2 * latin_hypercube(rng, count, 2) - 1)
     offset = offset[np.linalg.norm(offset, axis=1) <= radius]
     poses = room.facing(target + offset, target)

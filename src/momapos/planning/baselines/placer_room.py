@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,7 +14,9 @@ from momapos.model.collision import FREE, base_hits, check
 from momapos.model.records import ReachScorer, TravelCost
 from momapos.model.robots import Robot
 from momapos.model.scene import upright_boxes
+from momapos.model.urdf import Boxes
 from momapos.planning.arm_motion import solve_layers
+from momapos.planning.config import BaselineConfig
 from momapos.planning.grasps import slides
 from momapos.planning.placement import arm_radius
 from momapos.planning.task_setup import PreparedTask
@@ -50,6 +52,8 @@ class PlacerRoom:
     """Start pose of the base: x [m], y [m], yaw [rad]."""
     grasps: int
     """Maximum number of grasps checked at one base pose, the best reached first [-]."""
+    knows: BaselineConfig = field(default_factory=BaselineConfig)
+    """What the placer knows of objects and grasps."""
 
     @property
     def robot(self) -> Robot:
@@ -58,8 +62,8 @@ class PlacerRoom:
 
     @property
     def Ts_world_tool(self) -> Float[np.ndarray, "g w 4 4"]:
-        """Tool poses of every grasp at every waypoint."""
-        return self.prepared.geometry.Ts_world_tool
+        """Tool poses of every grasp that the placer knows, at every waypoint."""
+        return self.prepared.geometry.Ts_world_tool[: 1 if self.knows.one_grasp else None]
 
     @property
     def slides(self) -> bool:
@@ -70,6 +74,15 @@ class PlacerRoom:
     def articulated(self) -> bool:
         """Whether the task moves a joint."""
         return self.prepared.task.joint is not None
+
+    @cached_property
+    def whole_boxes(self) -> Boxes:
+        """The objects' bounding boxes, without the one that would hide a rigid target."""
+        task = self.prepared.task
+        items = [
+            o for o in self.prepared.scene.objects if self.articulated or o.name != task.object
+        ]
+        return upright_boxes(items)
 
     @cached_property
     def target(self) -> Float[np.ndarray, "3"]:
@@ -128,7 +141,7 @@ class PlacerRoom:
         motion, geometry = prepared.motion, prepared.geometry
         clear = self.inside(poses)
         near = np.flatnonzero(clear)
-        standing = motion.static_obstacles()
+        standing = self.whole_boxes if self.knows.boxes else motion.static_obstacles()
         hits = base_hits(poses[near], self.robot.base, standing, clearance=geometry.clearance)
         clear[near] = hits == FREE
         near = np.flatnonzero(clear)

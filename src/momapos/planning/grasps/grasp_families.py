@@ -115,6 +115,7 @@ def select_part_grasps(
     closes: bool,
     config: GraspConfig,
     excluded: Collection[Handle] = (),
+    latch: str | None = None,
 ) -> GraspSelection:
     """Select the grasps of the part's first handle by which the robot can move it.
 
@@ -128,6 +129,7 @@ def select_part_grasps(
         closes: Whether the task closes the part, so that its front may also be pushed.
         config: The grasps to try.
         excluded: Handles to skip; not all of the part's.
+        latch: The link that the hand must hold; None for any.
 
     Returns:
         The grasps; if none holds, approaches to the best handle, and the reason.
@@ -136,7 +138,7 @@ def select_part_grasps(
     handles: list[Handle] = []
     reasons: list[str] = []
     two_sided = opens_both_ways(model, joint)
-    for handle in handles_in_turn(model, joint, sign):
+    for handle in handles_in_turn(model, joint, sign, latch):
         if handle in excluded or (found and not _adds_to(found[0][0], handle)):
             continue
         handles.append(handle)

@@ -144,15 +144,20 @@ def part_elements(part: CarriedPart) -> tuple[Element, ...]:
 @lru_cache(maxsize=_MODELS)
 def part_pieces(part: CarriedPart) -> tuple[Element, ...]:
     """Return the same, with non-convex meshes split into convex pieces."""
-    T_link = part.poses(part.moved)
-    found: list[Element] = []
-    for whole in part_elements(part):
-        assert whole.index is not None
-        pieces = part.model.pieces(whole.link, whole.index)
-        T, name = T_link[whole.link], whole.name
-        cut = [Element(whole.link, name, convex_of(piece, T), whole.index) for piece in pieces]
-        found += cut if len(cut) > 1 else [whole]
-    return tuple(found)
+    return tuple(piece for whole in part_elements(part) for piece in _pieces_of(part, whole))
+
+
+def in_pieces(part: CarriedPart, elements: list[Element]) -> list[Element]:
+    """Return elements of a part with non-convex meshes split into convex pieces."""
+    return [piece for whole in elements for piece in _pieces_of(part, whole)]
+
+
+@lru_cache(maxsize=_MODELS)
+def _pieces_of(part: CarriedPart, whole: Element) -> tuple[Element, ...]:
+    if whole.index is None or len(pieces := part.model.pieces(whole.link, whole.index)) < 2:
+        return (whole,)
+    T = part.poses([whole.link])[whole.link]
+    return tuple(Element(whole.link, whole.name, convex_of(p, T), whole.index) for p in pieces)
 
 
 @lru_cache(maxsize=_MODELS)

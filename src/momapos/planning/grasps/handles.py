@@ -26,6 +26,7 @@ from .handle_shapes import (
     clusters,
     corners,
     front_along,
+    in_pieces,
     longest_name,
     named_elements,
     named_shapes,
@@ -91,9 +92,29 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
     return part_path(item, CarriedPart(item.model, joint, handle.carrier), handle.center, to)
 
 
-def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
-    """Return the first handle of `find_handles`."""
-    return find_handles(model, joint, sign)[0]
+def held_thickness(item: SceneObject, joint: str | None) -> float:
+    """Return the thickness of a part's thinnest handle, else of its edges, or of an object [m]."""
+    if joint is None:
+        poses = item.link_poses()
+        hulls = [apply(poses[n], h.vertices) for n in poses for h in item.model.hulls[n]]
+        return float(2 * item.model.box_around(np.concatenate(hulls))[2].min())
+    found = find_handles(item.posed_model(joint), joint, opening_of(item.model, joint).sign)
+    handles = [handle for handle in found if not handle.edge] or found
+    return min(handle.thickness for handle in handles)
+
+
+def find_handle(model: Articulated, joint: str, sign: float, latch: str | None = None) -> Handle:
+    """Return the first handle of a part, or of a latch on it; see `handles_in_turn`.
+
+    Raises:
+        TaskError: The part or the latch has no geometry.
+    """
+    if latch is None:
+        return find_handles(model, joint, sign)[0]
+    handle = next(handles_in_turn(model, joint, sign, latch), None)
+    if handle is None:
+        raise TaskError(f"the latch {latch!r} has no shape; give its link a collision element")
+    return handle
 
 
 @lru_cache(maxsize=_MODELS)
@@ -119,10 +140,10 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
     bodies = [part for part in parts if own_elements(part)]
     if not bodies and not known:
         raise TaskError(f"joint {joint!r} moves no geometry; it must move a link with a shape")
-    taken = {id(e) for handle in known for e in handle.elements}
+    taken = {(e.link, e.index) for handle in known for e in handle.elements}
     edges: list[Handle] = []
     for part in bodies:
-        bare = tuple(e for e in own_elements(part) if id(e) not in taken)
+        bare = tuple(e for e in own_elements(part) if (e.link, e.index) not in taken)
         edges += free_edges(bare or own_elements(part), part, sign)
     cut = () if known else (h for part in parts for h in handles_by_pieces(part, sign))
     return (*known, *cut, *edges)
@@ -132,12 +153,30 @@ def _named_first(handles: list[Handle]) -> list[Handle]:
     return sorted(handles, key=lambda handle: handle.found is not HandleSource.NAME)
 
 
-def handles_in_turn(model: Articulated, joint: str, sign: float) -> Iterator[Handle]:
-    """Yield the handles, the most probable first; split meshes only when needed."""
+def handles_in_turn(
+    model: Articulated, joint: str, sign: float, latch: str | None = None
+) -> Iterator[Handle]:
+    """Yield the handles, the most probable first; split meshes only when needed.
+
+    Args:
+        model: The object.
+        joint: The joint.
+        sign: Its opening direction (+1 or -1), which the handles face.
+        latch: A link of the part; its handles alone count, the last of which is all of it.
+    """
+    if latch is not None:
+        part = CarriedPart(model, joint, latch)
+        yield from handles_by_hulls(part, sign)
+        yield from handles_by_pieces(part, sign)
+        whole = _as_handle(part, sign)
+        yield from (h for h in whole if h not in handles_by_hulls(part, sign))
+        return
     found = find_handles(model, joint, sign)
     yield from (h for h in found if not h.edge)
+    known = {id(e) for h in found for e in h.elements}
     for part in parts_moved_by(model, joint):
-        yield from (h for h in handles_by_pieces(part, sign) if h not in found)
+        cut = (h for h in handles_by_pieces(part, sign) if h not in found)
+        yield from (h for h in cut if not known >= {id(e) for e in h.elements})
     yield from (h for h in found if h.edge)
 
 
@@ -155,7 +194,7 @@ def handles_by_hulls(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     if any(h.found is HandleSource.NAME for h in handles) or (handles and not named):
         return tuple(_named_first(handles))
     if not named and _is_hand_sized(part, own):
-        return (replace(_of(HandleSource.SHAPE, list(own), part, sign, (), None), whole=True),)
+        return _as_handle(part, sign)
     faces, in_plane = _side_faces(own, opens)
     aside = next(filter(None, (_on_face(named, part, sign, own, f, f) for f in faces)), [])
     aside = [h for h in aside if not (named or _is_panel(h, own)) or h.found is HandleSource.NAME]
@@ -172,6 +211,15 @@ def _is_panel(handle: Handle, own: tuple[Element, ...]) -> bool:
 def _face_area(element: Element) -> float:
     """Return the area of the largest face of the box around an element [m^2]."""
     return float(np.prod(np.sort(np.ptp(element.convex.vertices, axis=0))[1:]))
+
+
+@lru_cache(maxsize=_MODELS)
+def _as_handle(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
+    """Return a part as its own handle; empty without geometry."""
+    own = list(own_elements(part))
+    if not own:
+        return ()
+    return (replace(_of(HandleSource.SHAPE, own, part, sign, (), None), whole=True),)
 
 
 def _is_hand_sized(part: CarriedPart, own: tuple[Element, ...]) -> bool:
@@ -201,7 +249,7 @@ def _on_face(
     front = front_along(panel, face) if panel else -np.inf
     out = [g for g in clusters(named) if (corners(g) @ face).max() > front + MIN_PROTRUSION]
     handles = [_of(HandleSource.NAME, group, part, sign, own, facing) for group in out[:1]]
-    known = {id(e) for handle in handles for e in handle.elements}
+    known = {id(e) for group in out[:1] for e in group}
     shaped = protrusions(own, face) or protrusions((*own, *visual_elements(part)), face)
     groups = [group for group in shaped if not known & {id(e) for e in group}]
     return handles + _by_shape(groups, part, sign, own, facing)
@@ -292,6 +340,11 @@ def _of(
     length = float(half[along])
     others = [e for e in own if not any(e is mine for mine in group)]
     core = core_of(center, long * length, out, float(half[out_axis]), group, others)
+    if core.kind is HandleKind.LIP and len(cut := in_pieces(part, group)) > len(group):
+        # The hull of a bow fills the space behind its bar.
+        bow = core_of(center, long * length, out, float(half[out_axis]), cut, others)
+        if bow.kind is not HandleKind.LIP:
+            core, group = bow, cut
     kind = core.kind if length >= KNOB_ELONGATION * half[side] else HandleKind.KNOB
     thickness = 2 * float(min(half[side], half[along]))
     return Handle(

@@ -20,6 +20,8 @@ from .turning_grasps import Turning
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+MIN_CHANGE = 1e-9
+"""Change of a joint's value between steps below which it rests [rad] or [m]."""
 MIN_TRAVEL = 0.02
 """Travel of the hand per unit of the joint below which the pull is not larger [m/rad]."""
 
@@ -70,6 +72,8 @@ class TaskMotion:
     """Why a better handle is not used; "" if there is none."""
     resistance: JointResistance | None = None
     """Resistance of the part, which the grasps transmit; None for rigid objects."""
+    latch_q: Float[np.ndarray, " d"] | None = None
+    """Value of the object's latch at each step [rad] or [m]; None if no latch is turned."""
     effort: Float[np.ndarray, " v"] | None = None
     """What resists the motion at each value, along it [Nm] or [N]; None for rigid objects."""
     weight: Weight | None = None
@@ -125,7 +129,10 @@ class TaskMotion:
         if self.effort is None or len(held) < 2:
             return force, point
         q = self.object_q[held]
-        travel = np.gradient(point[:, held], axis=1) / np.gradient(q)[:, None]
+        change = np.gradient(q)[:, None]
+        # While a latch is turned, the part rests.
+        change = np.where(np.abs(change) > MIN_CHANGE, change, np.inf)
+        travel = np.gradient(point[:, held], axis=1) / change
         square = np.maximum((travel**2).sum(-1, keepdims=True), MIN_TRAVEL**2)
         along = np.sign(q[-1] - q[0]) * self.effort[self.value[held]]
         force[:, held] = -along[:, None] * travel / square
@@ -182,7 +189,16 @@ class TaskMotion:
         axis = self.turning.axis_of(mode)
         words = self.grasps.describe(grasp, turns=axis is not None)
         family = str(self.grasps.family[grasp])
-        return (Hold(0, last - self.grasp_step, axis, family, words),)
+        return (
+            Hold(self.turned_step - self.grasp_step, last - self.grasp_step, axis, family, words),
+        )
+
+    @property
+    def turned_step(self) -> int:
+        """Step from which on the latch is turned and the part moves; the grasp without a latch."""
+        if self.latch_q is None:
+            return self.grasp_step
+        return int(np.argmax(self.latch_q == self.latch_q[-1]))
 
     def executed_steps(
         self, mode: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]

@@ -9,7 +9,12 @@ import numpy as np
 
 from momapos.core import TaskError, UrdfError
 from momapos.core.geometry import apply
-from momapos.model.scene import ResistanceConfig, SceneObject, resistance_along
+from momapos.model.scene import (
+    ResistanceConfig,
+    SceneObject,
+    latch_to_turn,
+    resistance_along,
+)
 from momapos.model.urdf import JointOpening, opening_of
 
 from .handle_records import Handle
@@ -46,6 +51,12 @@ class PartFacts:
     """Why no handle could be looked for."""
 
 
+def _latch_link(item: SceneObject, joint: str) -> str | None:
+    """Return the link of the latch that a hand must hold to open a part; None if there is none."""
+    latch = latch_to_turn(item, joint)
+    return None if latch is None else item.joint(latch.joint).child
+
+
 def part_facts_of(
     item: SceneObject, joint: str, config: ResistanceConfig | None = None
 ) -> PartFacts:
@@ -61,7 +72,7 @@ def part_facts_of(
         return PartFacts(opening, record.mimic.joint, False, None, None, None)
     alone = is_handle_joint(item.model, record)
     try:
-        handle = find_handle(item.posed_model(joint), joint, opening.sign)
+        handle = find_handle(item.posed_model(joint), joint, opening.sign, _latch_link(item, joint))
     except (TaskError, UrdfError) as error:  # no geometry, or a mesh without readable faces
         return PartFacts(opening, "", alone, None, None, None, str(error))
     center = apply(item.link_poses()[handle.carrier], handle.center[None])[0]

@@ -18,7 +18,14 @@ from .fronts import front_face, front_part
 from .hand_boxes import Hand, empty_handed, hand_of
 from .handle_core import HandleKind
 from .handle_records import Handle, HandleSource
-from .handle_shapes import CarriedPart, Element, corners, part_elements, part_pieces
+from .handle_shapes import (
+    CarriedPart,
+    Element,
+    corners,
+    in_pieces,
+    part_elements,
+    part_pieces,
+)
 from .part_motion import motion_directions
 from .pinch_grasps import (
     advance,
@@ -38,6 +45,9 @@ MIN_OVERLAP = 0.003
 """Minimum depth of the fingertips beyond the near side of the handle [m]."""
 FREE_TILTS = (50.0, -50.0)
 """Further tilts along a handle with a free end, around which there is room for the hand [deg]."""
+STEEP_TURNS = {75.0: {60.0, 90.0}, -75.0: {-60.0, -90.0}}
+"""Further turns of a hand that is not fully open, if both turns next to them are tried [deg].
+Behind a bar near a panel a finger has most room if it leans: at 72 to 80 degrees for 43 mm."""
 HOOK_SHARE = 0.8
 """Share of the pull along the closing axis above which a grasp is a hook [-]."""
 _PARTS = 512
@@ -128,7 +138,9 @@ def approach_lines(robot: Robot, handle: Handle, config: GraspConfig) -> Approac
             rolls = np.array([0, np.pi, np.pi / 2, -np.pi / 2])
     free = handle.kind in (HandleKind.LEVER, HandleKind.KNOB)
     tilts = np.radians(sorted({*config.tilts, *(FREE_TILTS if free else ())}, key=abs))
-    turns = np.radians(config.turns)
+    steep = {t for t, near in STEEP_TURNS.items() if near <= {*config.turns}}
+    between = sorted(steep - {*config.turns}) if robot.fully_open is not None else ()
+    turns = np.radians((*config.turns, *between))
     grid = np.stack(np.meshgrid(rolls, _points(handle), tilts, turns, indexing="ij"), -1)
     roll, point, tilt, turn = grid.reshape(-1, 4).T
     R_turn = rotation_about(handle.long, turn)
@@ -240,9 +252,18 @@ def elements_near_handle(
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """Return the elements near a handle, and which of them the pads may touch."""
     part = CarriedPart(model, joint, handle.carrier)
-    around = part_pieces(part) if handle.in_pieces else part_elements(part)
+    own, whole = {id(e) for e in handle.elements}, part_elements(part)
+    if handle.in_pieces:
+        around = part_pieces(part)
+    else:
+        hulls = {id(e) for e in whole}
+        cut = {(e.link, e.index) for e in handle.elements if id(e) not in hulls}
+        around = tuple(
+            piece
+            for e in whole
+            for piece in (in_pieces(part, [e]) if (e.link, e.index) in cut else [e])
+        )
     near = near_elements(around, handle.center, HAND_REACH + handle.half_length)
-    own = {id(e) for e in handle.elements}
     extra = tuple(e for e in handle.elements if not any(e is other for other in near))
     elements = (*near, *extra)
     return elements, np.array([id(e) in own for e in elements], bool)

@@ -148,6 +148,8 @@ def sliding_motion(
     """
     if motion.task.joint is None or motion.handle is None or not config.sliding:
         return None
+    if motion.latch_q is not None:  # the hand that turned the latch keeps it turned
+        return None
     rests = _rests(motion, target, config)
     joint, handle = target.joint(motion.task.joint), motion.handle
     T_part = target.link_poses()[handle.carrier]

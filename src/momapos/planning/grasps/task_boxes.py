@@ -47,11 +47,22 @@ def moving_boxes(
 
 
 def bodies_moved_by(
-    target: SceneObject, joint: str, values: Float[np.ndarray, " v"]
+    target: SceneObject,
+    joint: str,
+    values: Float[np.ndarray, " v"],
+    latch: Float[np.ndarray, " v"] | None = None,
 ) -> dict[str, Body]:
-    """Return the bodies that a joint and its mimic joints move, by the link that carries each."""
-    poses, moving = target.link_poses(), target.moving_poses(joint, values)
-    groups = target.model.rigid_groups(joint)
+    """Return the bodies that a joint and its mimic joints move, by the link that carries each.
+
+    Args:
+        target: The object.
+        joint: Its joint.
+        values: Values of the joint [rad] or [m].
+        latch: Values of the object's latch, if it is turned, too [rad] or [m].
+    """
+    poses, moving = target.link_poses(), target.moving_poses(joint, values, latch)
+    turned = () if target.latch is None or latch is None else (target.latch.joint,)
+    groups = target.model.rigid_groups(joint, *turned)
     back = {carrier: invert(poses[carrier]) for carrier in dict.fromkeys(groups.values())}
     return {
         carrier: (

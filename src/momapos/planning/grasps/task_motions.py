@@ -16,10 +16,11 @@ from momapos.model.scene import (
     Scene,
     SceneObject,
     known_resistance,
+    latch_to_turn,
     object_mass,
     resistance_along,
 )
-from momapos.model.urdf import opening_of
+from momapos.model.urdf import Joint, opening_of
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
 from .grasp_families import MIN_LEVER, select_inner_pushes, select_part_grasps
@@ -27,6 +28,7 @@ from .handle_core import HandleKind
 from .handle_records import Handle
 from .handle_shapes import CarriedPart
 from .handles import find_handle, handles_in_turn
+from .latches import PartValues, select_latch_grasps
 from .motion_record import TaskMotion, Weight
 from .part_motion import levers_along
 from .rigid_grasps import select_object_grasps
@@ -77,6 +79,9 @@ def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskM
         holding=np.append(motion.holding, np.arange(steps) < steps - 1),
         value=np.append(motion.value, np.repeat(motion.value[-1], steps)),
         release_step=held - 1,
+        latch_q=None
+        if motion.latch_q is None
+        else np.append(motion.latch_q, np.repeat(motion.latch_q[-1], steps)),
     )
 
 
@@ -88,7 +93,9 @@ def with_other_handle(
     if task.joint is None or motion.handle is None or motion.handle.kind is HandleKind.FACE:
         return None
     model, sign = target.posed_model(task.joint), opening_sign(target, task.joint, task.to)
-    if all(handle in excluded for handle in handles_in_turn(model, task.joint, sign)):
+    latch = latch_to_turn(target, task.joint)
+    on = None if latch is None else model.joint(latch.joint).child
+    if all(handle in excluded for handle in handles_in_turn(model, task.joint, sign, on)):
         return None
     other = _joint_motion(scene, robot, task, target, config, inside=False, excluded=excluded)
     # A push is the last resort, and was tried with the first handle.
@@ -125,22 +132,31 @@ def _joint_motion(
     assert task.to is not None
     joint = target.joint(task.joint)
     start = target.values()[joint.name]
-    count = config.waypoints or _count(joint.kind, abs(task.to - start), config)
-    values = np.linspace(start, task.to, (count - 1) * SUBSTEPS + 1)
+    values = _steps(joint, start, task.to, config)
     model, sign = target.posed_model(joint.name), opening_sign(target, joint.name, task.to)
-    handle = find_handle(model, joint.name, sign)
+    latch = latch_to_turn(target, joint.name)
+    on = None if latch is None else model.joint(latch.joint).child
+    handle = find_handle(model, joint.name, sign, on)
     part = CarriedPart(model, joint.name, handle.carrier)
     assumed = config.grasps.resistance
     levers = np.maximum(levers_along(part, handle.center[None], values)[:, 0], MIN_LEVER)
     resistance = resistance_along(target, joint.name, values, levers, assumed)
     known = known_resistance(target, joint.name, assumed)
     chosen = select_inner_pushes(robot, model, joint.name, sign, config.grasps) if inside else None
-    if chosen is None:
+    path = PartValues(values)
+    if latch is not None:
+        turn = _steps(target.joint(latch.joint), target.values()[latch.joint], latch.to, config)
+        path = path.after_turn(turn)
+        chosen = select_latch_grasps(
+            robot, target, model, joint.name, sign, resistance, (latch, turn), config.grasps,
+            excluded,
+        )  # fmt: skip
+    elif chosen is None:
         chosen = select_part_grasps(
             robot, model, joint.name, sign, resistance,
             closes=task.verb == "close", config=config.grasps, excluded=excluded,
         )  # fmt: skip
-    bodies = bodies_moved_by(target, joint.name, values)
+    bodies = bodies_moved_by(target, joint.name, path.part, path.latch)
     moving, moving_labels, grasped = moving_boxes(
         target, list(bodies.values()), held_elements(chosen.grasps.handles)
     )
@@ -150,26 +166,30 @@ def _joint_motion(
     Ts_held = Ts_world_carrier[chosen.grasps.handle] @ chosen.Ts_part_tool[:, None]
     approach = _straight_approach(robot, Ts_held[:, 0], config.grasps)
     steps = approach.shape[1]
-    turning = turning_about(robot, chosen) if config.grasps.turning else no_turning(held)
+    turns = config.grasps.turning and latch is None
+    turning = turning_about(robot, chosen) if turns else no_turning(held)
     Ts_world_tool = np.concatenate([approach, Ts_held], axis=1)
     return TaskMotion(
         task=task,
         Ts_world_tool=np.ascontiguousarray(Ts_world_tool),
-        object_q=np.concatenate([np.full(steps, start), values]),
-        waypoint_steps=np.concatenate([[0], steps + np.arange(count) * SUBSTEPS]),
+        object_q=np.concatenate([np.full(steps, start), path.part]),
+        waypoint_steps=np.concatenate([[0], steps + np.arange(path.waypoints) * SUBSTEPS]),
         grasp_step=steps,
-        holding=np.arange(steps + len(values)) > 0,
+        holding=np.arange(steps + len(path.part)) > 0,
         static=static,
         moving=moving,
-        value=np.concatenate([np.zeros(steps, np.int64), np.arange(len(values))]),
+        value=np.concatenate([np.zeros(steps, np.int64), np.arange(len(path.part))]),
         grasped=grasped,
         labels=(*labels, *moving_labels),
         grasps=chosen.grasps,
         refusal=chosen.reason,
         turning=turning,
+        latch_q=None
+        if path.latch is None
+        else np.append(np.full(steps, path.latch[0]), path.latch),
         better_handle_reason=chosen.better_handle_reason,
         resistance=replace(known, lever=known.lever or float(levers.min())),
-        effort=resistance.along,
+        effort=np.append(np.zeros(len(path.part) - len(values)), resistance.along),
     )
 
 
@@ -187,9 +207,12 @@ def opening_sign(target: SceneObject, joint: str, to: float | None) -> float:
     return float(np.sign(away)) if away else opening.sign
 
 
-def _count(kind: str, span: float, config: MotionConfig) -> int:
-    step = config.waypoint_slide if kind == "prismatic" else np.radians(config.waypoint_angle)
-    return max(2, int(np.ceil(span / step - 1e-9)) + 1)
+def _steps(joint: Joint, start: float, to: float, config: MotionConfig) -> Float[np.ndarray, " v"]:
+    """Return the values of a joint at the steps of its motion, `SUBSTEPS` per waypoint."""
+    slides = joint.kind == "prismatic"
+    step = config.waypoint_slide if slides else np.radians(config.waypoint_angle)
+    count = config.waypoints or max(2, int(np.ceil(abs(to - start) / step - 1e-9)) + 1)
+    return np.linspace(start, to, (count - 1) * SUBSTEPS + 1)
 
 
 def _straight_approach(

@@ -109,9 +109,14 @@ def openable(scene: Scene) -> list[tuple[str, str]]:
 
 
 def parts_of(item: SceneObject) -> list[str]:
-    """Return the joints that move a part of their own: no mimic joints, no joints of handles."""
+    """Return the joints that move a part of their own: no mimic joints, no handles or latches."""
     joints = item.model.joints.values()
-    return [j.name for j in joints if j.mimic is None and not is_handle_joint(item.model, j)]
+    latch = "" if item.latch is None else item.latch.joint
+    return [
+        j.name
+        for j in joints
+        if j.mimic is None and j.name != latch and not is_handle_joint(item.model, j)
+    ]
 
 
 def in_front_of_parts(scene: Scene) -> Float[np.ndarray, "2"]:

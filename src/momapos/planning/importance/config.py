@@ -21,8 +21,9 @@ class GraphConfig:
 
     contact: float = 0.02
     """Largest vertical gap or overlap of two surfaces in contact [m]."""
-    neighbors: int = 4
-    """Number of nearest objects that count as near [-]."""
+    neighbors: Optional[int] = None  # noqa: UP045 (see cli.options)
+    """Number of nearest objects that count as near [-]. None: 0 with the paper's placement method,
+    which names only on, in and inside; else 4."""
     near: float = 1.0
     """Largest gap between the boxes of two objects that are near [m]."""
     floor: float = 0.1
@@ -32,7 +33,7 @@ class GraphConfig:
         check_fields(self)
         if not (0 < self.contact < math.inf and 0 < self.floor < math.inf):
             raise InputError("GraphConfig.contact and floor must be finite and above 0 m")
-        if not (self.neighbors >= 0 and self.near >= 0):
+        if not ((self.neighbors is None or self.neighbors >= 0) and self.near >= 0):
             raise InputError("GraphConfig.neighbors and near must be at least 0")
 
 
@@ -46,6 +47,8 @@ class ImportanceConfig:
     deepwalk with the paper's placement method, else reach."""
     alpha: float = 0.45
     """Objects with at least this score are in S, from 0 to 1 [-]."""
+    exceed: Optional[bool] = None  # noqa: UP045 (see cli.options)
+    """Whether a score must exceed alpha. None: yes with the paper's placement method, else no."""
     k0: float = 0.5
     """Weight of distance against size in the walks, from 0 to 1 [-]."""
     weights: Optional[WeightsName] = None  # noqa: UP045 (see cli.options)

@@ -34,6 +34,8 @@ class Importance:
     scorer: str
     seed: int
     graph: SceneGraph
+    exceed: bool = False
+    """Whether the scores of S exceed alpha, instead of reaching it."""
 
     def __repr__(self) -> str:
         count, chosen = len(self.names), len(self.selected())
@@ -62,7 +64,9 @@ class Importance:
         return tuple(int(steps[i]) for i in self._rows)
 
     def selected(self, alpha: float | None = None) -> tuple[str, ...]:
-        """Return the set S: names with a score of at least alpha, most important first.
+        """Return the set S: the target and names with a score of at least alpha, in order.
+
+        With `exceed`, the score must be above alpha.
 
         Args:
             alpha: Threshold in [0, 1]; None for the configured one. At 0 all objects are in S.
@@ -73,7 +77,14 @@ class Importance:
         limit = self.alpha if alpha is None else alpha
         if not 0 <= limit <= 1:
             raise InputError(f"alpha must be between 0 and 1, not {limit:g}")
-        return self.names[: int(np.count_nonzero(self.scores >= limit))]
+        return self.names[: int(np.count_nonzero(self.scores >= self.lowest_score(limit)))]
+
+    def lowest_score(self, alpha: float) -> float:
+        """Return the lowest score with which an object is in S, for a threshold alpha [-].
+
+        It is at most 1, so that the target is always in S.
+        """
+        return min(float(np.nextafter(alpha, 2.0)), 1.0) if self.exceed else alpha
 
     def score(self, name: str) -> float:
         """Return the score of one object.
@@ -134,4 +145,5 @@ def rank(
         scorer=scorer,
         seed=seed,
         graph=graph,
+        exceed=bool(config.exceed),
     )

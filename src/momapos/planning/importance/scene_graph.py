@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MIN_SIZE = 1e-3
 """Lower bound of an object's size [m], for flat objects."""
+NEIGHBORS = 4
+"""Number of nearest objects that count as near, unless it is set [-]."""
 _SEEN_FROM_PARENT = {"on": "carries", "in": "contains", "inside": "contains", "near": "near"}
 
 
@@ -62,7 +64,8 @@ class SceneGraph:
         config, n = self.config, len(self)
         bodies = stack_bodies(self.scene, self.upright)
         above = _shortest(hierarchy(bodies, contact=config.contact), n)
-        near = neighbors(self.upright, count=config.neighbors, reach=config.near)
+        count = NEIGHBORS if config.neighbors is None else config.neighbors
+        near = neighbors(self.upright, count=count, reach=config.near)
         known = np.sort(above[:, :2], axis=1) @ [n, 1]
         near = near[~np.isin(near @ [n, 1], known)]
         return np.concatenate([above, np.column_stack([near, np.full(len(near), NEAR)])])

@@ -18,7 +18,14 @@ from momapos.model.robots import Robot
 from momapos.model.urdf import Boxes
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from jaxtyping import Bool, Float, Int
+
+    StandingCodes = Callable[[Int[np.ndarray, " k"]], Int[np.ndarray, " k"]]
+
+OFF_FLOOR: int = FREE - 1
+"""Code of a base pose that is not on the floor; other codes are boxes or FREE."""
 
 
 class BaseStatus(IntEnum):
@@ -150,24 +157,44 @@ def clears_sweep(
 
 
 def base_pose_status(
-    geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
+    geometry: PlacementGeometry,
+    poses: Float[np.ndarray, "n 3"],
+    stands: StandingCodes | None = None,
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Check whether the base can stand at each pose while the part moves.
+
+    Args:
+        geometry: The scene and the task.
+        poses: Base poses (x [m], y [m], yaw [rad]).
+        stands: Returns `standing_codes` of some of the poses, given their rows, if they are known
+            from other tasks; None to compute them.
 
     Returns:
         A `BaseStatus`, and the index of the blocking box in `geometry.boxes`, or FREE.
     """
     outcome = np.where(within_reach(geometry, poses), BaseStatus.CLEAR, BaseStatus.BEYOND_ARM)
-    if geometry.floor_polygon is not None:
-        near = np.flatnonzero(outcome == BaseStatus.CLEAR)
-        off = ~all_inside(
-            geometry.floor_polygon, place_points(poses[near], geometry.robot.footprint)
-        )
-        outcome[near[off]] = BaseStatus.OFF_FLOOR
     code = np.full(len(poses), FREE, np.int64)
     near = np.flatnonzero(outcome == BaseStatus.CLEAR)
-    code[near] = base_hits(
-        poses[near], geometry.robot.base, geometry.boxes, clearance=geometry.clearance
-    )
+    known = standing_codes(geometry, poses[near]) if stands is None else stands(near)
+    outcome[near[known == OFF_FLOOR]] = BaseStatus.OFF_FLOOR
+    code[near] = np.where(known == OFF_FLOOR, FREE, known)
+    near = near[known == FREE]
+    hit = base_hits(poses[near], geometry.robot.base, geometry.sweep, clearance=geometry.clearance)
+    code[near] = np.where(hit == FREE, FREE, hit + len(geometry.static))
     outcome[code != FREE] = BaseStatus.BLOCKED
     return outcome, code
+
+
+def standing_codes(
+    geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
+) -> Int[np.ndarray, " n"]:
+    """Return which box that does not move the base hits at each pose, FREE, or OFF_FLOOR."""
+    code = np.full(len(poses), FREE, np.int64)
+    if geometry.floor_polygon is not None:
+        outlines = place_points(poses, geometry.robot.footprint)
+        code[~all_inside(geometry.floor_polygon, outlines)] = OFF_FLOOR
+    rows = np.flatnonzero(code == FREE)
+    code[rows] = base_hits(
+        poses[rows], geometry.robot.base, geometry.static, clearance=geometry.clearance
+    )
+    return code

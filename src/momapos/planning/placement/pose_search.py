@@ -15,12 +15,22 @@ from momapos.model.records import PoseOutcome, PoseStatus
 from .area import PlacementGeometry, arm_radius, clears_sweep, sampling_box, task_frame
 from .config import PlaceConfig
 from .grasp_scores import GraspModeScorer
+from .grid_standing import grid_standing
 from .nearer import cheaper_poses
 from .order import by_expected_cost
 from .pose_cost import PoseCosts
 from .potential import attraction
 from .problem import Problem, Search
-from .shortlist import Candidate, Shortlist, clear_poses, complete, cull, is_dominated, screen
+from .shortlist import (
+    Candidate,
+    ClearPoses,
+    Shortlist,
+    clear_poses,
+    complete,
+    cull,
+    is_dominated,
+    screen,
+)
 from .waiting import Waiting
 
 if TYPE_CHECKING:
@@ -54,7 +64,7 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     found = Search()
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
-        clear = clear_poses(problem, compose(frame, local), found)
+        clear = _clear(problem, frame, local, config if on_grid else None, found)
         if clear is None:
             found.timed_out = True
             return found
@@ -73,6 +83,20 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
                 if found.motion is not None or found.timed_out:
                     return found
     return found
+
+
+def _clear(
+    problem: Problem,
+    frame: Float[np.ndarray, "3"],
+    local: Float[np.ndarray, "n 3"],
+    grid: PlaceConfig | None,
+    found: Search,
+) -> ClearPoses | None:
+    """Return the clear poses of a round in the task frame; `grid` is set if they are the grid."""
+    poses, stands = compose(frame, local), None
+    if grid is not None:
+        stands = grid_standing(problem.geometry, poses, local, grid.grid_cell, grid.grid_turn)
+    return clear_poses(problem, poses, found, stands)
 
 
 def _home_first(problem: Problem, left: Shortlist, config: PlaceConfig) -> tuple[Shortlist, ...]:
@@ -135,7 +159,7 @@ def iter_searches(
     costs = PoseCosts(problem.geometry, config, problem.grasp_step)
     for local, on_grid in _rounds(corners, config, rng):
         found = Search()
-        clear = clear_poses(problem, compose(frame, local), found)
+        clear = _clear(problem, frame, local, config if on_grid else None, found)
         if clear is None:
             return
         modes = [

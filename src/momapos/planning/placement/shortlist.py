@@ -18,6 +18,8 @@ from .region import PoseRule, rules
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+    from .area import StandingCodes
+
 BASE_OUTCOMES = {
     BaseStatus.BLOCKED: PoseOutcome(PoseStatus.BASE_BLOCKED),
     BaseStatus.OFF_FLOOR: PoseOutcome(PoseStatus.OFF_FLOOR),
@@ -75,9 +77,21 @@ class Shortlist:
         return order[self.scores[i, order] > 0]
 
 
-def cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> Shortlist:
-    """Drop poses by base collision, driving path, region and filters."""
-    status, _ = base_pose_status(problem.geometry, poses)
+def cull(
+    problem: Problem,
+    poses: Float[np.ndarray, "n 3"],
+    found: Search,
+    stands: StandingCodes | None = None,
+) -> Shortlist:
+    """Drop poses by base collision, driving path, region and filters.
+
+    Args:
+        problem: Scene, task and checks.
+        poses: Base poses (x [m], y [m], yaw [rad]).
+        found: Takes their outcomes.
+        stands: See `base_pose_status`.
+    """
+    status, _ = base_pose_status(problem.geometry, poses, stands)
     outcomes = np.full(len(poses), NOT_TRIED, object)
     for code, outcome in BASE_OUTCOMES.items():
         outcomes[status == code] = outcome
@@ -127,14 +141,17 @@ class ClearPoses:
 
 
 def clear_poses(
-    problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search
+    problem: Problem,
+    poses: Float[np.ndarray, "n 3"],
+    found: Search,
+    stands: StandingCodes | None = None,
 ) -> ClearPoses | None:
     """Fit and cull the poses of a round; return None if out of time."""
     moved = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
     if moved is None:
         return None
     poses, own = moved
-    clear = cull(problem, poses, found)
+    clear = cull(problem, poses, found, stands if own is None else None)
     if own is not None:
         clear.keep(own[clear.row] >= 0, PoseOutcome(PoseStatus.TOO_FEW_JOINTS))
     return ClearPoses(clear, own)

@@ -68,8 +68,10 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     """Return the content key of a robot's map: a hash of all numbers that it is built from.
 
     URDF, SRDF, meshes, arm joints and tool enter as the resulting chain and collision shapes. So an
-    edited comment in a file keeps the key, and an edited mesh changes it.
+    edited comment in a file keeps the key, and an edited mesh changes it. A hand that is not fully
+    open has the map of the open hand.
     """
+    robot = robot.fully_open or robot
     chain = robot.chain
     spheres = robot.spheres.arrays
     # The bounds of the base follow from its boxes. Hulls enter only if some pair uses them, without
@@ -272,6 +274,7 @@ def load_reach_map(
         MapBuildTimeoutError: Building takes longer than `limit`, or did so before.
     """
     expect("robot", robot, Robot, "load_robot reads one")
+    robot = robot.fully_open or robot
     if config is not None:
         expect("config", config, ReachConfig)
     folder = default_cache_dir() if cache_dir is None else as_path("cache_dir", cache_dir)

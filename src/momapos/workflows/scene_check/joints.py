@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from momapos.model.scene import Scene, SceneObject
+from momapos.model.scene import Scene, SceneObject, latch_value
 from momapos.model.urdf import opens_both_ways
 from momapos.planning.grasps import PartFacts, part_facts_of
 
@@ -24,7 +24,7 @@ def joint_reports(scene: Scene) -> tuple[JointReport, ...]:
 
 
 def _report(item: SceneObject, joint: str, facts: PartFacts) -> JointReport:
-    handle, xyz = facts.handle, facts.handle_world
+    handle, xyz, latch = facts.handle, facts.handle_world, item.latch
     return JointReport(
         object=item.name,
         joint=joint,
@@ -40,6 +40,9 @@ def _report(item: SceneObject, joint: str, facts: PartFacts) -> JointReport:
         handle_xyz=None if xyz is None else (float(xyz[0]), float(xyz[1]), float(xyz[2])),
         pull=facts.pull,
         problem=facts.problem,
+        latch="" if latch is None or latch.holds != joint else latch.joint,
+        latch_to="" if latch is None or latch.holds != joint else latch_value(item, latch),
+        holds="" if latch is None or latch.joint != joint else latch.holds,
     )
 
 

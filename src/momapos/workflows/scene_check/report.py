@@ -87,6 +87,12 @@ class JointReport:
     """Largest pull at the handle that opens the part, up to 90 degrees [N]."""
     problem: str = ""
     """Why no handle could be looked for."""
+    latch: str = ""
+    """The latch that must be turned before it moves; "" without one."""
+    latch_to: str = ""
+    """Value to which that latch is turned, in words."""
+    holds: str = ""
+    """The joint that it holds, if it is a latch itself."""
     base_distance: float | None = None
     """Horizontal distance from the handle to the nearest place that the base can drive to [m];
     infinite if there is none, None if no robot was given."""

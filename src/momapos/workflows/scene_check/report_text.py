@@ -97,7 +97,9 @@ def _handle(one: JointReport) -> str:
         return "none"
     at = ", ".join(f"{v:.2f}" for v in one.handle_xyz)
     own = "a handle of its own part: " if one.is_handle else ""
-    return f"{own}{one.handle}, at ({at})"
+    own = f"the latch of {one.holds}: " if one.holds else own
+    after = f", once {one.latch} is turned to {one.latch_to}" if one.latch else ""
+    return f"{own}{one.handle}, at ({at}){after}"
 
 
 def _floor_lines(report: SceneReport) -> list[str]:

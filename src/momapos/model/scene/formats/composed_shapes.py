@@ -23,22 +23,6 @@ _BALL_RINGS = 12
 """Number of rings of the ball mesh [-]."""
 
 
-def capsule(
-    radius: float, length: float, T: Float[np.ndarray, "4 4"], name: str = ""
-) -> list[Geometry]:
-    """Return a capsule along z as a cylinder and two balls, which is exact.
-
-    Args:
-        radius: Radius [m].
-        length: Length of the straight part [m].
-        T: Pose of the capsule.
-        name: Name of all three shapes.
-    """
-    ends = (pose(np.array([0.0, 0.0, z])) for z in (length / 2, -length / 2))
-    balls = [Geometry("sphere", (radius,), T @ end, name) for end in ends]
-    return [Geometry("cylinder", (radius, length), T, name), *balls]
-
-
 def plane(x: float, y: float, T: Float[np.ndarray, "4 4"], name: str = "") -> Geometry:
     """Return a box behind a bounded plane with normal z.
 

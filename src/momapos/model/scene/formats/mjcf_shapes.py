@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core.geometry import pose_wxyz
-from momapos.model.urdf import Geometry, Mesh
+from momapos.model.urdf import Geometry, Mesh, capsule_shapes
 
-from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
+from .composed_shapes import MIN_FLOOR_NORMAL_Z, ellipsoid, plane
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -72,7 +72,7 @@ class GeomShapes:
         if kind == "cylinder":
             return [Geometry("cylinder", (size[0], 2 * size[1]), T, name)]
         if kind == "capsule":
-            return capsule(size[0], 2 * size[1], T, name)
+            return capsule_shapes(size[0], 2 * size[1], T, name)
         if kind == "mesh":
             file = self._mesh(int(self.model.geom_dataid[geom]))
             return [Geometry("mesh", (1.0, 1.0, 1.0), T, name, file)]

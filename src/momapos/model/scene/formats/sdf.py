@@ -17,7 +17,8 @@ from momapos.core import FileFormatError, read_xml
 
 from .confined_files import find_inside
 from .imported_room import ImportedRoom, ImportReport, Names
-from .sdf_model import Model, number, pose_of, text_of
+from .sdf_model import Model
+from .sdf_values import number, pose_of, text_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float

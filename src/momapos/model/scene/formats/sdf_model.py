@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
@@ -12,11 +12,23 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from momapos.core import FileFormatError
-from momapos.core.geometry import invert, pose, pose_rpy, rotation_of
-from momapos.model.urdf import Geometry, Joint, JointKind, Link, Mesh, Urdf, mesh_triangles
+from momapos.core.geometry import invert, pose, rotation_of
+from momapos.model.urdf import (
+    Geometry,
+    Joint,
+    JointKind,
+    Link,
+    Mesh,
+    Mimic,
+    Urdf,
+    capsule_shapes,
+    leader_of,
+    mesh_triangles,
+)
 
-from .composed_shapes import MIN_FLOOR_NORMAL_Z, capsule, ellipsoid, plane
+from .composed_shapes import MIN_FLOOR_NORMAL_Z, ellipsoid, plane
 from .imported_room import ImportReport, JointDynamics, Names, RoomObject
+from .sdf_values import number, numbers, pose_of, text_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -80,8 +92,6 @@ class Model:
         self._collect_frames(element)
         links = {self._name(link): link for link in element.findall("link")}
         joints = {self._name(joint): joint for joint in element.findall("joint")}
-        followed = sum(len(joint.findall("axis/mimic")) for joint in joints.values())
-        self.report.dropped["mimic joints"] += followed
         moving = self._moving(joints, links)
         origins = {
             name: self._pose(self._name(moving[name]) if name in moving else name) for name in links
@@ -95,6 +105,7 @@ class Model:
         for name, link in links.items():
             self._add_link(name, link, origins[name])
             self._add_joint(name, moving.get(name), base, origins)
+        self._couple(joints)
 
     def _collect_frames(self, element: Element) -> None:
         for tag, key in (("link", None), ("joint", "child"), ("frame", None)):
@@ -176,6 +187,40 @@ class Model:
                 self._number(holder, "dynamics/damping"), self._number(holder, "dynamics/friction")
             )
         self.joints.append(Joint(name, found, parent, link, T, axis, lower, upper, math.inf))
+
+    def _couple(self, joints: dict[str, Element]) -> None:
+        """Make joints follow others where the file says so (`mimic`, SDFormat 1.11).
+
+        Joints with two axes are fixed here, so what follows them or what they follow is dropped.
+        """
+        movable = {joint.name for joint in self.joints if joint.movable}
+        follows: dict[str, Mimic] = {}
+        for name, element in joints.items():
+            for axis in ("axis", "axis2"):
+                mimic = element.find(f"{axis}/mimic")
+                if mimic is None:
+                    continue
+                found = self._mimic(mimic, name, joints)
+                if name in movable and found.joint in movable:
+                    follows[name] = found
+                else:
+                    self.report.dropped["mimic joints"] += 1
+        leaders = {n: leader_of(n, follows, self.where, FileFormatError) for n in follows}
+        self.joints = [replace(joint, mimic=leaders.get(joint.name)) for joint in self.joints]
+
+    def _mimic(self, element: Element, name: str, joints: dict[str, Element]) -> Mimic:
+        """Return a relation: follower = multiplier * (leader - reference) + offset."""
+        where = f"{self.where}: joint {name!r:.80}: mimic"
+        other, axis = element.get("joint", ""), element.get("axis", "axis")
+        if other not in joints:
+            raise FileFormatError(f"{where} names the joint {other!r:.80}, which does not exist")
+        if axis not in ("axis", "axis2") or joints[other].find(axis) is None:
+            raise FileFormatError(f"{where} names {axis!r:.40}, which {other!r:.80} does not have")
+        keys = {"multiplier": 1.0, "offset": 0.0, "reference": 0.0}
+        ratio, offset, reference = (self._number(element, key, v) for key, v in keys.items())
+        if max(map(abs, (ratio, offset, reference))) > MAX_SIZE:
+            raise FileFormatError(f"{where}: its numbers must be at most {MAX_SIZE:g}")
+        return Mimic(other, ratio, offset - ratio * reference)
 
     def _axis(
         self, holder: Element, T_model_joint: Float[np.ndarray, "4 4"], joint: str
@@ -269,7 +314,7 @@ class Model:
             return [Geometry("cylinder", tuple(sizes("radius", "length")), T, name)]
         if shape.tag == "capsule":
             radius, length = sizes("radius", "length")
-            return capsule(radius, length, T, name)
+            return capsule_shapes(radius, length, T, name)
         if shape.tag == "ellipsoid":
             a, b, c = sizes("radii")
             self.report.approximated["ellipsoids as meshes"] += solid
@@ -325,56 +370,3 @@ def _turned_to(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     angle = math.atan2(length, normal[2])
     axis = across / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
     return rotation_of(angle * axis)
-
-
-def text_of(element: Element, key: str) -> str:
-    """Return the text of a child element; "" if it is missing."""
-    return (element.findtext(key) or "").strip()
-
-
-def pose_of(element: Element | None, where: str) -> Float[np.ndarray, "4 4"]:
-    """Return the transform of a `pose` element: x y z and roll pitch yaw.
-
-    Raises:
-        FileFormatError: The pose is invalid.
-    """
-    if element is None or not (element.text or "").strip():
-        return np.eye(4)
-    if element.get("rotation_format", "euler_rpy") != "euler_rpy":
-        raise FileFormatError(f"{where}: a pose must be x y z and roll, pitch, yaw")
-    x, y, z, *turn = numbers(element.text, 6, f"{where}: pose")
-    if element.get("degrees", "false") in ("true", "1"):
-        turn = [math.radians(angle) for angle in turn]
-    return pose_rpy((x, y, z), tuple(turn))
-
-
-def numbers(text: str | None, count: int | None, where: str) -> list[float]:
-    """Return the numbers in a text.
-
-    Args:
-        text: The text.
-        count: Required number of values; None for any.
-        where: Start of messages.
-
-    Raises:
-        FileFormatError: The count is wrong, or a value is invalid.
-    """
-    found = [number(word, where) for word in (text or "").split()]
-    if count is not None and len(found) != count:
-        raise FileFormatError(f"{where}: {text!r:.80} must be {count} numbers")
-    return found
-
-
-def number(text: str, where: str) -> float:
-    """Return a number.
-
-    Raises:
-        FileFormatError: The text is not a finite number of supported size.
-    """
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise FileFormatError(f"{where}: {text!r:.80} is not a number") from error
-    if not abs(value) <= 1e17:
-        raise FileFormatError(f"{where}: {text!r:.80} must be finite and at most 1e17")
-    return value

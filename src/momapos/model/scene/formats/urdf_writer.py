@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
+from momapos.core.geometry import rpy_of
 from momapos.model.urdf import Geometry, Joint, Mesh, Urdf
 
 from .imported_room import JointDynamics
@@ -87,16 +88,6 @@ def _joint(element: Element, joint: Joint, resistance: Mapping[str, JointDynamic
 def _origin(element: Element, T: Float[np.ndarray, "4 4"]) -> None:
     if not np.array_equal(T, np.eye(4)):
         SubElement(element, "origin", xyz=numbers(T[:3, 3]), rpy=numbers(rpy_of(T[:3, :3])))
-
-
-def rpy_of(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """Return roll, pitch and yaw about fixed axes of a rotation matrix [rad]."""
-    flat = math.hypot(R[0, 0], R[1, 0])
-    if flat > 1e-6:
-        roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
-    else:  # only the sum or difference of roll and yaw is determined
-        roll, yaw = 0.0, math.atan2(-R[0, 1], R[1, 1])
-    return np.array([roll, math.atan2(-R[2, 0], flat), yaw])
 
 
 def numbers(values: Float[np.ndarray, " n"] | list[float] | tuple[float, ...]) -> str:

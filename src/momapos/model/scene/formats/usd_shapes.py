@@ -9,9 +9,9 @@ import numpy as np
 
 from momapos.core import FileFormatError
 from momapos.core.geometry import invert, pose, pose_rpy
-from momapos.model.urdf import MAX_POINTS, Geometry, Mesh
+from momapos.model.urdf import MAX_POINTS, Geometry, Mesh, capsule_shapes
 
-from .composed_shapes import capsule, ellipsoid
+from .composed_shapes import ellipsoid
 from .imported_room import ImportReport
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class ColliderShapes:
             self.report.approximated["elliptic round shapes as circular ones"] += 1
         T = place @ pose_rpy((0.0, 0.0, 0.0), _TURNED[axis])
         if kind == "Capsule":
-            return capsule(radius, height, T, name)
+            return capsule_shapes(radius, height, T, name)
         self.report.approximated["cones as cylinders"] += kind == "Cone"
         return [Geometry("cylinder", (radius, height), T, name)]
 

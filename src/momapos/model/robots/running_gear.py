@@ -1,0 +1,245 @@
+"""Find the wheels of a robot, with their axles, steering and rollers, in the tree of joints."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import RobotError, UrdfError, read_text_bounded
+from momapos.core.geometry import apply, invert
+from momapos.model.urdf import MAX_URDF_BYTES, Articulated, Joint, read_tree
+
+from .gripper_guess import fixed_to, joints_below
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+WHEEL = re.compile(r"wheel|caster|castor|track(?!ing)|roller", re.I)
+_CASTER = re.compile(r"caster|castor", re.I)
+OMNI = re.compile(r"mecanum|omni|swerve", re.I)
+STEER = re.compile(r"steer|knuckle|ackerman", re.I)
+ENDLESS = 6.0
+"""Range from which a joint turns a wheel [rad]."""
+FREE_STEERING = 3.0
+"""Range from which steering points a wheel in every direction, as wheels drive both ways [rad]."""
+LEVEL_COSINE = 0.1
+"""Largest cosine between an axle and the vertical [-]."""
+MIN_ROLLERS = 3
+"""Number of joints below a wheel from which they are its rollers [-]."""
+WHEEL_TOLERANCE = 0.02
+"""Difference between the radius of a wheel and the height of its axle [m]."""
+MAX_JOINTS_ABOVE = 3
+"""Number of joints, such as suspension and steering, beyond which only a name tells a wheel [-]."""
+MIN_ROUNDNESS = 0.8
+"""Share of the radius that a round body reaches in each eighth of a turn [-]."""
+MIN_TRAIL = 0.01
+"""Distance of a wheel behind its steering axis from which it trails like a caster's [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wheel:
+    """A wheel of a base, in the frame of the base's anchor."""
+
+    joint: str
+    link: str
+    center: Float[np.ndarray, "3"]
+    """[m]"""
+    axle: Float[np.ndarray, "3"]
+    """Unit vector; level."""
+    steering: str = ""
+    """Joint that steers it; "" for none."""
+    least: float = 0.0
+    most: float = 0.0
+    """Steering range, counterclockwise seen from the base's z axis [rad]."""
+    trail: float = 0.0
+    """Distance between the steering axis and the wheel [m]."""
+    caster: bool = False
+    """Whether a name says that it is a caster's."""
+    rollers: bool = False
+    """Whether it has rollers, or a name says that it is omnidirectional."""
+
+    @property
+    def ahead(self) -> Float[np.ndarray, "2"]:
+        """Unit vector in which it rolls, from above."""
+        return np.array([self.axle[1], -self.axle[0]])
+
+    @property
+    def free(self) -> bool:
+        """Whether its steering points it in every direction."""
+        return bool(self.steering) and self.most - self.least >= FREE_STEERING
+
+
+@dataclass(frozen=True, eq=False)
+class RunningGear:
+    """The wheels of a base, and what hints at how they drive."""
+
+    wheels: tuple[Wheel, ...] = ()
+    joints: frozenset[str] = frozenset()
+    """Joints of wheels, steering and suspension, which are not joints of an arm."""
+    locked: tuple[str, ...] = ()
+    """Fixed joints of the base whose name, or whose link's name, is that of a steering."""
+    words: bool = False
+    """Whether a name of the base, or a mesh of it, says that it is omnidirectional."""
+
+
+def find_running_gear(
+    model: Articulated, anchor: str, meshes: Mapping[str, Sequence[str]]
+) -> RunningGear:
+    """Find the wheels of a base.
+
+    A wheel turns endlessly about a level axle. A name says so, or its shape: its radius is the
+    height of its axle above the lowest point of the base.
+
+    Args:
+        model: The robot.
+        anchor: Link that carries the base.
+        meshes: File names of meshes by link, drawn ones too.
+
+    Raises:
+        RobotError: The file gives a wheel no axis.
+    """
+    found: list[Wheel] = []
+    gear: set[str] = set()
+    named: list[bool] = []
+    finder = _Finder(model, anchor, meshes)
+    for name in fixed_to(model, anchor):
+        for joint in joints_below(model, name):
+            below = finder.wheels(joint, ()) if joint.movable else None
+            if below:
+                found += below
+                named += [bool(WHEEL.search(f"{w.joint} {w.link}")) for w in below]
+                gear |= {j.name for j in _joints_in(model, joint)}
+    if len(found) < 2 and not any(named):  # one round body on the floor is no base
+        return RunningGear()
+    locked = tuple(
+        joint.name
+        for name in fixed_to(model, anchor)
+        for joint in joints_below(model, name)
+        if not joint.movable and STEER.search(f"{joint.name} {joint.child}")
+    )
+    body = {*fixed_to(model, anchor), *(w.link for w in found)}
+    names = [*body, *(j.name for j in model.urdf.joints if j.parent in body)]
+    names += [mesh for link in body for mesh in meshes.get(link, ())]
+    return RunningGear(
+        tuple(found), frozenset(gear), locked, any(OMNI.search(name) for name in names)
+    )
+
+
+def drawn_meshes(content: str | None, urdf: Path) -> dict[str, list[str]]:
+    """Return the links that have a shape, drawn ones too, with the file names of their meshes.
+
+    Args:
+        content: The URDF's content; None to read it.
+        urdf: The file.
+    """
+    text = read_text_bounded(urdf, MAX_URDF_BYTES, error=UrdfError) if content is None else content
+    return {
+        link.get("name", ""): [mesh.get("filename", "") for mesh in link.iter("mesh")]
+        for link in read_tree(text, urdf).findall("link")
+        if link.find("visual") is not None or link.find("collision") is not None
+    }
+
+
+def _joints_in(model: Articulated, joint: Joint) -> list[Joint]:
+    """Return a joint and all joints below it."""
+    links = set(model.links_below(joint.child))
+    return [joint, *(one for one in model.urdf.joints if one.parent in links)]
+
+
+class _Finder:
+    """Finds the wheels below a joint."""
+
+    def __init__(
+        self, model: Articulated, anchor: str, meshes: Mapping[str, Sequence[str]]
+    ) -> None:
+        self.model, self.meshes = model, meshes
+        T = invert(model.rest_poses[anchor])
+        self.poses = {link: T @ pose for link, pose in model.rest_poses.items()}
+        body = [apply(self.poses[n], h.vertices) for n in model.links for h in model.hulls[n]]
+        self.ground = float(min((points[:, 2].min() for points in body), default=0.0))
+
+    def wheels(self, joint: Joint, above: tuple[Joint, ...]) -> list[Wheel] | None:
+        """Return the wheels that a joint carries; None if it carries something else, too."""
+        if self._turns_a_wheel(joint, len(above)):
+            return [self._wheel(joint, above)]
+        below = [
+            one
+            for name in fixed_to(self.model, joint.child)
+            for one in joints_below(self.model, name)
+            if one.movable
+        ]
+        found = [self.wheels(one, (*above, joint)) for one in below]
+        if not found or any(part is None for part in found):
+            return None
+        return [wheel for part in found if part is not None for wheel in part]
+
+    def _turns_a_wheel(self, joint: Joint, above: int) -> bool:
+        named = bool(WHEEL.search(joint.name) or WHEEL.search(joint.child))
+        if joint.kind == "prismatic" or joint.upper - joint.lower < ENDLESS:
+            return False
+        if named and joint.name in self.model.urdf.without_axis:
+            raise RobotError(
+                f"{self.model.urdf.path}: joint {joint.name!r} of a wheel has no <axis>, so it "
+                'would turn about x; add the axle, such as <axis xyz="0 1 0"/>'
+            )
+        if abs(self._axis(joint)[2]) > LEVEL_COSINE:
+            return False
+        return named or (above <= MAX_JOINTS_ABOVE and self._rolls(joint))
+
+    def _axis(self, joint: Joint) -> Float[np.ndarray, "3"]:
+        return np.asarray(self.poses[joint.child][:3, :3] @ joint.axis)
+
+    def _rolls(self, joint: Joint) -> bool:
+        """Return whether a body is round about its axle, with a radius of the axle's height."""
+        links = self.model.links_below(joint.child)
+        points = [apply(self.poses[n], h.vertices) for n in links for h in self.model.hulls[n]]
+        if not points:
+            return False
+        center, axis = self.poses[joint.child][:3, 3], self._axis(joint)
+        away = np.concatenate(points) - center
+        across = np.stack([away[:, 2], away @ np.cross(axis, [0.0, 0.0, 1.0])])
+        radii, sector = np.hypot(*across), np.arctan2(*across) // (np.pi / 4)
+        radius = radii.max()
+        round_ = all(
+            radii[sector == k].max(initial=0.0) > MIN_ROUNDNESS * radius for k in range(-4, 4)
+        )
+        height = float(center[2]) - self.ground
+        return bool(round_ and abs(height - radius) < WHEEL_TOLERANCE + 0.1 * radius)
+
+    def _wheel(self, joint: Joint, above: tuple[Joint, ...]) -> Wheel:
+        links = self.model.links_below(joint.child)
+        names = [n for one in (*above, joint) for n in (one.name, one.child)]
+        own = [joint.name, *links, *(m for link in links for m in self.meshes.get(link, ()))]
+        rollers = sum(one.movable for one in _joints_in(self.model, joint)) - 1
+        axis, center = self._axis(joint), self.poses[joint.child][:3, 3]
+        steering = [one for one in above if abs(self._axis(one)[2]) > 1 - LEVEL_COSINE]
+        steering = [one for one in steering if one.kind != "prismatic"]
+        level = np.array([axis[0], axis[1], 0.0])
+        wheel = Wheel(
+            joint.name, joint.child, center, level / np.linalg.norm(level),
+            caster=any(map(_CASTER.search, names)),
+            rollers=rollers >= MIN_ROLLERS or any(map(OMNI.search, own)),
+        )  # fmt: skip
+        if not steering:
+            return wheel
+        turn, T = steering[0], self.poses[steering[0].child]
+        least, most = self._range(turn)
+        if self._axis(turn)[2] < 0:
+            least, most = -most, -least
+        trail = abs(float((center - T[:3, 3])[:2] @ wheel.ahead))
+        return replace(wheel, steering=turn.name, least=least, most=most, trail=trail)
+
+    def _range(self, joint: Joint) -> tuple[float, float]:
+        """Return the range of a steering joint about its rest value, also of a follower."""
+        if joint.mimic is None:
+            rest = self.model.rest[joint.name]
+            return joint.lower - rest, joint.upper - rest
+        leader = self.model.joint(joint.mimic.joint)
+        rest, ratio = self.model.rest[leader.name], joint.mimic.ratio
+        ends = sorted(ratio * (end - rest) for end in (leader.lower, leader.upper))
+        return ends[0], ends[1]

@@ -1,0 +1,150 @@
+"""Read the latches of scene files, and tell when a latch must be turned."""
+
+from __future__ import annotations
+
+import math
+
+from momapos.core import InputError, Quantity, SceneError, parse_quantity, unknown_name
+from momapos.model.records import Latch
+from momapos.model.urdf import Articulated, Joint, opening_of
+
+from .joint_values import joint_value
+from .scene_object import SceneObject
+
+MAX_CLOSED_OFFSET = 0.01
+"""A part within this of its closed value is held by its latch [rad] or [m]: the bolt of a door is
+about 1 cm long, which is 0.012 rad at the edge of a door of 0.8 m."""
+SAME_VALUE = 1e-3
+"""A latch within this of its value is turned [rad] or [m]."""
+
+
+def latch_to_turn(item: SceneObject, joint: str) -> Latch | None:
+    """Return the latch that must be turned before a joint of an object moves.
+
+    None if no latch holds the joint, if the latch is turned already, or if the part is ajar, so
+    that the latch is out of its keeper.
+    """
+    latch = item.latch
+    if latch is None or latch.holds != joint:
+        return None
+    values = item.values()
+    value, rest = values[latch.joint], item.model.rest[latch.joint]
+    turned = abs(value - latch.to) < SAME_VALUE or (value - latch.to) * (latch.to - rest) > 0.0
+    ajar = abs(values[joint] - opening_of(item.model, joint).closed) > MAX_CLOSED_OFFSET
+    return None if turned or ajar else latch
+
+
+def latch_value(item: SceneObject, latch: Latch) -> str:
+    """Return the value of a turned latch in words."""
+    if item.joint(latch.joint).kind == "prismatic":
+        return f"{100 * latch.to:.3g} cm"
+    return f"{math.degrees(latch.to):.3g} deg"
+
+
+def part_values(
+    item: SceneObject, joint: str | None, value: float, latch: float | None = None
+) -> dict[str, float]:
+    """Return joint values of an object that a task moves, for `SceneObject.link_poses`.
+
+    Args:
+        item: The object.
+        joint: The joint that the task moves; None if it moves none.
+        value: Value of the joint [rad] or [m].
+        latch: Value of the object's latch [rad] or [m]; None as in the scene.
+    """
+    if joint is None:
+        return {}
+    turned = {} if item.latch is None or latch is None else {item.latch.joint: float(latch)}
+    return {joint: float(value), **turned}
+
+
+def read_latch(value: object, model: Articulated, where: str) -> Latch | None:
+    """Read the latch of an object, `{"joint": NAME, "to": VALUE, "holds": NAME}`.
+
+    The value is a number [rad] or [m], or a text with a unit such as "40deg". The joint that the
+    latch holds may be left out if only one moves the latch.
+
+    Args:
+        value: Content of the file; None if there is no latch.
+        model: The object.
+        where: File and object, for messages.
+
+    Raises:
+        SceneError: The latch is unusable; the message says what would be right.
+        UnknownNameError: The object has no such joint.
+    """
+    if value is None:
+        return None
+    where = f"{where}: latch"
+    if not isinstance(value, dict) or not isinstance(value.get("joint"), str):
+        raise SceneError(f'{where} must be {{"joint": NAME, "to": VALUE}}')
+    joint = _leader(value["joint"], model, where)
+    if "to" not in value:
+        raise SceneError(f"{where}: 'to' is missing; it is the value of {joint.name!r} that opens")
+    return Latch(
+        joint.name,
+        _value(value["to"], joint, f"{where}: to"),
+        _held(value.get("holds"), joint, model, where),
+    )
+
+
+def _leader(name: str, model: Articulated, where: str) -> Joint:
+    if name not in model.joints:
+        raise unknown_name("movable joint", name, model.joints, where)
+    joint = model.joint(name)
+    if joint.mimic is not None:
+        raise SceneError(f"{where}: {name!r} follows {joint.mimic.joint!r}; name that joint")
+    return joint
+
+
+def _value(value: object, joint: Joint, where: str) -> float:
+    """Return the value of a latch, within the limits of its joint [rad] or [m]."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise SceneError(f"{where} must be a number or a text such as '40deg'")
+    try:
+        quantity = parse_quantity(value) if isinstance(value, str) else Quantity(value, "", "")
+    except InputError as error:
+        raise SceneError(f"{where}: {error}") from error
+    try:
+        number = joint_value(joint, quantity, where)
+    except InputError as error:
+        raise SceneError(str(error)) from error
+    if not (math.isfinite(number) and joint.lower - 1e-6 <= number <= joint.upper + 1e-6):
+        raise SceneError(
+            f"{where} {value} is outside the limits of {joint.name!r}, {joint.lower:g} to "
+            f"{joint.upper:g}"
+        )
+    return min(max(number, joint.lower), joint.upper)
+
+
+def _held(name: object, joint: Joint, model: Articulated, where: str) -> str:
+    """Return the joint that a latch holds: one that moves the latch."""
+    movers = [
+        other.name
+        for other in model.joints.values()
+        if other.mimic is None
+        and other.name != joint.name
+        and joint.child in model.moved_by(other.name)
+    ]
+    if name is None:
+        if len(movers) == 1:
+            return movers[0]
+        if movers:
+            raise SceneError(
+                f"{where}: {joint.name!r} is on several parts; name the joint that it holds as "
+                f"'holds', one of {', '.join(movers)}"
+            )
+        raise SceneError(
+            f"{where}: no other joint moves {joint.child!r}; a latch is on the part that it holds"
+        )
+    if not isinstance(name, str):
+        raise SceneError(f"{where}: holds must be the name of a joint")
+    held = _leader(name, model, f"{where}: holds").name
+    if held == joint.name:
+        raise SceneError(f"{where}: {held!r} cannot hold itself; 'holds' is the joint that opens")
+    if held not in movers:
+        raise SceneError(
+            f"{where}: {joint.child!r} is not on the part that {held!r} moves, and no hand holds "
+            "both; leave the latch out and turn it in a task of its own"
+        )
+    return held

@@ -1,0 +1,209 @@
+"""Hands that do not come fully open, where a fully open hand has no room."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cupboards import (
+    SLIDE,
+    between_posts,
+    fixed_to_carcass,
+    furniture_room,
+    niche,
+    oven_door,
+    pull_out,
+    tray,
+)
+from tests.real import TOOLS
+
+from momapos.apps.cli.plan_sources import open_plan
+from momapos.apps.export.phases import PhaseKind, phases_of
+from momapos.apps.export.ros2 import messages
+from momapos.model.plan_files.plan_format import write_plan
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import save_scene
+from momapos.planning import plan as plans
+from momapos.planning.base_pose_check import plan_at_pose
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.narrower_hands import narrower_hands
+from momapos.planning.query import PlacementQuery
+from momapos.planning.result import PlacementResult
+from momapos.verification.exact_check import PlanVerifier
+from momapos.verification.plan_check import verify_files
+
+CASES: dict[str, tuple[str, Callable[[Path], list[str]], str]] = {
+    "a bar in a niche": ("fetch", lambda _: niche(0.09), "30cm"),
+    "a bar between posts": ("tiago", lambda _: between_posts(0.1), "30cm"),
+    "a bow near an oven's door": ("husky_ur5e", lambda folder: oven_door(folder, 0.043), "85deg"),
+}
+
+
+def query_of(folder: Path, case: str, robots: Callable[[str], Robot]) -> PlacementQuery:
+    name, parts, to = CASES[case]
+    scene = save_scene(furniture_room(folder, parts(folder)), folder / "scene.json")
+    (joint,) = scene.object("cupboard").model.joints
+    return PlacementQuery.of(scene, robots(name), make_task(scene, "open", "cupboard", joint, to))
+
+
+@pytest.fixture(scope="module", params=CASES)
+def solved(
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    robots: Callable[[str], Robot],
+) -> PlacementResult:
+    """Return the answer of each case."""
+    folder = tmp_path_factory.mktemp("narrow")
+    result = plans.plan_placement(query_of(folder, request.param, robots))
+    write_plan(result.with_notes().plan, folder / "plan.json")
+    return result
+
+
+def file_of(result: PlacementResult) -> Path:
+    return Path(result.plan.scene).with_name("plan.json")
+
+
+def test_a_handle_without_room_is_held_by_a_hand_that_is_less_open(
+    solved: PlacementResult,
+) -> None:
+    assert solved.plan.status == "solved"
+    robot = solved.prepared.robot
+    assert robot.fully_open is not None
+    assert 0.03 < robot.opening < robot.fully_open.opening - 0.005
+    assert solved.query is not None
+    assert solved.query.robot is robot
+    (note,) = solved.notes
+    assert f"the hand opens to {100 * robot.opening:.1f} cm before the robot drives" in note
+
+
+def test_an_open_hand_cannot_do_it(
+    solved: PlacementResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plans, "with_narrower_hand", lambda _, answer, __: answer)
+    assert solved.query is not None
+    whole = solved.prepared.robot.fully_open
+    assert whole is not None
+    assert plans.plan_placement(replace(solved.query, robot=whole)).plan.status == "infeasible"
+
+
+def test_verifiers_read_how_far_the_hand_is_open(solved: PlacementResult) -> None:
+    report = verify_files(file_of(solved))
+    assert report.valid, report.violations
+    if TOOLS.is_dir():
+        check = [sys.executable, str(TOOLS / "verify_plan.py"), str(file_of(solved))]
+        done = subprocess.run(check, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("solved", ["a bar between posts"], indirect=True)
+def test_the_same_motion_with_an_open_hand_is_rejected(solved: PlacementResult) -> None:
+    plan, whole = solved.plan, solved.prepared.robot.fully_open
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    assert whole is not None
+    report = PlanVerifier(solved.prepared.scene, whole, plan.task).check(
+        plan.base_pose, plan.motion
+    )
+    assert not report.valid
+
+
+def test_a_robot_is_loaded_with_the_hand_of_its_plan(solved: PlacementResult) -> None:
+    _, _, robot = open_plan(file_of(solved), None, None, "to execute", allow_assumed=False)
+    assert robot.opening == pytest.approx(solved.prepared.robot.opening, abs=1e-4)
+    assert robot.model.rest == solved.prepared.robot.model.rest
+
+
+def test_exports_open_the_hand_to_its_width_before_the_drive(solved: PlacementResult) -> None:
+    whole, plan = solved.prepared.robot.fully_open, solved.plan
+    assert whole is not None
+    phases = phases_of(plan, whole)
+    kinds = [phase.kind for phase in phases]
+    assert kinds[:3] == [PhaseKind.OPEN, PhaseKind.DRIVE, PhaseKind.ARM]
+    np.testing.assert_allclose(phases[0].base[-1, :2], phases[1].base[0, :2])
+    steps = messages(plan, phases, whole, "map")["steps"]
+    assert [step["action"].split("/")[-1] for step in steps[:2]] == [
+        "GripperCommand", "NavigateToPose",
+    ]  # fmt: skip
+    commands = [step["goal"]["command"] for step in steps if "command" in step["goal"]]
+    widths = {command["position"] for command in commands} - {0.0}
+    assert [*widths] == [pytest.approx(solved.prepared.robot.opening, abs=1e-4)]
+
+
+def test_a_plan_at_a_pose_may_use_a_hand_that_is_less_open(
+    solved: PlacementResult,
+) -> None:
+    whole, pose = solved.prepared.robot.fully_open, solved.plan.base_pose
+    assert solved.query is not None
+    assert whole is not None
+    assert pose is not None
+    again = plan_at_pose(replace(solved.query, robot=whole), pose)
+    assert again.plan.status == "solved"
+    assert again.plan.robot_rest == again.prepared.robot.model.held != whole.model.held
+
+
+@pytest.mark.parametrize(
+    ("verb", "when"), [("pick", "before the robot drives"), ("place", "lets go")]
+)
+def test_an_object_among_others_is_taken_by_a_hand_that_is_less_open(
+    robots: Callable[[str], Robot], verb: str, when: str
+) -> None:
+    grid = [(0.07 * i, 0.07 * j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    size = (0.04, 0.04, 0.12)
+    cans = [
+        SceneObject.box("can" if x == y == 0.0 else f"{x},{y}", size, (0.75 + x, y, 0.762))
+        for x, y in grid
+    ]
+    table = SceneObject.box("table", (0.6, 1.2, 0.7), (0.8, 0.0, 0.35))
+    scene = Scene("shelf", (table, *cans), start=np.array([-1.5, 0.0, 0.0]))
+    query = PlacementQuery.of(scene, robots("fetch"), make_task(scene, verb, "can"))
+    result = plans.plan_placement(query)
+    assert result.plan.status == "solved"
+    assert result.prepared.robot.fully_open is robots("fetch")
+    assert when in result.notes[0]
+
+
+def test_the_farthest_opening_is_that_of_any_hand(
+    tmp_path: Path, robots: Callable[[str], Robot]
+) -> None:
+    scene = furniture_room(tmp_path, niche(0.09))
+    task = make_task(scene, "open", "cupboard", "slide", "max")
+    result = plans.plan_placement(PlacementQuery.of(scene, robots("fetch"), task))
+    assert result.plan.task.to == pytest.approx(0.4)
+    assert result.prepared.robot.fully_open is robots("fetch")
+
+
+def test_a_task_that_an_open_hand_does_asks_for_no_other(
+    tmp_path: Path, robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plans, "with_narrower_hand", None)
+    parts = pull_out("tray", mimics=("",))
+    scene, robot = furniture_room(tmp_path, parts), robots("fetch")
+    task = make_task(scene, "open", "cupboard", "tray_slide")
+    result = plans.plan_placement(PlacementQuery.of(scene, robot, task))
+    assert result.plan.status == "solved"
+    assert result.prepared.robot is robot
+    assert not result.notes
+
+
+def test_no_hand_is_tried_where_none_helps(tmp_path: Path, robots: Callable[[str], Robot]) -> None:
+    """A slot into which no finger fits, and a part that is blocked."""
+    scene = furniture_room(tmp_path, niche(0.03))
+    task = make_task(scene, "open", "cupboard", "slide", 0.3)
+    query = PlacementQuery.of(scene, robots("fetch"), task)
+    result = plans.plan_placement(query)
+    assert result.plan.status == "infeasible"
+    assert result.prepared.robot is query.robot
+    blocked = furniture_room(
+        tmp_path, [fixed_to_carcass(((0.05, 0.6, 0.4), (-0.5, 0, 0.6))), tray(), SLIDE], "blocked"
+    )
+    task = make_task(blocked, "open", "blocked", "slide", 0.3)
+    query = replace(query, scene=blocked, task=task)
+    result = plans.plan_placement(query)
+    assert result.prepared.blocked
+    assert not list(narrower_hands(query, result.prepared))
