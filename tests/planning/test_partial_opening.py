@@ -150,7 +150,7 @@ def test_no_value_that_is_solved_directly_is_beyond_the_largest_one_found(
         index = int(np.abs(values - query.task.to).argmin())
         works = (thorough if query.config.place.grid else sampled)[index] and not blocked[index]
         asked.append(query.task.to)
-        plan = SimpleNamespace(status="solved" if works else "infeasible", task=query.task)
+        plan = SimpleNamespace(feasible=works, task=query.task)
         prepared = SimpleNamespace(blocked="a wall" if blocked[index] else "")
         return SimpleNamespace(plan=plan, prepared=prepared)
 
