@@ -57,7 +57,7 @@ def robot_urdf() -> str:
         text.append(
             f'<joint name="{name}" type="revolute"><parent link="{parent}"/>'
             f'<child link="{child}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>'
-            f'<limit lower="-{limit}" upper="{limit}" effort="1" velocity="1"/></joint>'
+            f'<limit lower="-{limit}" upper="{limit}" effort="300" velocity="1"/></joint>'
         )
     text.append(
         '<joint name="mount" type="fixed"><parent link="palm"/><child link="tool"/>'

@@ -85,7 +85,7 @@ def test_links_that_touch_at_rest_are_still_checked_in_other_states(tmp_path: Pa
     model = robot_collision_model(toy_arm(tmp_path))
     q = np.zeros((2, 6))
     q[1, JOINTS.index("twist")] = 1.0
-    _, _, Ts = model.poses(BASE, q)
+    _, _, Ts = model.poses(model.body_poses(BASE, q))
     _, state = deepest(model.arm, Ts, model.arm, Ts, model.arm_arm_pairs, 0.0)
     names = np.array(model.arm.names)[model.arm_arm_pairs[state >= 0]]
     assert {"upper", "palm"} in [set(pair) for pair in names.tolist()]

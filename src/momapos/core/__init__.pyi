@@ -37,6 +37,7 @@ from .stopwatch import Clock as Clock
 from .stopwatch import Stopwatch as Stopwatch
 from .torch_files import load_tensors as load_tensors
 from .units import ANGLES as ANGLES
+from .units import GRAVITY as GRAVITY
 from .units import LENGTHS as LENGTHS
 from .units import MAX as MAX
 from .units import Quantity as Quantity

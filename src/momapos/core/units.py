@@ -10,6 +10,8 @@ from .errors import TaskError
 
 ANGLES = {"deg": math.pi / 180, "rad": 1.0}
 LENGTHS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
+GRAVITY = 9.81
+"""[m/s^2]"""
 MAX = "max"
 """Keyword in place of a value: open the part as far as possible."""
 EXAMPLES = "write it as 90deg, 1.2rad, 0.3m or 30cm"

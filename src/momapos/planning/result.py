@@ -15,6 +15,7 @@ from momapos.model.records import (
     Assumption,
     CostTerm,
     JointResistance,
+    MotionLoads,
     PlacementPlan,
     Status,
     Tolerance,
@@ -194,6 +195,7 @@ def plan_of(
         scene_hypotheses=query.scene.hypotheses_set,
         assumption=_improbable(query) if status == "assumed" else None,
         resistance=_resistance(prepared),
+        loads=_loads(prepared, found) if solved else None,
         joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
         base_path=None if path is None else path.poses,
@@ -207,6 +209,14 @@ def plan_of(
         region=query.region,
         versions={name: version_of(name) for name in DEPENDS_ON},
     )
+
+
+def _loads(prepared: PreparedTask, found: Search) -> MotionLoads | None:
+    """Return the worst loads of the motion, as the exact check measures them."""
+    if found.base is None or found.motion is None:
+        return None
+    x, y, yaw = map(float, found.base)
+    return prepared.verifier.loads((x, y, yaw), found.motion)
 
 
 def _improbable(query: PlacementQuery) -> Assumption | None:

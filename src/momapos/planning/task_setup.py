@@ -15,7 +15,12 @@ from momapos.model.collision import CollisionWorld, build_world
 from momapos.model.records import Motion, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.arm_motion import Feasibility, collision_free_grasps, enclosed_by
+from momapos.planning.arm_motion import (
+    Feasibility,
+    TaskLoads,
+    collision_free_grasps,
+    enclosed_by,
+)
 from momapos.planning.grasps import (
     FULL_DOF,
     LIFT_HEIGHT,
@@ -69,7 +74,12 @@ class PreparedTask:
     @cached_property
     def verifier(self) -> PlanVerifier:
         """Return the exact check."""
-        return PlanVerifier(self.scene, self.robot, self.task)
+        scene, task, motion = self.scene, self.task, self.motion
+        if task.joint is not None and motion.resistance is not None:
+            scene = scene.with_resistance({task.object: {task.joint: motion.resistance}})
+        if motion.weight is not None:
+            scene = scene.with_mass(task.object, motion.weight.mass)
+        return PlanVerifier(scene, self.robot, task)
 
     @cached_property
     def blocked(self) -> str:
@@ -155,7 +165,17 @@ def prepare(
             motion = in_scene(motion, scene)
         motion, world, no_grasp = _with_free_grasp(scene, robot, motion, config, keep_grasps)
     geometry = placement_geometry(scene, robot, motion, clearance)
+    no_grasp = no_grasp or _overloaded_at_home(robot, motion)
     return PreparedTask(scene, robot, task, motion, world, geometry, no_grasp)
+
+
+def _overloaded_at_home(robot: Robot, motion: TaskMotion) -> str:
+    """Return which motor cannot hold the empty arm at home, or ""."""
+    loads = TaskLoads(robot, motion)
+    outcome = loads.limits.worst(loads.free(robot.home[None]), "home")
+    if outcome is None:
+        return ""
+    return f"{outcome}; if springs bear the weight, set this effort to 0 in the URDF"
 
 
 def _with_free_grasp(

@@ -32,6 +32,7 @@ class Ending(StrEnum):
     SLIPPED = "the grasp slipped"
     SLIPPED_AT_END = "the grasp slipped near the end of the motion"
     BROKE = "the weld broke"
+    TIPS_OVER = "the base tips over"
     OTHERWISE = "the part moves differently than modeled"
     DIVERGED = "the simulation diverged"
 

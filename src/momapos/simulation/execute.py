@@ -272,6 +272,7 @@ def _outcome(
         slip=observer.slip,
         load=observer.load,
         tracking=observer.tracking,
+        stability=run.tipping.stability,
         clearance=None if np.isinf(observer.clearance) else observer.clearance,
         base_shift=(shift[0], shift[1], shift[2]),
         resistance=asdict(resistance),

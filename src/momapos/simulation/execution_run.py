@@ -40,6 +40,7 @@ from .payload import Payload
 from .run_record import Collision
 from .simulated_room import Seal
 from .simulation import Simulation
+from .tipping import Tipping
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -115,6 +116,7 @@ class ExecutionRun:
         self.observer = Observer(world, config, dict(touched or {}))
         self.T_part_first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
+        self.tipping = Tipping(world, self.step)
         self.avoidance = CollisionAvoidance(known, config.compliance)
         self.payload = Payload(WEIGHT_TIME, self.step)
         self.estimate: JointEstimate | None = None
@@ -187,6 +189,9 @@ class ExecutionRun:
         if self.observer.diverged:
             self.detail = f"after {self.time:.2f} s"
             return Ending.DIVERGED
+        self.tipping.update()
+        if self.tipping.tips:
+            return Ending.TIPS_OVER
         self.touch = sense_forces(world)
         carried = self.held and self.belief is None
         self.arm.update_forces(self.payload.remove_weight(self.touch, carried=carried))

@@ -108,6 +108,9 @@ class Execution:
     slip: Slip = Slip()
     load: Load = Load()
     tracking: Tracking = Tracking()
+    stability: float | None = None
+    """Least distance from tipping over: of the zero moment point from the edge of the area that the
+    wheels stand on [m]; None if masses or wheels are unknown, and in older records."""
     clearance: float | None = None
     """Minimum distance from the robot to the room [m]; None if above the observed range."""
     base_shift: Pose = (0.0, 0.0, 0.0)

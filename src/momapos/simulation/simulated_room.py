@@ -63,7 +63,7 @@ def draw_resistance(
     """Draw the resistance of a part around its known or assumed values."""
     factor = 1.0 + config.spread * rng.uniform(-1.0, 1.0, 4)
     if joint is None:
-        mass, _ = object_mass(item.model, replace(config, least_mass=MIN_OBJECT_MASS))
+        mass, _ = object_mass(item, replace(config, least_mass=MIN_OBJECT_MASS))
         return PartResistance(float(mass * factor[0]), 0.0, 0.0, 0.0)
     known = known_resistance(item, joint.name, config)
     assert known.mass is not None

@@ -13,7 +13,7 @@ import numpy as np
 from momapos.core import InputError
 from momapos.core.geometry import invert
 from momapos.model.records import Task
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, support_outline
 from momapos.model.scene import Scene, SceneObject
 
 from .config import PAD_TIME, TOUCH_DISTANCE, WELD_TIME, ExecutionConfig
@@ -76,6 +76,9 @@ class Simulation:
     """Moving fingers, with their motors."""
     loose: tuple[str, ...]
     """Bodies whose contacts with the part are excluded, because they touch it in the scene."""
+    support: Float[np.ndarray, "k 2"] | None
+    """Outline of the area that the robot's wheels stand on, in the base frame [m]; None if masses
+    or wheels are unknown."""
     balanced: tuple[str, ...]
     """Joints whose effort limits are below the arm's weight, so that springs must bear it."""
     latch: SimulatedLatch | None = None
@@ -237,6 +240,15 @@ def build_simulation(
     return replace(_index(model, data, robot, hand, fingers, names, balanced), latch=latch)
 
 
+def _support(robot: Robot) -> Float[np.ndarray, "k 2"] | None:
+    """Return the outline of the wheels; None if the file has no mass of the base."""
+    moved = {link for joint in robot.moved_joints for link in robot.model.moved_by(joint)}
+    base = [link for link in robot.model.links if link not in moved]
+    if not sum(robot.model.urdf.links[link].mass for link in base):
+        return None
+    return support_outline(robot.model, robot.base_link, base)
+
+
 def _spec(config: ExecutionConfig) -> Any:
     spec = mujoco.MjSpec()
     spec.compiler.balanceinertia = True
@@ -384,5 +396,6 @@ def _index(
         pad_side=np.array([sides.get(name, 0) for name in names]),
         fingers=tuple((finger, model.actuator(finger.joint).id) for finger in fingers),
         loose=loose,
+        support=_support(robot),
         balanced=balanced,
     )

@@ -13,30 +13,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import pose_planar
-from momapos.model.records import Motion, PlacementPlan, Task
-from momapos.model.scene import Scene
+from momapos.model.records import Motion, MotionLoads, PlacementPlan, Task
+from momapos.model.scene import ResistanceConfig, Scene
 
 from . import path_checks as paths
 from .exact_shapes import Shapes
 from .floor_contact import depths_below_floor, dips
 from .latch_checks import known_latch_checks, latch_checks
+from .motion_loads import HandLoad, MeasuredLoads
 from .moved_part import split
 from .outline_note import outside_note
+from .overlaps import Overlaps
 from .part_sweep import part_sweep_check
 from .polygon import outside
 from .report import DEFAULT, Check, Limits, Report, at_most
 from .robot_collision_model import RobotDescription, robot_collision_model
+from .robot_efforts import robot_efforts
 from .sweep import all_pairs, deepest
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Float
 
 MIN_SWEEP_STEPS = 49
 """The part's path is divided into this number of intervals, or a multiple of it [-]."""
 MAX_DRIVABLE_HEIGHT = 0.005
 """The base drives over obstacles up to this height [m]."""
-MAX_NAMED_PAIRS = 6
-"""Largest number of overlapping pairs that a check lists [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,8 @@ class _Placed:
     """World poses of tool and shapes at every state of a motion."""
 
     path: paths.DensePath
+    Ts_body: Float[np.ndarray, "s r 4 4"]
+    """Bodies of the robot."""
     Ts_tool: Float[np.ndarray, "s 4 4"]
     Ts_base: Float[np.ndarray, "1 b 4 4"]
     Ts_arm: Float[np.ndarray, "s a 4 4"]
@@ -66,6 +69,10 @@ class PlanVerifier:
         self.robot_model = robot_collision_model(robot)
         self.part, self.fixed, own = split(scene, task)
         self.part_sweep = part_sweep_check(self.part, self.fixed, own, limits)
+        self._efforts = robot_efforts(
+            robot.model, self.robot_model.bodies, robot.base_link, self.robot_model.joints
+        )
+        self._hand_load = HandLoad(scene.object(task.object), task, ResistanceConfig())
         self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
         self._base_fixed = all_pairs(len(self._base), len(self.fixed))
@@ -113,6 +120,23 @@ class PlanVerifier:
         """
         return self._outside(self._placed(base_pose, motion))
 
+    def loads(self, base_pose: tuple[float, float, float], motion: Motion) -> MotionLoads:
+        """Return the worst loads of a valid motion at a base pose x [m], y [m], yaw [rad]."""
+        loads = self._loads(base_pose, motion, self._placed(base_pose, motion))
+        return loads.record(self._hand_load.mass)
+
+    def _loads(
+        self, base_pose: tuple[float, float, float], motion: Motion, placed: _Placed
+    ) -> MeasuredLoads:
+        force, point = self._hand_load.along(motion, placed.path, placed.Ts_tool)
+        needs = self._efforts.efforts(placed.Ts_body, force, point)
+        stability = self._efforts.stability(base_pose, placed.Ts_body, force, point)
+        none = np.zeros((1, 3))
+        at_first = self._efforts.stability(base_pose, placed.Ts_body[:1], none, none)
+        if at_first is not None and at_first[0] < self.limits.stability:
+            stability = None  # the masses of the base in its file are incomplete
+        return MeasuredLoads(self._efforts, needs, stability)
+
     def _outside(self, placed: _Placed) -> str | None:
         moving = [(self._arm, placed.Ts_arm), (self.part.shapes, placed.Ts_part)]
         return outside_note(self.scene, moving)
@@ -139,7 +163,9 @@ class PlanVerifier:
             if not check.ok:
                 return (*checks, check), None
         placed = self._placed(base_pose, motion)
-        return (*checks, *self._motion_checks(placed, motion)), placed
+        checks += self._motion_checks(placed, motion)
+        checks += self._loads(base_pose, motion, placed).checks(placed.path, self.limits)
+        return tuple(checks), placed
 
     def drive_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
         """Check the plan's start and base path, with the arm as at the start of the approach.
@@ -155,9 +181,10 @@ class PlanVerifier:
             checks += paths.base_path_checks(way, ends, self.limits)
         if not all(check.ok for check in checks):
             return tuple(checks)
-        _, T_base, T_arm = self.robot_model.poses((0.0, 0.0, 0.0), plan.motion.approach[:1])
+        first = self.robot_model.body_poses((0.0, 0.0, 0.0), plan.motion.approach[:1])
+        _, T_base, T_arm = self.robot_model.poses(first)
         Ts_world_base = pose_planar(way)[:, None]
-        found, fixed, part = _Overlaps(self.limits.penetration), self.fixed, self.part
+        found, fixed, part = Overlaps(self.limits.penetration), self.fixed, self.part
         high = fixed.Ts_body_shape[:, 2, 3] + (
             np.abs(fixed.Ts_body_shape[:, 2, :3]) * fixed.half
         ).sum(1)
@@ -178,9 +205,10 @@ class PlanVerifier:
 
     def _placed(self, base_pose: tuple[float, float, float], motion: Motion) -> _Placed:
         path = paths.dense_path(motion, self.limits.step)
-        Ts_tool, Ts_base, Ts_arm = self.robot_model.poses(base_pose, path.q)
+        Ts_body = self.robot_model.body_poses(base_pose, path.q)
+        Ts_tool, Ts_base, Ts_arm = self.robot_model.poses(Ts_body)
         Ts = paths.part_poses(self.part, self.task.verb, path, Ts_tool)
-        return _Placed(path, Ts_tool, Ts_base, Ts_arm, self.part.placed_at(Ts))
+        return _Placed(path, Ts_body, Ts_tool, Ts_base, Ts_arm, self.part.placed_at(Ts))
 
     def _motion_checks(self, placed: _Placed, motion: Motion) -> Iterator[Check]:
         robot, part, limits, path = self.robot_model, self.part, self.limits, placed.path
@@ -225,7 +253,7 @@ class PlanVerifier:
         self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
     ) -> Check:
         """Check the moved part against the scene, relative to its overlap in the given scene."""
-        found, sweep, fixed = _Overlaps(self.limits.penetration), self.part_sweep, self.fixed
+        found, sweep, fixed = Overlaps(self.limits.penetration), self.part_sweep, self.fixed
         found.add(
             self.part.shapes, Ts_way, fixed, fixed.Ts_body_shape[None],
             sweep.pairs, where, already=sweep.already,
@@ -252,7 +280,7 @@ class PlanVerifier:
     ) -> Check:
         """Check the base against the scene, and against the part on its whole path."""
         fixed, part = self.fixed, self.part
-        found = _Overlaps(self.limits.penetration)
+        found = Overlaps(self.limits.penetration)
         found.add(
             self._base, Ts_base, fixed, fixed.Ts_body_shape[None],
             self._base_fixed, lambda _: "all states",
@@ -269,7 +297,7 @@ class PlanVerifier:
         path: paths.DensePath,
     ) -> Check:
         """Check the arm against the scene, and the arm without gripper against the part."""
-        found = _Overlaps(self.limits.penetration)
+        found = Overlaps(self.limits.penetration)
         fixed, part = self.fixed, self.part.shapes
         found.add(self._arm, Ts_arm, fixed, fixed.Ts_body_shape[None], self._arm_fixed, path.where)
         found.add(self._arm, Ts_arm, part, Ts_part, self._arm_part, path.where)
@@ -281,7 +309,7 @@ class PlanVerifier:
         Ts_arm: Float[np.ndarray, "s a 4 4"],
         path: paths.DensePath,
     ) -> Check:
-        found = _Overlaps(self.limits.penetration)
+        found = Overlaps(self.limits.penetration)
         arm, base, robot = self._arm, self._base, self.robot_model
         found.add(arm, Ts_arm, base, Ts_base, robot.arm_base_pairs, path.where)
         found.add(arm, Ts_arm, arm, Ts_arm, robot.arm_arm_pairs, path.where)
@@ -321,51 +349,6 @@ class PlanVerifier:
 
 def _where(pose: int) -> str:
     return "the start" if pose == 0 else f"base_path[{pose}]"
-
-
-class _Overlaps:
-    """Collects overlapping pairs of links, each with its deepest overlap."""
-
-    def __init__(self, limit: float) -> None:
-        self.limit = limit
-        self.worst: dict[tuple[str, str], tuple[float, str]] = {}
-
-    def add(
-        self,
-        a: Shapes,
-        Ts_a: Float[np.ndarray, "s a 4 4"],
-        b: Shapes,
-        Ts_b: Float[np.ndarray, "#s b 4 4"],
-        pairs: Int[np.ndarray, "p 2"],
-        where: Callable[[int], str],
-        *,
-        swapped: bool = False,
-        already: Float[np.ndarray, " p"] | float = 0.0,
-    ) -> None:
-        """Add pairs of shapes; overlap counts beyond `already` [m]."""
-        depth, state = deepest(a, Ts_a, b, Ts_b, pairs, min(0.0, self.limit))
-        depth = depth - already
-        for p in np.flatnonzero(state >= 0):
-            names = (a.names[pairs[p, 0]], b.names[pairs[p, 1]])
-            names = names[::-1] if swapped else names
-            if depth[p] > self.worst.get(names, (-np.inf, ""))[0]:
-                self.worst[names] = (float(depth[p]), where(int(state[p])))
-
-    def check(self, name: str) -> Check:
-        ranked = sorted(self.worst.items(), key=lambda item: -item[1][0])
-        deep = ranked[0][1][0] if ranked else min(0.0, self.limit)
-        bad = [(names, d, at) for names, (d, at) in ranked if d > self.limit]
-        words = [
-            f"{a} and {b} overlap by {1000 * d:.0f} mm at {at}"
-            for (a, b), d, at in bad[:MAX_NAMED_PAIRS]
-        ]
-        more = (
-            [f"and {len(bad) - MAX_NAMED_PAIRS} more pairs"] if len(bad) > MAX_NAMED_PAIRS else []
-        )
-        culprit = " and ".join(bad[0][0]) if bad else ""
-        return at_most(
-            name, 1000 * deep, 1000 * self.limit, "mm deep", "; ".join(words + more), culprit
-        )
 
 
 def _above_floor(

@@ -9,7 +9,7 @@ from momapos.core import Cache, FileFormatError, as_path, expect
 from momapos.model.plan_files import read_plan
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import read_srdf
-from momapos.model.scene import Scene, as_planned, load_scene
+from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions
 from momapos.model.urdf import Articulated, read_urdf
 
 from .exact_check import PlanVerifier
@@ -62,7 +62,7 @@ def verify_files(
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
     scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root, cache)
     assumed = _assumed(scene, plan)
-    scene = as_planned(scene, plan)
+    scene = with_assumptions(as_planned(scene, plan), plan)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
     srdf = None
     if plan.robot_srdf is not None:

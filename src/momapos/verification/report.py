@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from momapos.core import finite_number, refuse_below
+from momapos.model.records import MAX_EFFORT_SHARE, MIN_STABILITY
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,10 @@ class Limits:
     """Gap between two consecutive phases, such as approach and manipulation [rad] or [m]."""
     joint: float = 1e-4
     """Excess over a joint limit [rad] or [m]."""
+    effort: float = MAX_EFFORT_SHARE
+    """Share of a joint's effort limit that a state may need at rest [-]."""
+    stability: float = MIN_STABILITY
+    """Least distance of the zero moment point inside the area that the wheels stand on [m]."""
     floor_edge: float = 0.003
     """How far the base may extend beyond the floor [m]."""
     states: int = 20_000
@@ -49,7 +54,7 @@ class Limits:
         refuse_below(self, 1e-4, "step")
         refuse_below(self, 0, "deeper", "fk_position", "fk_rotation", "slip_position")
         refuse_below(self, 0, "slip_rotation", "reach", "goal", "jump", "join", "joint")
-        refuse_below(self, 0, "floor_edge")
+        refuse_below(self, 0, "floor_edge", "effort")
         refuse_below(self, 1, "states", "poses")
 
 

@@ -57,15 +57,20 @@ class RobotCollisionModel:
     """Indices into `arm` and `base` of the pairs to check."""
     arm_arm_pairs: Int[np.ndarray, "r 2"]
 
-    def poses(
+    def body_poses(
         self, base_pose: Sequence[float], q: Float[np.ndarray, "s n"]
+    ) -> Float[np.ndarray, "s r 4 4"]:
+        """Return world poses of all bodies."""
+        values = {name: q[:, i] for i, name in enumerate(self.joints)}
+        T_world_root = pose_planar(np.array(base_pose)) @ self.T_base_root
+        return body_poses(self.bodies, values, T_world_root)
+
+    def poses(
+        self, Ts: Float[np.ndarray, "s r 4 4"]
     ) -> tuple[
         Float[np.ndarray, "s 4 4"], Float[np.ndarray, "1 b 4 4"], Float[np.ndarray, "s a 4 4"]
     ]:
-        """Return world poses of the tool, of the base's shapes and of the arm's."""
-        values = {name: q[:, i] for i, name in enumerate(self.joints)}
-        T_world_root = pose_planar(np.array(base_pose)) @ self.T_base_root
-        Ts = body_poses(self.bodies, values, T_world_root)
+        """Return world poses of the tool, of the base's shapes and of the arm's, from bodies'."""
         T_tool = Ts[:, self.tool_body] @ self.T_body_tool
         return T_tool, self.base.placed(Ts[:1]), self.arm.placed(Ts)
 

@@ -17,7 +17,7 @@ import numpy as np
 from momapos.core import Clock, InputError, SceneError, Stopwatch, version_of
 from momapos.model.records import Motion, PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, opened_as
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, with_assumptions
 from momapos.planning import PipelineConfig, start_pose
 from momapos.planning.grasps import task_motion
 from momapos.planning.navigation import (
@@ -114,7 +114,7 @@ def run_plan(
         raise InputError(f"the plan is 'assumed' ({plan.assumes}); allow_assumed=True executes it")
     if not plan.feasible or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
-    scene, robot = scene.with_resistance(plan.resistance), opened_as(robot, plan.robot_rest)
+    scene, robot = with_assumptions(scene, plan), opened_as(robot, plan.robot_rest)
     # A replanned motion must open the part exactly as far as planned.
     plan = replace(plan, task=replace(plan.task, farthest=False))
     there = None

@@ -10,9 +10,9 @@ import pytest
 from tests.cupboards import BAR, DOOR, FOLLOWERS, HINGE, SLIDE, carcass, furniture_room, joint, tray
 
 from momapos.core.errors import InputError
+from momapos.core.units import GRAVITY
 from momapos.model.records.resistances import JointResistance
 from momapos.model.scene.joint_resistance import (
-    GRAVITY,
     has_seal,
     known_resistance,
     object_mass,
@@ -153,7 +153,7 @@ def test_a_known_mass_of_a_part_is_shared_as_the_masses_of_its_links_are(tmp_pat
 def test_the_mass_of_an_object_is_that_of_its_links(tmp_path: Path) -> None:
     item = cupboard(tmp_path, door_of(0.6, 4.0, 0.3), DROP_DOOR)
     body = part_masses(item.model, ("body",), CONFIG)["body"][0]
-    mass, center = object_mass(item.model, CONFIG)
+    mass, center = object_mass(item, CONFIG)
     assert mass == pytest.approx(body + 4.0, rel=0.01)
     assert center[2] < 0.45
 

@@ -105,6 +105,7 @@ def summary(
             *_grasps(answer),
             *_joint_type(answer),
             "  checked     base, arm and moving part along the whole motion, with exact geometry",
+            *([f"  loads       {plan.loads}"] if plan.loads is not None else []),
             *_tolerance(plan),
             *_cost(plan.cost),
             *_afterward(answer),

@@ -145,24 +145,40 @@ def place_close(
     return _answer("close", scene, target, to, options)
 
 
-def place_pick(scene: SceneArg, target: ObjectArg, /, *, options: Shared = DEFAULT) -> int:
+def place_pick(
+    scene: SceneArg,
+    target: ObjectArg,
+    /,
+    *,
+    mass: float | None = None,
+    options: Shared = DEFAULT,
+) -> int:
     """Pick up a rigid object.
 
     Args:
         scene: A scene file or a built-in kitchen.
         target: The object.
+        mass: Its mass [kg] (default: that of the scene, or a guess).
     """
-    return _answer("pick", scene, target, None, options)
+    return _answer("pick", scene, target, None, options, mass=mass)
 
 
-def place_place(scene: SceneArg, target: ObjectArg, /, *, options: Shared = DEFAULT) -> int:
+def place_place(
+    scene: SceneArg,
+    target: ObjectArg,
+    /,
+    *,
+    mass: float | None = None,
+    options: Shared = DEFAULT,
+) -> int:
     """Place the rigid object that the robot holds where it stands in the scene.
 
     Args:
         scene: A scene file or a built-in kitchen, with the object at its goal.
         target: The object.
+        mass: Its mass [kg] (default: that of the scene, or a guess).
     """
-    return _answer("place", scene, target, None, options)
+    return _answer("place", scene, target, None, options, mass=mass)
 
 
 def read_region(options: Options, scene: Scene) -> BaseRegion:
@@ -278,12 +294,15 @@ def _answer(
     to: str | None,
     options: Options,
     map_file: Path | None = None,
+    mass: float | None = None,
 ) -> int:
     if to is not None and to != MAX:
         parse_quantity(to)
     config = options.read_config()
     name, _, joint = target.partition("/")
     scene = read_scene(scene_name, [name], options, [options.out], [options.plot, map_file])
+    if mass is not None:
+        scene = scene.with_mass(name, mass)
 
     import json
 

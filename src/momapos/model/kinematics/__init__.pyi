@@ -46,6 +46,12 @@ from .newton_steps import jacobian as jacobian
 from .newton_steps import newton as newton
 from .newton_steps import newton_scratch as newton_scratch
 from .newton_steps import step_toward as step_toward
+from .static_loads import BASE as BASE
+from .static_loads import LoadArrays as LoadArrays
+from .static_loads import load_excess as load_excess
+from .static_loads import load_scratch as load_scratch
+from .static_loads import state_loads as state_loads
+from .static_loads import static_loads as static_loads
 from .subproblems import cross as cross
 from .subproblems import dot as dot
 from .subproblems import mul as mul

@@ -67,6 +67,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         },
         "status": plan.status,
         **({} if plan.assumption is None else {"assumption": asdict(plan.assumption)}),
+        "loads": None if plan.loads is None else asdict(plan.loads),
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
         "feasible_sure": plan.feasible_sure,
@@ -295,6 +296,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         if data.assumption is None
         else Assumption(**msgspec.structs.asdict(data.assumption)),
         resistance=data.resistance,
+        loads=data.loads,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
         feasible_sure=data.feasible_sure,

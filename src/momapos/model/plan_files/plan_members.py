@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from momapos.model.records import JointResistance, PartKind, Status, Verb
+from momapos.model.records import JointResistance, MotionLoads, PartKind, Status, Verb
 
 
 class PlanRobot(msgspec.Struct):
@@ -127,6 +127,7 @@ class Plan(msgspec.Struct):
     scene_hypotheses: dict[str, dict[str, int]] = {}
     assumption: PlanAssumption | None = None
     resistance: dict[str, dict[str, JointResistance]] = {}
+    loads: MotionLoads | None = None
     feasible_to: float | None = None
     feasible_from: PlanPose | None = None
     feasible_sure: bool = False

@@ -33,6 +33,8 @@ class PoseStatus(Enum):
     WAYPOINT_OUT_OF_REACH = "out of reach at {where}"
     ARM_COLLISION = "arm hits {detail} at {where}"
     NO_CONTINUOUS_PATH = "no continuous arm path"
+    OVERLOAD = "{detail} needs {where}"
+    TIPS_OVER = "{detail} would tip over at {where}"
     NO_APPROACH = "no approach from home within the arm planner's limit"
     NO_WAY_HOME = "no arm path back home within the arm planner's limit"
     EXACT_CHECK = "exact check: {detail}"
@@ -61,6 +63,8 @@ _STAGES = tuple(PoseStatus)
 _SUMMARY = {
     PoseStatus.WAYPOINT_OUT_OF_REACH: "out of reach at a waypoint",
     PoseStatus.ARM_COLLISION: "arm hits {detail}",
+    PoseStatus.OVERLOAD: "{detail} needs more than its effort limit",
+    PoseStatus.TIPS_OVER: "{detail} would tip over",
     PoseStatus.EXACT_CHECK: "exact check",
 }
 
@@ -81,10 +85,16 @@ class PoseOutcome:
     @property
     def progress(self) -> tuple[int, int]:
         """Return how far the checks came: the stage, then the waypoint; larger is nearer."""
-        number = "".join(filter(str.isdigit, self.where))
+        number = "".join(filter(str.isdigit, self.where.rpartition("waypoint")[2]))
         stage = PoseStatus.NO_CONTINUOUS_PATH if self.status in NO_PATH else self.status
         whole = self.status is PoseStatus.NO_CONTINUOUS_PATH
         return _STAGES.index(stage), MAX_WAYPOINTS if whole else int(number or 0)
+
+    @property
+    def counted(self) -> str:
+        """Return the text by which outcomes are counted: without how much a motor needs."""
+        bears = self.status in (PoseStatus.OVERLOAD, PoseStatus.TIPS_OVER)
+        return self.summary if bears else str(self)
 
     @property
     def summary(self) -> str:

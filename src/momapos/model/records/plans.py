@@ -13,6 +13,7 @@ import numpy as np
 
 from momapos.core import compare_by_content
 
+from .loads import MotionLoads
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
 from .resistances import JointResistance
 from .scans import Hypothesis, PartKind
@@ -228,6 +229,8 @@ class PlacementPlan:
     """What an `assumed` plan assumes of the task's joint; None if unknown."""
     resistance: Mapping[str, Mapping[str, JointResistance]] = field(default_factory=dict)
     """Resistance of the moved part that the plan assumes, by object and joint; empty if unknown."""
+    loads: MotionLoads | None = None
+    """The worst loads of the motion; None without a motion, and in older plans."""
     feasible_to: float | None = None
     """If the requested value is infeasible, the farthest feasible value found [rad] or [m]."""
     feasible_from: tuple[float, float, float] | None = None

@@ -1,5 +1,4 @@
 from .floor_areas import find_area as find_area
-from .joint_resistance import GRAVITY as GRAVITY
 from .joint_resistance import MotionResistance as MotionResistance
 from .joint_resistance import known_resistance as known_resistance
 from .joint_resistance import object_mass as object_mass
@@ -23,6 +22,7 @@ from .other_motion import hypothesis_about as hypothesis_about
 from .other_motion import save_with_part_motion as save_with_part_motion
 from .other_motion import scene_with_hypothesis as scene_with_hypothesis
 from .other_motion import scene_with_part_motion as scene_with_part_motion
+from .other_motion import with_assumptions as with_assumptions
 from .other_motion import with_part_motion as with_part_motion
 from .resistance_config import ResistanceConfig as ResistanceConfig
 from .scene import Scene as Scene

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.core import GRAVITY
 from momapos.model.records import JointResistance
 from momapos.model.urdf import Articulated, Hull, opening_of
 
@@ -19,7 +20,6 @@ from .scene_object import SceneObject
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-GRAVITY = 9.81
 _PARTS = 1024
 """Number of parts whose masses are cached [-]."""
 _STEP = 1e-5
@@ -203,10 +203,11 @@ def part_masses(
 
 
 def object_mass(
-    model: Articulated, config: ResistanceConfig
+    item: SceneObject, config: ResistanceConfig
 ) -> tuple[float, Float[np.ndarray, "3"]]:
     """Return mass [kg] and center of mass [m] of a whole object at rest, in its root's frame."""
-    masses = part_masses(model, model.links, config)
+    model = item.model
+    masses = part_masses(model, model.links, config, item.mass)
     total = sum(mass for mass, _ in masses.values())
     moment = np.zeros(3)
     for link, (mass, center) in masses.items():

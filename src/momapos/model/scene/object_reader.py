@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ from .hypotheses import read_hypotheses
 from .latches import read_latch
 from .object_models import ObjectModels
 from .resistance_members import read_resistance
-from .scene_object import SceneObject
+from .scene_object import MAX_MASS, SceneObject
 from .usual_sizes import size_hint, usual_edge
 
 if TYPE_CHECKING:
@@ -66,8 +65,21 @@ class ObjectReader:
         sure = read_confidence(self.item.get("confidence"), names, self.where)
         followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
         known = read_resistance(self.item.get("resistance", {}), followers, self.where)
-        item = SceneObject(self.name, category, self.pose(), model, joints, found, sure, known)
-        return replace(item, latch=read_latch(self.item.get("latch"), model, self.where))
+        return SceneObject(
+            self.name, category, self.pose(), model, joints, found, sure, known, self.mass(),
+            latch=read_latch(self.item.get("latch"), model, self.where),
+        )  # fmt: skip
+
+    def mass(self) -> float | None:
+        """Return its known mass [kg]; None if the file gives none."""
+        if "mass" not in self.item:
+            return None
+        mass = float(read_numbers([self.item["mass"]], 1, f"{self.where}: mass")[0])
+        if not 0 < mass <= MAX_MASS:
+            raise SceneError(
+                f"{self.where}: mass must be above 0 and at most {MAX_MASS:g} kg, not {mass:g}"
+            )
+        return mass
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         """Return the pose of its frame in the world."""

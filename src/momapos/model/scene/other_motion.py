@@ -146,6 +146,18 @@ def scene_with_hypothesis(scene: Scene, name: str, joint: str, index: int) -> Sc
     )  # fmt: skip
 
 
+def with_assumptions(scene: Scene, plan: PlacementPlan) -> Scene:
+    """Return a scene with the resistance and the mass that a plan assumes.
+
+    Raises:
+        UnknownNameError: The scene has no such object or joint.
+    """
+    scene = scene.with_resistance(plan.resistance)
+    if plan.loads is None or plan.loads.payload is None:
+        return scene
+    return scene.with_mass(plan.task.object, plan.loads.payload)
+
+
 def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
     """Return a scene with the hypotheses and joint values of a plan.
 

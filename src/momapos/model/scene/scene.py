@@ -15,7 +15,7 @@ from momapos.core import SceneError, finite_number, unknown_name
 from momapos.model.records import JointResistance, Outline
 
 from .scene_keys import IgnoredKey
-from .scene_object import SceneObject
+from .scene_object import MAX_MASS, SceneObject
 from .walls import Wall, wall_name, walls_around
 
 if TYPE_CHECKING:
@@ -158,6 +158,18 @@ class Scene:
             objects = tuple(changed if o is item else o for o in scene.objects)
             scene = replace(scene, objects=objects)
         return scene
+
+    def with_mass(self, name: str, mass: float) -> Scene:
+        """Return the scene with the known mass [kg] of an object.
+
+        Raises:
+            UnknownNameError: There is no such object.
+            InputError: The mass is not above 0.
+        """
+        item = self.object(name)
+        mass = finite_number(f"mass of {name!r}", mass, 1e-6, MAX_MASS)
+        changed = replace(item, mass=mass)
+        return replace(self, objects=tuple(changed if o is item else o for o in self.objects))
 
     def with_joints(self, values: Mapping[str, Mapping[str, float]]) -> Scene:
         """Return the scene with other joint values, by object and joint.

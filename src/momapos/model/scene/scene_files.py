@@ -227,6 +227,8 @@ def object_members(item: SceneObject) -> dict[str, Any]:
     members: dict[str, Any] = {"category": item.category}
     if item.model.closed:
         members["closed"] = dict(item.model.closed)
+    if item.mass is not None:
+        members["mass"] = item.mass
     if item.resistance:
         members["resistance"] = {name: one.members() for name, one in item.resistance.items()}
     if item.latch is not None:

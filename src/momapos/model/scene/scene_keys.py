@@ -34,6 +34,7 @@ _OBJECT: Keys = {
     "box": None,
     "joints": Named(None),
     "closed": Named(None),
+    "mass": None,
     "resistance": Named(None),
     "latch": dict.fromkeys(("joint", "to", "holds")),
     "hypotheses": Named(_HYPOTHESIS),

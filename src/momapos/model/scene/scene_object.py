@@ -33,6 +33,8 @@ MIN_BOX_EDGE = 1e-4
 """Minimum edge of a box [m]."""
 MIN_SCALE = 1e-6
 """Minimum scale of a model, for models in micrometers [-]."""
+MAX_MASS = 1e5
+"""Maximum mass of an object [kg]; excludes mistaken units."""
 SAME_VALUE = 1e-6
 """Joint values that differ by less count as the same [rad] or [m]."""
 MAX_POSED_MODELS = 128
@@ -55,6 +57,8 @@ class SceneObject:
     """Confidence of a scan in the object; None if it was not scanned."""
     resistance: Mapping[str, JointResistance] = field(default_factory=dict)
     """Known resistance of joints; the rest is assumed."""
+    mass: float | None = None
+    """Known mass of the whole object [kg]; None for that of its model, or an assumed one."""
     wall: Wall | None = None
     """The wall of the room that this box stands for; None for other objects."""
     latch: Latch | None = None
@@ -64,8 +68,8 @@ class SceneObject:
     def box(
         cls,
         name: str,
-        size: Sequence[float],
-        xyz: Sequence[float],
+        size: Sequence[float] | Float[np.ndarray, "3"],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         category: str = "",
@@ -102,7 +106,7 @@ class SceneObject:
         name: str,
         vertices: object,
         faces: object,
-        xyz: Sequence[float],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         category: str = "",
@@ -132,7 +136,7 @@ class SceneObject:
         cls,
         name: str,
         mesh: object,
-        xyz: Sequence[float],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         category: str = "",
@@ -161,7 +165,7 @@ class SceneObject:
         cls,
         name: str,
         path: str | Path,
-        xyz: Sequence[float],
+        xyz: Sequence[float] | Float[np.ndarray, "3"],
         *,
         yaw: float = 0.0,
         scale: float = 1.0,
@@ -310,7 +314,9 @@ def _posed(model: Articulated, values: tuple[tuple[str, float], ...]) -> Articul
     return model.changed(held={**model.held, **dict(values)})
 
 
-def _planar_pose(xyz: Sequence[float], yaw: float) -> Float[np.ndarray, "4 4"]:
+def _planar_pose(
+    xyz: Sequence[float] | Float[np.ndarray, "3"], yaw: float
+) -> Float[np.ndarray, "4 4"]:
     """Return the pose of an upright frame at a point."""
     x, y, z = finite_array("xyz", xyz, (3,)).tolist()
     T = pose_planar(np.array([x, y, finite_number("yaw", yaw)]))

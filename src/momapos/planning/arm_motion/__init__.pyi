@@ -15,3 +15,4 @@ from .ik_layers import solve_layers as solve_layers
 from .nearness import boxes_near_base as boxes_near_base
 from .nearness import boxes_near_swept_volume as boxes_near_swept_volume
 from .nearness import near_boxes as near_boxes
+from .task_loads import TaskLoads as TaskLoads

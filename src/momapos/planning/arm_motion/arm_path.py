@@ -18,6 +18,7 @@ from momapos.model.kinematics import (
     newton,
     newton_scratch,
 )
+from momapos.model.records import PoseOutcome
 from momapos.planning.grasps import TaskMotion
 
 from .hand_clearance import arm_spheres, hand_hits_along
@@ -31,6 +32,8 @@ from .ik_layers import (
     joint_step,
     solve_layers,
 )
+from .ik_layers import OVERLOADED as OVERLOADED_LAYER
+from .task_loads import TaskLoads
 from .turning_arm import ArmModel, hand_poses, robot_of
 
 if TYPE_CHECKING:
@@ -38,7 +41,7 @@ if TYPE_CHECKING:
 
 HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
 """Collision codes of the hand at every step of a motion, by grasp; for grasps that do not turn."""
-UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
+UNREACHABLE, HIT, BROKEN, FOUND, OVERLOADED = 0, 1, 2, 3, 4
 MAX_TURN = float(np.radians(25.0))
 """Largest turn of the hand about a bar between waypoints [rad]."""
 MAX_DENSE_STEP = 0.25
@@ -50,7 +53,7 @@ class ArmPath:
     """The result of the path search for one grasp mode at one base pose."""
 
     status: int
-    """UNREACHABLE, HIT, BROKEN (no continuous branch) or FOUND."""
+    """UNREACHABLE, HIT, BROKEN (no continuous branch), OVERLOADED or FOUND."""
     waypoint: int
     """Waypoint of the failure; the number of waypoints if there was none."""
     passed: int
@@ -59,6 +62,8 @@ class ArmPath:
     """Code of the obstacle that was hit, or FREE."""
     q: Float[np.ndarray, "d n"] | None = None
     """Arm states at every step of the motion."""
+    overload: PoseOutcome | None = None
+    """What a motor or the base would have to bear, if OVERLOADED."""
 
 
 def find_paths(
@@ -86,10 +91,11 @@ def find_paths(
     layers = solve_layers(
         robot, world, motion, bases, motion.turning.members(modes), waypoint_of, order
     )
+    loads = TaskLoads(robot_of(robot), motion)
     return [
-        _connect(robot, world, motion, bases[j], _Graph.of(layers, motion, j), hand)
+        _connect(robot, world, loads, bases[j], _Graph.of(layers, motion, j), hand)
         if passed == len(order)
-        else _failure(int(layers.codes[j]), int(order[passed]), passed)
+        else _failure(layers, j, int(order[passed]), loads)
         for j, passed in enumerate(layers.passed.tolist())
     ]
 
@@ -117,9 +123,15 @@ class _Graph:
         return cls(q, grasps, checked, np.zeros(len(q), bool), first)
 
 
-def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
+def _failure(layers: Layers, job: int, waypoint: int, loads: TaskLoads) -> ArmPath:
+    """Return the failure of a job that has no configuration at a waypoint."""
+    code, passed = int(layers.codes[job]), int(layers.passed[job])
     if code == CUT_OFF:
         return ArmPath(BROKEN, waypoint, passed, FREE)
+    if code == OVERLOADED_LAYER:
+        where, excess = int(layers.where[job]), float(layers.excess[job])
+        overload = loads.limits.outcome(where, excess, _at(waypoint))
+        return ArmPath(OVERLOADED, waypoint, passed, FREE, overload=overload)
     return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)
 
 
@@ -136,13 +148,13 @@ def _ends_first(count: int) -> list[int]:
 def _connect(
     robot: ArmModel,
     world: CollisionWorld,
-    motion: TaskMotion,
+    loads: TaskLoads,
     base: np.ndarray,
     graph: _Graph,
     hand: HandCodes,
 ) -> ArmPath:
     """Find the shortest path through the waypoints of one job, fill it densely, and check it."""
-    chain, grasps = robot.chain, graph.grasps
+    chain, grasps, motion = robot.chain, graph.grasps, loads.motion
     full_turn, scale = full_turns(chain), joint_scale(chain)
     # The turn of the hand is an additional joint of the path.
     states = np.column_stack([graph.q, motion.turning.angles[grasps]])
@@ -157,8 +169,9 @@ def _connect(
         if reached == count and _hits(robot, world, motion, base, graph, chosen):
             reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
         if reached < count:
-            broken = ArmPath(BROKEN, int(number[reached]), count, FREE)
-            return worst if worst.obstacle != FREE else broken
+            if worst.status != BROKEN:
+                return worst
+            return ArmPath(BROKEN, int(number[reached]), count, FREE)
         q = _unwrap(graph.q[chosen], full_turn, chain.lower, chain.upper)
         tools = motion.tool_poses(grasps[chosen])
         targets = invert(pose_planar(base)) @ tools
@@ -172,16 +185,25 @@ def _connect(
             )  # fmt: skip
             if (codes == FREE).all():
                 codes = _hand_codes(robot, world, motion, base, dense, tools, grasps[chosen], hand)
-            hit = np.flatnonzero(codes != FREE)
-            if not len(hit):
+            borne = loads.at(base, dense, int(grasps[chosen[0]]), np.arange(len(dense)))
+            bad_states = np.flatnonzero((codes != FREE) | borne.refused)
+            if not len(bad_states):
                 return ArmPath(FOUND, count, count, FREE, dense)
-            bad = int(hit[0])
-            step = int(np.searchsorted(motion.waypoint_steps, bad))
-            worst = ArmPath(HIT, int(number[step]), count, int(codes[bad]))
+            bad = int(bad_states[0])
+            waypoint = int(number[np.searchsorted(motion.waypoint_steps, bad)])
+            if codes[bad] != FREE:
+                worst = ArmPath(HIT, waypoint, count, int(codes[bad]))
+            else:
+                overload = loads.limits.worst(borne, _at(waypoint))
+                worst = ArmPath(OVERLOADED, waypoint, count, FREE, overload=overload)
         # Banning the node after the failure forces another path.
         at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
         graph.banned[chosen[at]] = True
     return worst
+
+
+def _at(waypoint: int) -> str:
+    return "the pre-grasp" if waypoint == 0 else f"waypoint {waypoint}"
 
 
 def _hits(

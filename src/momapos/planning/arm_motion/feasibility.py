@@ -14,6 +14,7 @@ from momapos.core.geometry import apply, invert, pose_planar
 from momapos.model.collision import (
     FLOOR,
     FREE,
+    CheckMotion,
     CollisionWorld,
     Spheres,
     box_spheres,
@@ -28,10 +29,17 @@ from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion
 
 from .arm_path import FOUND, HIT, UNREACHABLE, ArmPath, HandCodes, find_paths
-from .arm_planner import RESOLUTION, brief_config, interpolate, plan_with_clearance
+from .arm_planner import (
+    RESOLUTION,
+    MotionCheckerFactory,
+    brief_config,
+    interpolate,
+    plan_with_clearance,
+)
 from .config import PlannerConfig
 from .free_turn import find_short_paths
 from .hand_clearance import hand_hits_along
+from .task_loads import TaskLoads
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -176,10 +184,10 @@ class Feasibility:
             motion_checker, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        path = plan_with_clearance(
-            self.robot.home, q[0], chain.lower, chain.upper, checker,
-            config=self.planner, seed=self.seed + grasp,
-        )  # fmt: skip
+        loads = partial(self._refused, carried=(grasp, 0) if self._carrying else None)
+        path = _within_limits(
+            self.robot.home, q[0], checker, loads, self.robot, self.planner, self.seed + grasp
+        )
         if path is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
@@ -223,11 +231,16 @@ class Feasibility:
             motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
             holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
         )  # fmt: skip
-        path = plan_with_clearance(
-            q, self.robot.home, chain.lower, chain.upper, checker,
-            config=brief_config(self.planner), seed=self.seed + grasp,
+        carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
+        path = _within_limits(
+            q, self.robot.home, checker, partial(self._refused, carried=carried),
+            self.robot, brief_config(self.planner), self.seed + grasp,
         )  # fmt: skip
         return None if path is None else chain.joint_values(interpolate(path)[1:])
+
+    @property
+    def _refused(self) -> Callable[..., Bool[np.ndarray, " s"]]:
+        return TaskLoads(self.robot, self.motion).refused
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
@@ -240,12 +253,36 @@ class Feasibility:
         where = "the pre-grasp" if path.waypoint == 0 else f"waypoint {path.waypoint}"
         if path.status == FOUND:
             return PoseOutcome(PoseStatus.PATH_FOUND)
+        if path.overload is not None:
+            return path.overload
         if path.status == UNREACHABLE:
             return PoseOutcome(PoseStatus.WAYPOINT_OUT_OF_REACH, where=where)
         if path.status == HIT:
             obstacle = self.world.reason(path.obstacle)
             return PoseOutcome(PoseStatus.ARM_COLLISION, obstacle, where)
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
+
+
+def _within_limits(
+    start: Float[np.ndarray, " n"],
+    goal: Float[np.ndarray, " n"],
+    checker: MotionCheckerFactory,
+    refused: Callable[[Float[np.ndarray, "s n"]], Bool[np.ndarray, " s"]],
+    robot: Robot,
+    config: PlannerConfig,
+    seed: int,
+) -> Float[np.ndarray, "k n"] | None:
+    """Plan a free arm motion whose states the motors and the base bear; None if there is none."""
+
+    def bounded(*, extra_clearance: float) -> CheckMotion:
+        free = checker(extra_clearance=extra_clearance)
+        return lambda a, b: free(a, b) and not refused(interpolate(np.stack([a, b]))).any()
+
+    lower, upper = robot.chain.lower, robot.chain.upper
+    path = plan_with_clearance(start, goal, lower, upper, checker, config=config, seed=seed)
+    if path is None or not refused(interpolate(path)).any():
+        return path
+    return plan_with_clearance(start, goal, lower, upper, bounded, config=config, seed=seed)
 
 
 @cache

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core.compiled import B1, F1, F2, F4, I1, I2, entry, kernel
+from momapos.core.compiled import B1, F1, F2, F3, F4, I1, I2, entry, kernel
 from momapos.model.collision import FREE, CollisionWorld, check_one, collision_arrays, scratch_of
 from momapos.model.kinematics import (
     COARSE,
@@ -15,17 +15,22 @@ from momapos.model.kinematics import (
     ArmArrays,
     Chain,
     CollisionArrays,
+    LoadArrays,
     TaskState,
     arm_arrays,
     begin_pose,
     ik_scratch,
+    load_excess,
+    load_scratch,
     max_solutions,
     sample_count,
     solve_sample,
+    state_loads,
 )
 from momapos.planning.grasps import TaskMotion
 
 from .hand_clearance import arm_spheres
+from .task_loads import load_arrays
 from .turning_arm import ArmModel, robot_of
 
 if TYPE_CHECKING:
@@ -35,8 +40,9 @@ MAX_STEP = 0.8
 """Largest joint step between waypoints [rad]."""
 PRISMATIC_SCALE = 4.0
 """Weight of a prismatic joint's travel in joint steps [rad/m]."""
-NOWHERE, CUT_OFF = FREE, FREE - 10
-"""Failures without a collision: out of reach, or too far from the neighboring waypoints."""
+NOWHERE, CUT_OFF, OVERLOADED = FREE, FREE - 10, FREE - 9
+"""Failures without a collision: out of reach, too far from the neighboring waypoints, or beyond
+what the motors and the base bear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +61,11 @@ class Layers:
     passed: Int[np.ndarray, " j"]
     """Number of waypoints with configurations before the first failure."""
     codes: Int[np.ndarray, " j"]
-    """Cause of the failure: the obstacle that was hit, NOWHERE or CUT_OFF."""
+    """Cause of the failure: the obstacle that was hit, NOWHERE, CUT_OFF or OVERLOADED."""
+    excess: Float[np.ndarray, " j"]
+    """Least excess of the refused configurations at that waypoint [-]; infinite without any."""
+    where: Int[np.ndarray, " j"]
+    """The degree of freedom that exceeds its limit there, or BASE."""
 
 
 class JointSteps(NamedTuple):
@@ -93,6 +103,10 @@ class Waypoints(NamedTuple):
     """Whether the hand holds the part there."""
     Ts_world_tool: F4
     """Tool pose of each grasp at every step."""
+    force: F3
+    """Force on the hand of each grasp at every step, in the world [N]."""
+    point: F3
+    """Where it acts [m]."""
 
 
 class Found(NamedTuple):
@@ -103,6 +117,8 @@ class Found(NamedTuple):
     checked: B1
     first: I2
     counts: I2
+    excess: F1
+    where: I1
 
 
 def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
@@ -146,8 +162,10 @@ def solve_layers(
         Waypoints(
             order, waypoints, step, motion.value[step], motion.holding[step],
             np.ascontiguousarray(motion.Ts_world_tool),
+            *map(np.ascontiguousarray, motion.hand_loads),
         ),
         arm_arrays(chain, ik),
+        load_arrays(robot),
         collision_arrays(arm_spheres(robot_of(robot)), world),
         JointSteps(full_turns(chain), scale, locked),
     ))  # fmt: skip
@@ -211,9 +229,21 @@ def _tool_in_base(T, base, R, p):
 
 
 @kernel
-def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, placed, memory):
+def _load_in_base(force, point, base, memory):
+    """Fill in a force and where it acts, in the base frame."""
+    c, s = np.cos(base[2]), np.sin(base[2])
+    x, y = point[0] - base[0], point[1] - base[1]
+    memory[0, 0], memory[0, 1] = c * force[0] + s * force[1], c * force[1] - s * force[0]
+    memory[1, 0], memory[1, 1] = c * x + s * y, c * y - s * x
+    memory[0, 2], memory[1, 2] = force[2], point[2]
+
+
+@kernel
+def _solve_layer(
+    j, looked, used, jobs, path, arm, robot, room, steps, found, scratch, placed, memory
+):
     """Fill in the configurations of a job at one waypoint; return their number and a code."""
-    R, p, solutions, limits = memory
+    R, p, solutions, limits, load, bearing = memory
     base, w = jobs.bases[j], path.order[looked]
     full_turn, n, samples = steps.full_turn, len(steps.full_turn), arm.ik.samples
     state = TaskState(path.value[w], path.holding[w])
@@ -227,11 +257,13 @@ def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, 
         limits[1] = MAX_STEP * (path.place[high] - path.place[w])
         after = found.q[found.first[j, high] : found.first[j, high] + found.counts[j, high]]
     count, worst = 0, CUT_OFF
+    found.excess[j] = np.inf
     for column in range(jobs.grasps.shape[1]):
         grasp, code = jobs.grasps[j, column], NOWHERE
         if grasp < 0:
             break
         _tool_in_base(path.Ts_world_tool[grasp, path.step[w]], base, R, p)
+        _load_in_base(path.force[grasp, path.step[w]], path.point[grasp, path.step[w]], base, load)
         begin_pose(scratch)
         for s in range(sample_count(arm.ik)):
             # Locked joints are known, so most samples need no inverse kinematics.
@@ -245,6 +277,14 @@ def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, 
                     if code == NOWHERE:
                         code = CUT_OFF
                     continue
+                stability = state_loads(q, arm.chain, robot, load[0], load[1], bearing)
+                excess, where = load_excess(bearing.efforts, stability, robot)
+                if excess > 0.0:
+                    if excess < found.excess[j]:
+                        found.excess[j], found.where[j] = excess, where
+                    if code in (NOWHERE, CUT_OFF):
+                        code = OVERLOADED
+                    continue
                 known = count == 0
                 hit = check_one(q, base, state, arm.chain, room, placed) if known else FREE
                 if hit == FREE:
@@ -252,7 +292,7 @@ def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, 
                         found.q[used + count, k] = q[k]
                     found.grasps[used + count], found.checked[used + count] = grasp, known
                     count += 1
-                elif code in (NOWHERE, CUT_OFF):
+                elif code in (NOWHERE, CUT_OFF, OVERLOADED):
                     code = hit
         worst = max(worst, code)
     return count, worst
@@ -263,6 +303,7 @@ def _solve_layers(
     jobs: Jobs,
     path: Waypoints,
     arm: ArmArrays,
+    robot: LoadArrays,
     room: CollisionArrays,
     steps: JointSteps,
 ) -> tuple[np.ndarray, ...]:
@@ -274,7 +315,11 @@ def _solve_layers(
         np.zeros(count, np.int64),
     )
     scratch, placed = ik_scratch(arm), scratch_of(len(arm.chain.slides), room.spheres)
-    memory = np.empty((3, 3)), np.empty(3), np.empty((MAX_BRANCHES, n)), np.empty(2)
+    memory = (
+        np.empty((3, 3)), np.empty(3), np.empty((MAX_BRANCHES, n)), np.empty(2),
+        np.empty((2, 3)), load_scratch(len(arm.chain.slides), n),
+    )  # fmt: skip
+    excess, where = np.full(count, np.inf), np.zeros(count, np.int64)
     # The arrays always have space for one job at one waypoint.
     most, used = jobs.grasps.shape[1] * max_solutions(arm.ik), 0
     q, grasps = np.empty((4 * most, n)), np.empty(4 * most, np.int64)
@@ -284,13 +329,13 @@ def _solve_layers(
             if used + most > len(q):
                 q, grasps = np.concatenate((q, np.empty_like(q))), np.append(grasps, grasps)
                 checked = np.append(checked, checked)
-            found = Found(q, grasps, checked, first, counts)
+            found = Found(q, grasps, checked, first, counts, excess, where)
             added, code = _solve_layer(
-                j, looked, used, jobs, path, arm, room, steps, found, scratch, placed, memory
+                j, looked, used, jobs, path, arm, robot, room, steps, found, scratch, placed, memory
             )
             if added == 0:
                 codes[j] = code
                 break
             first[j, path.order[looked]], counts[j, path.order[looked]] = used, added
             used, passed[j] = used + added, looked + 1
-    return q[:used], grasps[:used], checked[:used], first, counts, passed, codes
+    return q[:used], grasps[:used], checked[:used], first, counts, passed, codes, excess, where

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import GRAVITY
 from momapos.core.geometry import rotation_about
 from momapos.model.records import Hold, JointResistance, Task
 from momapos.model.urdf import Boxes, MovingBoxes
@@ -17,6 +19,21 @@ from .turning_grasps import Turning
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
+
+MIN_CHANGE = 1e-9
+"""Change of a joint's value between steps below which it rests [rad] or [m]."""
+MIN_TRAVEL = 0.02
+"""Travel of the hand per unit of the joint below which the pull is not larger [m/rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weight:
+    """The mass of a rigid object, and its center in the world at each value."""
+
+    mass: float
+    """[kg]"""
+    center: Float[np.ndarray, "v 3"]
+    """[m]"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +74,10 @@ class TaskMotion:
     """Resistance of the part, which the grasps transmit; None for rigid objects."""
     latch_q: Float[np.ndarray, " d"] | None = None
     """Value of the object's latch at each step [rad] or [m]; None if no latch is turned."""
+    effort: Float[np.ndarray, " v"] | None = None
+    """What resists the motion at each value, along it [Nm] or [N]; None for rigid objects."""
+    weight: Weight | None = None
+    """Weight of a rigid object; None for the part of a joint."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -91,6 +112,31 @@ class TaskMotion:
         """Whether the fingers close or open at each step."""
         steps = [s for s in (self.grasp_step, self.release_step) if s is not None]
         return np.isin(np.arange(len(self.object_q)), steps)
+
+    @cached_property
+    def hand_loads(self) -> tuple[Float[np.ndarray, "g d 3"], Float[np.ndarray, "g d 3"]]:
+        """Force on the hand of each grasp at each step [N], and where it acts, in the world [m].
+
+        A part pushes back along the path of the hand, with what resists its motion over the
+        hand's travel per unit of the joint.
+        """
+        point = self.Ts_world_tool[:, :, :3, 3]
+        force = np.zeros_like(point)
+        held = np.flatnonzero(self.closed)
+        if self.weight is not None:
+            force[:, held, 2] = -GRAVITY * self.weight.mass
+            return force, np.broadcast_to(self.weight.center[self.value], point.shape)
+        if self.effort is None or len(held) < 2:
+            return force, point
+        q = self.object_q[held]
+        change = np.gradient(q)[:, None]
+        # While a latch is turned, the part rests.
+        change = np.where(np.abs(change) > MIN_CHANGE, change, np.inf)
+        travel = np.gradient(point[:, held], axis=1) / change
+        square = np.maximum((travel**2).sum(-1, keepdims=True), MIN_TRAVEL**2)
+        along = np.sign(q[-1] - q[0]) * self.effort[self.value[held]]
+        force[:, held] = -along[:, None] * travel / square
+        return force, point
 
     @property
     def free_ends(self) -> tuple[int, ...]:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import GRAVITY
 from momapos.core.geometry import invert
 from momapos.model.robots import Grip, Robot
-from momapos.model.scene import GRAVITY, SceneObject, object_mass
+from momapos.model.scene import SceneObject, object_mass
 from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
@@ -83,16 +84,26 @@ def select_object_grasps(
         The grasps; if none holds, the approach lines and the reason.
     """
     T = invert(T_world_upright) @ item.T_world_object
+    mass, center = object_mass(item, config.resistance)
+    weight = (mass, *center.tolist())
     return _holding(
-        robot, item.model, tuple(np.round(T, _DIGITS).ravel().tolist()), config, carried
+        robot, item.model, weight, tuple(np.round(T, _DIGITS).ravel().tolist()), config, carried
     )
 
 
 @lru_cache(maxsize=_OBJECTS)
 def _holding(
-    robot: Robot, model: Articulated, T: tuple[float, ...], config: GraspConfig, carried: bool
+    robot: Robot,
+    model: Articulated,
+    weight: tuple[float, ...],
+    T: tuple[float, ...],
+    config: GraspConfig,
+    carried: bool,
 ) -> GraspSelection:
-    """Select the grasps for a pose of the object's root in its upright frame."""
+    """Select the grasps for a pose of the object's root in its upright frame.
+
+    The weight is mass [kg] and center of mass in the root's frame [m].
+    """
     poses = model.rest_poses
     T_upright_root = np.reshape(T, (4, 4))
     elements = tuple(
@@ -100,8 +111,8 @@ def _holding(
         for link in model.links
         for index, hull in enumerate(model.hulls[link])
     )
-    mass, center = object_mass(model, config.resistance)
-    center = T_upright_root[:3, :3] @ center + T_upright_root[:3, 3]
+    mass = weight[0]
+    center = T_upright_root[:3, :3] @ weight[1:] + T_upright_root[:3, 3]
     lines = _lines(robot, elements, center)
     need = (1.0 + config.swing) * GRAVITY * mass
     hand = hand_of(robot)

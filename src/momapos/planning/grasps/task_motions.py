@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.core import TaskError
-from momapos.core.geometry import invert
+from momapos.core.geometry import apply, invert
 from momapos.model.records import Task
 from momapos.model.robots import Robot
 from momapos.model.scene import (
@@ -17,6 +17,7 @@ from momapos.model.scene import (
     SceneObject,
     known_resistance,
     latch_to_turn,
+    object_mass,
     resistance_along,
 )
 from momapos.model.urdf import Joint, opening_of
@@ -28,7 +29,7 @@ from .handle_records import Handle
 from .handle_shapes import CarriedPart
 from .handles import find_handle, handles_in_turn
 from .latches import PartValues, select_latch_grasps
-from .motion_record import TaskMotion
+from .motion_record import TaskMotion, Weight
 from .part_motion import levers_along
 from .rigid_grasps import select_object_grasps
 from .task_boxes import bodies_moved_by, held_elements, moving_boxes, static_boxes
@@ -188,6 +189,7 @@ def _joint_motion(
         else np.append(np.full(steps, path.latch[0]), path.latch),
         better_handle_reason=chosen.better_handle_reason,
         resistance=replace(known, lever=known.lever or float(levers.min())),
+        effort=np.append(np.zeros(len(path.part) - len(values)), resistance.along),
     )
 
 
@@ -242,6 +244,7 @@ def _rigid_motion(
     lifts = np.linspace(0.0, LIFT_HEIGHT, SUBSTEPS + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
     Ts_world_object[:, 2, 3] += lifts
+    weight = _weight(target, Ts_world_object, T_object, config)
     T_object_link = {n: invert(T_object) @ T for n, T in target.link_poses().items()}
     moving, moving_labels, grasped = moving_boxes(target, [(Ts_world_object, T_object_link)], None)
     static, labels = static_boxes(scene, target, set(target.model.links))
@@ -272,9 +275,32 @@ def _rigid_motion(
         grasped=grasped,
         labels=(*labels, *moving_labels),
         grasps=chosen.grasps,
-        refusal=chosen.reason,
+        refusal=chosen.reason or _too_heavy(robot, target, weight.mass),
         turning=no_turning(len(Ts)),
+        weight=weight,
     )
+
+
+def _too_heavy(robot: Robot, target: SceneObject, mass: float) -> str:
+    """Return a reason if an object exceeds what the arm may carry beside its gripper, else ""."""
+    if robot.payload is None:
+        return ""
+    most = robot.payload - sum(robot.model.urdf.links[link].mass for link in robot.gripper_links)
+    if mass <= most:
+        return ""
+    return f"{target.name} weighs {mass:.3g} kg, and {robot.title} carries {max(most, 0.0):.3g} kg"
+
+
+def _weight(
+    target: SceneObject,
+    Ts_world_object: Float[np.ndarray, "v 4 4"],
+    T_object: Float[np.ndarray, "4 4"],
+    config: MotionConfig,
+) -> Weight:
+    """Return an object's weight along its motion, given by the path of a frame of it."""
+    mass, center = object_mass(target, config.grasps.resistance)
+    local = apply(invert(T_object) @ target.T_world_object, center[None])
+    return Weight(mass, apply(Ts_world_object, local)[:, 0])
 
 
 def _upright_frame(target: SceneObject) -> Float[np.ndarray, "4 4"]:

@@ -123,9 +123,11 @@ class Search:
         for key, count in Counter(map(id, every)).items():
             if shared[key].status not in _UNCOUNTED:
                 counts[shared[key]] += count
-        words = {str(outcome): count for outcome, count in counts.most_common()}
+        words: Counter[str] = Counter()
+        for outcome, count in counts.items():
+            words[outcome.counted] += count
         nearest = None if self.motion is not None else self._nearest(every, list(counts))
-        return Candidates(len(every), self.checked, words, nearest)
+        return Candidates(len(every), self.checked, dict(words.most_common()), nearest)
 
     def _nearest(
         self, every: Sequence[PoseOutcome], rejected: Sequence[PoseOutcome]

@@ -1,0 +1,67 @@
+"""The area that a robot stands on: the outline of where its wheels meet the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import apply, invert
+from momapos.model.urdf import Articulated
+
+from .joint_tree import WHEEL
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MAX_CONTACT_HEIGHT = 0.015
+"""Maximum height of the lowest point of a wheel, since casters and meshes are imprecise [m]."""
+_FLAT = 0.005
+"""Points of a shape that are this near its lowest one form its contact [m]."""
+MIN_AREA = 0.01
+"""Smallest area to stand on; less is an axle whose casters are not modeled as wheels [m^2]."""
+
+
+def support_outline(
+    model: Articulated, base_link: str, links: Collection[str]
+) -> Float[np.ndarray, "k 2"] | None:
+    """Return the outline of the points on which a robot stands, in the base frame [m].
+
+    These are its wheels or, if they are only an axle, all that reaches the floor.
+
+    Args:
+        model: The robot.
+        base_link: Link on the floor, z up.
+        links: The links that the arm does not move.
+
+    Returns:
+        Corners, counterclockwise; None if nothing that reaches the floor spans an area.
+    """
+    poses = model.rest_poses
+    T_base_root = invert(poses[base_link])
+    rolling = {joint.child for joint in model.joints.values() if joint.kind == "continuous"}
+    wheels, everything = [], []
+    for link in links:
+        for hull in model.hulls[link]:
+            points = apply(T_base_root @ poses[link], hull.vertices)
+            lowest = float(points[:, 2].min())
+            if lowest > MAX_CONTACT_HEIGHT:
+                continue
+            contact = points[points[:, 2] < lowest + _FLAT, :2]
+            everything.append(contact)
+            if link in rolling or WHEEL.search(link):
+                wheels.append(contact.mean(0, keepdims=True))
+    outlines = (_hull(np.concatenate(found)) for found in (wheels, everything) if found)
+    return next((outline for outline in outlines if outline is not None), None)
+
+
+def _hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"] | None:
+    """Return the corners of the convex hull; None if it is too small to stand on."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    return points[hull.vertices] if hull.volume >= MIN_AREA else None

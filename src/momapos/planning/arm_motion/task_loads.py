@@ -1,0 +1,90 @@
+"""What the motors and the base bear along a task."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import apply, invert, rotation
+from momapos.model.kinematics import LoadArrays
+from momapos.model.robots import Robot, RobotLoads, StateLoads, robot_loads
+from momapos.planning.grasps import TaskMotion
+
+from .turning_arm import ArmModel, robot_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True, eq=False)
+class TaskLoads:
+    """The loads of a robot at the states of a task."""
+
+    robot: Robot
+    motion: TaskMotion
+
+    @cached_property
+    def limits(self) -> RobotLoads:
+        """Return the robot's masses, effort limits and wheels."""
+        return robot_loads(self.robot)
+
+    def at(
+        self,
+        base: Float[np.ndarray, "3"],
+        q: Float[np.ndarray, "s n"],
+        grasp: int,
+        steps: Int[np.ndarray, " s"],
+    ) -> StateLoads:
+        """Return the loads at steps of the motion.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad].
+            q: Values of the degrees of freedom; further ones are ignored.
+            grasp: The grasp.
+            steps: The step of the motion at each state.
+        """
+        force, point = (x[grasp, steps] for x in self.motion.hand_loads)
+        turned, moved = force.copy(), point - [base[0], base[1], 0.0]
+        R = rotation(float(base[2]))
+        turned[:, :2], moved[:, :2] = force[:, :2] @ R, moved[:, :2] @ R
+        return self.limits.at(q[:, : self.robot.chain.size], turned, moved)
+
+    def free(
+        self, q: Float[np.ndarray, "s n"], carried: tuple[int, int] | None = None
+    ) -> StateLoads:
+        """Return the loads of a free motion of the arm.
+
+        Args:
+            q: Values of the degrees of freedom.
+            carried: The grasp and a step of the motion at which the hand holds the object that it
+                carries; None for an empty hand.
+        """
+        if carried is None:
+            return self.limits.at(q)
+        force, point = (x[carried] for x in self.motion.hand_loads)
+        in_tool = apply(invert(self.motion.Ts_world_tool[carried]), point[None])[0]
+        T_base_tool = self.robot.chain.tool_poses(q)
+        points = T_base_tool[:, :3, :3] @ in_tool + T_base_tool[:, :3, 3]
+        return self.limits.at(q, np.tile(force, (len(q), 1)), points)
+
+    def refused(
+        self, q: Float[np.ndarray, "s n"], carried: tuple[int, int] | None
+    ) -> Bool[np.ndarray, " s"]:
+        """Find the states of a free motion that need too much, or tip the base over."""
+        return self.free(q, carried).refused
+
+
+def load_arrays(arm: ArmModel) -> LoadArrays:
+    """Return an arm's masses and limits for kernels; a turn of the hand needs nothing."""
+    arrays, chain = robot_loads(robot_of(arm)).arrays, arm.chain
+    more = chain.last + 1 - len(arrays.mass)
+    if not more:
+        return arrays
+    return arrays._replace(
+        mass=np.append(arrays.mass, np.zeros(more)),
+        center=np.vstack([arrays.center, np.zeros((more, 3))]),
+        limit=np.append(arrays.limit, np.full(more, np.inf)),
+    )

@@ -1,0 +1,84 @@
+"""A run watches where the floor's reaction acts, and fails where the base would tip over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.robots.robot import Robot
+from momapos.model.robots.robot_loads import robot_loads
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.simulation import simulation
+from momapos.simulation.config import Ending, Stage
+from momapos.simulation.run_record import RunRecord
+from momapos.simulation.simulation import Simulation
+from momapos.simulation.tipping import Tipping
+from momapos.workflows.run import run_plan
+
+Robots = Callable[[str], Robot]
+
+
+@pytest.fixture(scope="module")
+def drawer(robots: Robots) -> PlacementPlan:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, "open", "cabinet_right", "drawer_top_slide", 0.15)
+    return plan_base_placement(scene, robots("segway_ur5e"), task).plan
+
+
+def run(plan: PlacementPlan, robot: Robot, **options: object) -> RunRecord:
+    return run_plan(
+        plan,
+        load_scene("kitchen_small"),
+        robot,
+        load_reach_map(robot),
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def test_the_floor_reacts_where_statics_say(drawer: PlacementPlan, robots: Robots) -> None:
+    robot = robots("segway_ur5e")
+    loads, seen = robot_loads(robot), []
+
+    def watch(world: Simulation, _: float, stage: Stage) -> None:
+        if stage in (Stage.SETTLE, Stage.GRIP):  # nearly at rest
+            tipping = Tipping(world, 1.0)
+            tipping.update()
+            q = robot.chain.freedom_values(world.data.qpos[world.arm_q])
+            seen.append((tipping.stability, loads.at(q[None]).stability[0]))
+
+    done = run(drawer, robot, watch=watch)
+    assert done.success, done.reason
+    measured, expected = np.array(seen).T
+    assert len(seen) > 20
+    np.testing.assert_allclose(np.median(measured - expected), 0.0, atol=2e-3)
+    assert done.execution is not None
+    assert done.execution.stability is not None
+    assert 0.0 < done.execution.stability < measured.max()
+
+
+def test_a_base_that_tips_over_fails_the_run(
+    drawer: PlacementPlan, robots: Robots, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = robots("segway_ur5e")
+    axle = np.array([[-0.1, -0.3], [-0.05, -0.3], [-0.05, 0.3], [-0.1, 0.3]])
+    monkeypatch.setattr(simulation, "_support", lambda _: axle)
+    done = run(drawer, robot, tries=1)
+    assert not done.success
+    assert Ending.TIPS_OVER in done.reason
+
+
+def test_a_robot_without_masses_of_its_base_is_not_judged(
+    drawer: PlacementPlan, robots: Robots, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulation, "_support", lambda _: None)
+    done = run(replace(drawer), robots("segway_ur5e"))
+    assert done.success
+    assert done.execution is not None
+    assert done.execution.stability is None

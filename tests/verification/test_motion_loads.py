@@ -1,0 +1,111 @@
+"""The exact check measures efforts and stability on its own, and finds what the planner finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.core.units import GRAVITY
+from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.resistances import JointResistance
+from momapos.model.robots.robot import Robot
+from momapos.model.robots.robot_loads import robot_loads
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.verification.exact_check import PlanVerifier
+from momapos.verification.plan_check import verify_files
+from momapos.verification.robot_collision_model import robot_collision_model
+from momapos.verification.robot_efforts import robot_efforts
+
+Robots = Callable[[str], Robot]
+
+
+@pytest.mark.parametrize("name", ["fetch", "stretch", "segway_ur5e"])
+def test_it_agrees_with_the_planner_at_any_state_and_load(name: str, robots: Robots) -> None:
+    robot = robots(name)
+    model = robot_collision_model(robot)
+    judge = robot_efforts(robot.model, model.bodies, robot.base_link, model.joints)
+    rng, chain = np.random.default_rng(1), robot.chain
+    low, high = (np.clip(end, -3.0, 3.0) for end in (chain.lower, chain.upper))
+    q = rng.uniform(low, high, (40, chain.size))
+    force, point = rng.normal(0.0, 20.0, (40, 3)), rng.normal(0.0, 0.5, (40, 3))
+    Ts = model.body_poses((0.0, 0.0, 0.0), chain.joint_values(q))
+    planned = robot_loads(robot).at(q, force, point)
+    np.testing.assert_allclose(judge.efforts(Ts, force, point), planned.efforts, atol=1e-6)
+    stability = judge.stability((0.0, 0.0, 0.0), Ts, force, point)
+    assert stability is not None
+    inside = planned.stability > 0
+    np.testing.assert_allclose(stability[inside], planned.stability[inside], atol=1e-6)
+    assert (stability[~inside] <= 0).all()
+
+
+@pytest.fixture(scope="module")
+def opened(robots: Robots) -> PlacementPlan:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, "open", "fridge", "door_hinge")
+    plan = plan_base_placement(scene, robots("fetch"), task).plan
+    assert plan.status == "solved"
+    return plan
+
+
+def test_a_plan_holds_its_worst_loads(opened: PlacementPlan, tmp_path: Path) -> None:
+    loads = opened.loads
+    assert loads is not None
+    assert loads.payload is None
+    assert set(loads.efforts) == set(opened.joints)
+    assert loads.worst == ("torso_lift_joint", pytest.approx(0.632, abs=0.02))
+    assert loads.stability == pytest.approx(0.2, abs=0.06)
+    assert str(loads).startswith("torso_lift_joint needs 63 % of its effort limit; ")
+    write_plan(opened, tmp_path / "plan.json")
+    assert read_plan(tmp_path / "plan.json").loads == loads
+    report = verify_files(tmp_path / "plan.json")
+    assert report.valid
+    effort = next(check for check in report.checks if check.name == "joint effort")
+    assert effort.value == pytest.approx(100 * max(loads.efforts.values()), abs=0.1)
+
+
+def test_a_stiffer_door_needs_more_and_tips_the_robot(
+    opened: PlacementPlan, robots: Robots
+) -> None:
+    assert opened.motion is not None
+    assert opened.base_pose is not None
+    scene, robot = load_scene("kitchen_small"), robots("fetch")
+
+    def failed(seal: float) -> list[str]:
+        stiff = {"fridge": {"door_hinge": JointResistance(seal_force=seal)}}
+        verifier = PlanVerifier(scene.with_resistance(stiff), robot, opened.task)
+        assert opened.motion is not None
+        assert opened.base_pose is not None
+        return [one.name for one in verifier.check(opened.base_pose, opened.motion).violations]
+
+    assert failed(30.0) == []
+    assert "joint effort" in failed(150.0)
+    assert {"joint effort", "tipping over"} <= set(failed(600.0))
+
+
+def test_a_payload_adds_its_weight_where_it_is_held(robots: Robots) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("husky_ur5e")
+    task = make_task(scene, "pick", "apple")
+    plan = plan_base_placement(scene, robot, task).plan
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    assert plan.loads is not None
+    assert plan.loads.payload == pytest.approx(0.5)
+
+    def lift(mass: float) -> float:
+        loads = PlanVerifier(scene.with_mass("apple", mass), robot, task).loads(
+            plan.base_pose, replace(plan.motion, approach=plan.motion.q[:1])
+        )
+        assert loads.payload == mass
+        return 150.0 * loads.efforts["shoulder_lift_joint"]
+
+    T_base = np.array([*plan.base_pose[:2], 0.0])
+    level = np.linalg.norm(plan.motion.Ts_world_tool[:, :2, 3] - T_base[:2], axis=1)
+    added = (lift(4.0) - lift(1.0)) / (3.0 * GRAVITY)
+    assert 0.5 * level.min() < added < 1.5 * level.max()
