@@ -26,7 +26,8 @@ from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.core.geometry.transforms import apply
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.joint_opening import opening_of
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-LIMIT = '<limit lower="{}" upper="{}" effort="300" velocity="1"/>'
+LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
 
 
 def link(name: str, shape: str = "", xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.model.robots.test_robot_loads import with_urdf
+from tests.model.robots.test_load_limits import with_urdf
 
 from momapos.core.errors import InputError, SceneError
 from momapos.model.records.resistances import JointResistance

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from tests.cupboards import HINGE, carcass, furniture_room, link
 from tests.rooms import Everywhere, cabinet_room
+from tests.shapes import unchecked
 
 from momapos.apps.cli.main import main
 from momapos.core.stopwatch import Stopwatch
@@ -156,7 +157,8 @@ def test_no_value_that_is_solved_directly_is_beyond_the_largest_one_found(
 
     task = make_task(kitchen, "open", "dishwasher", "door_hinge")
     query = PlacementQuery(kitchen, fetch, task, Everywhere())
-    found, sure = find_max_opening(query, answer, values, within=7, timeout=60.0)
+    with unchecked():  # answers and map are stand-ins
+        found, sure = find_max_opening(query, answer, values, within=7, timeout=60.0)
     last = np.flatnonzero(thorough & ~blocked)[-1]
     assert found is not None
     assert found.plan.task.to == pytest.approx(values[last])

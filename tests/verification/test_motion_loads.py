@@ -13,8 +13,8 @@ from momapos.core.units import GRAVITY
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.resistances import JointResistance
+from momapos.model.robots.load_limits import robot_loads
 from momapos.model.robots.robot import Robot
-from momapos.model.robots.robot_loads import robot_loads
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement

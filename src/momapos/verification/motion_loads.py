@@ -113,7 +113,9 @@ class MeasuredLoads:
         worst = self.shares.max(0, initial=0.0)
         named = zip(self.robot.names, worst.tolist(), known.tolist(), strict=True)
         unlimited = [n for n, k in zip(self.robot.names, known.tolist(), strict=True) if not k]
-        notes = (f"no effort limit is known for {', '.join(unlimited)}",) if unlimited else ()
+        notes: tuple[str, ...] = ()
+        if unlimited:
+            notes += (f"no effort limit is known for {', '.join(unlimited)}",)
         if self.stability is None:
             notes += ("stability is unknown: the file lacks masses or wheels of the base",)
         return MotionLoads(

@@ -53,7 +53,7 @@ def test_planner_and_exact_check_see_the_same_hand(whole: Robot) -> None:
     old, new = whole.spheres, robot.spheres
     one, other = (robot_collision_model(r) for r in (whole, robot))
     q = np.zeros((1, len(one.joints)))
-    Ts, Ts_narrow = (m.poses((0.0, 0.0, 0.0), q)[2][0] for m in (one, other))
+    Ts, Ts_narrow = (m.poses(m.body_poses((0.0, 0.0, 0.0), q))[2][0] for m in (one, other))
     for link, center, moved in zip(new.links, old.bound_center, new.bound_center, strict=True):
         shapes = [k for k, name in enumerate(one.arm.names) if name == link]
         by = np.linalg.norm(Ts_narrow[shapes, :3, 3] - Ts[shapes, :3, 3], axis=1)

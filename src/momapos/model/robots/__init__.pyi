@@ -11,14 +11,14 @@ from .fingertips import squared as squared
 from .fingertips import tips_of as tips_of
 from .hand_openings import opened_as as opened_as
 from .hand_openings import opened_to as opened_to
+from .load_limits import RobotLoads as RobotLoads
+from .load_limits import StateLoads as StateLoads
+from .load_limits import robot_loads as robot_loads
 from .robot import MAX_REACH as MAX_REACH
 from .robot import Grip as Grip
 from .robot import Robot as Robot
 from .robot import load_arms as load_arms
 from .robot import load_robot as load_robot
-from .robot_loads import RobotLoads as RobotLoads
-from .robot_loads import StateLoads as StateLoads
-from .robot_loads import robot_loads as robot_loads
 from .robot_names import LIBRARY as LIBRARY
 from .robot_names import MAP_JOINTS as MAP_JOINTS
 from .robot_names import find_named_robot as find_named_robot
@@ -28,6 +28,6 @@ from .robot_writer import write_robot as write_robot
 from .srdf import MAX_SRDF_BYTES as MAX_SRDF_BYTES
 from .srdf import disable_lines as disable_lines
 from .srdf import read_srdf as read_srdf
-from .support_outline import support_outline as support_outline
+from .wheel_contacts import support_outline as support_outline
 from .xacro import expand_xacro as expand_xacro
 from .xacro import is_xacro as is_xacro

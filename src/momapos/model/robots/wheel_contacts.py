@@ -10,7 +10,7 @@ import numpy as np
 from momapos.core.geometry import apply, invert
 from momapos.model.urdf import Articulated
 
-from .joint_tree import WHEEL
+from .running_gear import WHEEL
 
 if TYPE_CHECKING:
     from jaxtyping import Float

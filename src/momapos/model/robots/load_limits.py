@@ -17,7 +17,7 @@ from momapos.model.kinematics import BASE, LoadArrays, chain_arrays, static_load
 from momapos.model.records import MAX_EFFORT_SHARE, MIN_STABILITY, PoseOutcome, PoseStatus
 
 from .robot import Robot
-from .support_outline import support_outline
+from .wheel_contacts import support_outline
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

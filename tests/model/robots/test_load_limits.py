@@ -11,13 +11,13 @@ import pytest
 
 from momapos.core.geometry import contains
 from momapos.core.units import GRAVITY
-from momapos.model.kinematics.static_loads import BASE
+from momapos.model.kinematics.statics import BASE
 from momapos.model.records.loads import MAX_EFFORT_SHARE, MIN_STABILITY
 from momapos.model.records.outcomes import PoseStatus
+from momapos.model.robots.load_limits import robot_loads
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_loads import robot_loads
 from momapos.model.robots.robot_names import LIBRARY
-from momapos.model.robots.support_outline import support_outline
+from momapos.model.robots.wheel_contacts import support_outline
 
 Robots = Callable[[str], Robot]
 ROBOTS = ("fetch", "stretch", "ranger_rm63")
