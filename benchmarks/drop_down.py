@@ -7,7 +7,7 @@ The doors of `objects.py` that turn down about a horizontal axis: dishwashers, o
 others. They stand on the floor, which some meet after a few degrees, or on a plinth. Each is opened
 as far as the robot can (`--to max`), and the planned motion is executed at its base pose, with
 contacts, without noise and without the drive: at the largest value, an arm seldom finds a motion a
-few millimeters beside that pose. Doors of the `test` set are only counted.
+few millimeters from that pose. Doors of the `test` set are only counted.
 """
 
 from __future__ import annotations

@@ -49,6 +49,8 @@ Watch = Callable[[Simulation, float, Stage], None]
 """Callback after every control step, with the time [s] and the stage."""
 MAX_START_OVERLAP = 3e-3
 """Maximum overlap of the robot with its surroundings at the start, as a plan may have it [m]."""
+MIN_TIPPING_FORCE = 5.0
+"""Force on the hand from which on it is what tips the base, and not the arm's own motion [N]."""
 MAX_OVERLOAD_STEPS = 5
 """Control steps for which a force must exceed its limit to count [-]."""
 
@@ -210,6 +212,9 @@ class ExecutionRun:
                 self.detail = f"at {force:.0f} N and {torque:.1f} Nm"
                 return Ending.BROKE
             return None
+        if self.tipping.leans and not self.releasing and force > MIN_TIPPING_FORCE:
+            self.detail = f"{force:.0f} N tip the base over"
+            return Ending.TOO_HARD
         force, torque = (float(np.linalg.norm(v)) for v in np.split(self.arm.wrench, 2))
         hard = not self.releasing and (force > most.force or torque > most.torque)
         blocked = self.arm.load > self.max_load

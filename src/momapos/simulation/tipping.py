@@ -6,11 +6,13 @@ floor's reaction would act: the zero moment point (Vukobratovic 1972), accelerat
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
+from momapos.core import GRAVITY
 from momapos.core.geometry import contains, edge_distances, local_points
 
 if TYPE_CHECKING:
@@ -18,20 +20,27 @@ if TYPE_CHECKING:
 
     from .simulation import Simulation
 
-TIPPING_TIME = 0.1
-"""Time constant of the low-pass filter of the zero moment point: a base does not tip over within
-the milliseconds of an impact [s]."""
+MAX_TILT = math.radians(1.0)
+"""Tilt at which a base counts as tipped over [rad]: a wheel 40 cm from the edge is 7 mm up."""
+LEANING_TILT = MAX_TILT / 5
+"""Tilt at which the arm stops to pull [rad]."""
+SMOOTHING_TIME = 0.1
+"""Time constant of the filter of the recorded stability, which leaves impacts out [s]."""
 
 
 class Tipping:
-    """The stability of a robot during a run."""
+    """The stability of a robot during a run.
+
+    Where the zero moment point is outside the area that the wheels stand on, the robot begins to
+    turn about its edge, and falls back when the point returns.
+    """
 
     def __init__(self, world: Simulation, step: float) -> None:
         """`step` is the time between updates [s]."""
-        self._share = step / (TIPPING_TIME + step)
-        self._world = world
+        self._world, self._step = world, step
         self._body = world.model.body("base").id
-        self._point: Float[np.ndarray, "2"] | None = None
+        self._tilt, self._rate = 0.0, 0.0
+        self._smooth: float | None = None
         self.stability: float | None = None
         """Least distance of the zero moment point from the edge of the wheels' outline so far [m];
         None if masses or wheels are unknown."""
@@ -39,7 +48,12 @@ class Tipping:
     @property
     def tips(self) -> bool:
         """Whether the base would tip over."""
-        return self.stability is not None and self.stability < 0.0
+        return self._tilt > MAX_TILT
+
+    @property
+    def leans(self) -> bool:
+        """Whether the base begins to tip over, as the robot knows from its weight and its wrist."""
+        return self._tilt > LEANING_TILT
 
     def update(self) -> None:
         """Take the present state into account."""
@@ -47,12 +61,25 @@ class Tipping:
         if support is None:
             return
         point = self._zero_moment_point()
-        before = point if self._point is None else self._point
-        self._point = before + self._share * (point - before)
-        distance = float(edge_distances(self._point[None], support)[0])
-        inside = bool(contains(support, self._point[None])[0])
-        margin = distance if inside else -distance
-        self.stability = margin if self.stability is None else min(self.stability, margin)
+        distance = float(edge_distances(point[None], support)[0])
+        margin = distance if contains(support, point[None])[0] else -distance
+        before = margin if self._smooth is None else self._smooth
+        share = self._step / (SMOOTHING_TIME + self._step)
+        self._smooth = before + share * (margin - before)
+        least = self._smooth if self.stability is None else self.stability
+        self.stability = min(least, self._smooth)
+        self._turn(margin)
+
+    def _turn(self, margin: float) -> None:
+        """Integrate the turn about the edge, on which the weight acts with a lever."""
+        model, data = self._world.model, self._world.data
+        own = model.body_rootid == self._body
+        mass, at = model.body_mass[own], data.xipos[own]
+        inertia = float(mass @ ((at - data.xpos[self._body]) ** 2).sum(1))
+        self._rate -= self._step * GRAVITY * float(mass.sum()) * margin / inertia
+        self._tilt += self._step * self._rate
+        if self._tilt <= 0.0:
+            self._tilt = self._rate = 0.0
 
     def _zero_moment_point(self) -> Float[np.ndarray, "2"]:
         """Return where the floor's reaction acts [m], in the frame of the base."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from momapos.core import compare_by_content
+
 MAX_EFFORT_SHARE = 0.9
 """Share of an effort limit that a state may need at rest [-]; the rest is for accelerations. In
 simulation, a torso that needs 0.92 of its limit for its own weight does not follow its motion."""
@@ -14,7 +16,8 @@ MIN_STABILITY = 0.02
 narrow base of 117 kg move the zero moment point by 5 cm from where it is at rest, for 0.2 s."""
 
 
-@dataclass(frozen=True)
+@compare_by_content
+@dataclass(frozen=True, eq=False)
 class MotionLoads:
     """The worst loads of a motion, at rest in each of its states."""
 

@@ -282,7 +282,7 @@ def _rigid_motion(
 
 
 def _too_heavy(robot: Robot, target: SceneObject, mass: float) -> str:
-    """Return a reason if an object exceeds what the arm may carry beside its gripper, else ""."""
+    """Return a reason if an object exceeds what the arm may carry in its gripper, else ""."""
     if robot.payload is None:
         return ""
     most = robot.payload - sum(robot.model.urdf.links[link].mass for link in robot.gripper_links)
