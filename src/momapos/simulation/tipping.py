@@ -39,6 +39,8 @@ class Tipping:
         """`step` is the time between updates [s]."""
         self._world, self._step = world, step
         self._body = world.model.body("base").id
+        self._velocity = world.data.qvel.copy()
+        """Joint velocities at the last update."""
         self._tilt, self._rate = 0.0, 0.0
         self._smooth: float | None = None
         self.stability: float | None = None
@@ -84,7 +86,11 @@ class Tipping:
     def _zero_moment_point(self) -> Float[np.ndarray, "2"]:
         """Return where the floor's reaction acts [m], in the frame of the base."""
         model, data = self._world.model, self._world.data
+        # The engine integrates damping implicitly, so that its own accelerations are not the real.
+        kept, change = data.qacc.copy(), data.qvel - self._velocity
+        data.qacc[:] = change / self._step
         mujoco.mj_rnePostConstraint(model, data)
+        data.qacc[:], self._velocity = kept, data.qvel.copy()
         torque, force = np.split(data.cfrc_int[self._body], 2)
         center = data.subtree_com[model.body_rootid[self._body]]
         moment = torque + np.cross(center, force)

@@ -96,9 +96,13 @@ class RobotLoads:
         return self.outcome(int(loads.where[state]), float(loads.excess[state]), at)
 
 
-@lru_cache(maxsize=64)
 def robot_loads(robot: Robot) -> RobotLoads:
-    """Return a robot's masses, effort limits and wheels, from its URDF."""
+    """Return a robot's masses, effort limits and wheels, from its URDF; cached."""
+    return _robot_loads(robot)
+
+
+@lru_cache(maxsize=64)
+def _robot_loads(robot: Robot) -> RobotLoads:
     chain, notes = robot.chain, []
     mass, center = _segment_masses(robot)
     limits = np.array([robot.model.joint(name).effort for name in chain.names])
