@@ -76,7 +76,8 @@ class Scene:
         hypothesis than its most probable one.
 
         Args:
-            name, joint: Object and joint of the task; no joint for a rigid object.
+            name: Object of the task.
+            joint: Its joint; None for a rigid object.
         """
         others = [index for taken in self.hypotheses_set.values() for index in taken.values()]
         ways = () if joint is None else self.object(name).hypotheses.get(joint, ())
