@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 from tests import optional
@@ -21,6 +23,16 @@ CASES = DATA.parent / "findings" / "cases"
 """Small inputs of other people's kinds; it may be missing."""
 TOOLS = DATA.parent / "tools"
 """Independent checks of our files; it may be missing."""
+
+
+def check_independently(plan: Path) -> None:
+    """Check a plan file with the independent program, where it is present."""
+    if not TOOLS.is_dir():
+        return
+    check = [sys.executable, str(TOOLS / "verify_plan.py"), str(plan)]
+    done = subprocess.run(check, capture_output=True, text=True, check=False)
+    assert done.stdout.strip().endswith("VALID"), done.stdout + done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def furniture(name: str) -> Path:

@@ -60,6 +60,17 @@ def test_a_motor_too_weak_for_the_pull_is_named(
     assert "of 40 Nm" in attempt.reason
 
 
+def test_the_answer_says_which_efforts_are_unknown(kitchen: Scene, tmp_path: Path) -> None:
+    robot = with_urdf(tmp_path, ('effort="28"', 'effort="0"'))
+    task = make_task(kitchen, "open", "cabinet_left", "drawer_slide")
+    loads = plan_base_placement(kitchen, robot, task).plan.loads
+    assert loads is not None
+    assert set(loads.efforts) == {"shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"}
+    (note,) = loads.notes
+    assert note.startswith("no effort limit is known for wrist_1_joint, ")
+    assert note in str(loads)
+
+
 def test_a_home_that_a_motor_cannot_hold_is_the_reason(kitchen: Scene, tmp_path: Path) -> None:
     weak = with_urdf(tmp_path, ('effort="150"', 'effort="9"'))
     task = make_task(kitchen, "open", "fridge", "door_hinge")

@@ -53,7 +53,7 @@ def with_narrower_hand(
         return answer  # no way to drive there, for example
     for other in narrower_hands(query, answer.prepared):
         found = plan(other)
-        if found.plan.status != "solved":
+        if not found.plan.feasible:
             undecided = found.plan.status == "timeout" and answer.plan.status == "infeasible"
             return found if undecided else answer
         answer = replace(found, query=replace(other, keep_grasps=query.keep_grasps))

@@ -20,7 +20,7 @@ from momapos.model.records import (
     Status,
     Tolerance,
 )
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, robot_loads
 from momapos.model.scene import latch_value
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
@@ -216,7 +216,8 @@ def _loads(prepared: PreparedTask, found: Search) -> MotionLoads | None:
     if found.base is None or found.motion is None:
         return None
     x, y, yaw = map(float, found.base)
-    return prepared.verifier.loads((x, y, yaw), found.motion)
+    loads = prepared.verifier.loads((x, y, yaw), found.motion)
+    return replace(loads, notes=robot_loads(prepared.robot).notes)
 
 
 def _improbable(query: PlacementQuery) -> Assumption | None:

@@ -112,17 +112,10 @@ class MeasuredLoads:
         known = np.isfinite(self.robot.limits)
         worst = self.shares.max(0, initial=0.0)
         named = zip(self.robot.names, worst.tolist(), known.tolist(), strict=True)
-        unlimited = [n for n, k in zip(self.robot.names, known.tolist(), strict=True) if not k]
-        notes: tuple[str, ...] = ()
-        if unlimited:
-            notes += (f"no effort limit is known for {', '.join(unlimited)}",)
-        if self.stability is None:
-            notes += ("stability is unknown: the file lacks masses or wheels of the base",)
         return MotionLoads(
             {name: share for name, share, is_known in named if is_known},
             None if self.stability is None else float(self.stability.min()),
             payload,
-            notes,
         )
 
     def checks(self, path: DensePath, limits: Limits) -> tuple[Check, ...]:

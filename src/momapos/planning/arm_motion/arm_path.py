@@ -130,7 +130,7 @@ def _failure(layers: Layers, job: int, waypoint: int, loads: TaskLoads) -> ArmPa
         return ArmPath(BROKEN, waypoint, passed, FREE)
     if code == OVERLOADED_LAYER:
         where, excess = int(layers.where[job]), float(layers.excess[job])
-        overload = loads.limits.outcome(where, excess, _at(waypoint))
+        overload = loads.limits.outcome(where, excess, waypoint_name(waypoint))
         return ArmPath(OVERLOADED, waypoint, passed, FREE, overload=overload)
     return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)
 
@@ -194,7 +194,7 @@ def _connect(
             if codes[bad] != FREE:
                 worst = ArmPath(HIT, waypoint, count, int(codes[bad]))
             else:
-                overload = loads.limits.worst(borne, _at(waypoint))
+                overload = loads.limits.worst(borne, waypoint_name(waypoint))
                 worst = ArmPath(OVERLOADED, waypoint, count, FREE, overload=overload)
         # Banning the node after the failure forces another path.
         at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
@@ -202,7 +202,8 @@ def _connect(
     return worst
 
 
-def _at(waypoint: int) -> str:
+def waypoint_name(waypoint: int) -> str:
+    """Return the words for a waypoint in reasons."""
     return "the pre-grasp" if waypoint == 0 else f"waypoint {waypoint}"
 
 

@@ -28,7 +28,15 @@ from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, P
 from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion
 
-from .arm_path import FOUND, HIT, UNREACHABLE, ArmPath, HandCodes, find_paths
+from .arm_path import (
+    FOUND,
+    HIT,
+    UNREACHABLE,
+    ArmPath,
+    HandCodes,
+    find_paths,
+    waypoint_name,
+)
 from .arm_planner import (
     RESOLUTION,
     MotionCheckerFactory,
@@ -250,7 +258,7 @@ class Feasibility:
             return PoseOutcome(PoseStatus.HOME_COLLISION, self.world.reason(at_home))
         if path is None:
             return PoseOutcome(PoseStatus.NO_GRASP_IN_REACH)
-        where = "the pre-grasp" if path.waypoint == 0 else f"waypoint {path.waypoint}"
+        where = waypoint_name(path.waypoint)
         if path.status == FOUND:
             return PoseOutcome(PoseStatus.PATH_FOUND)
         if path.overload is not None:
