@@ -117,8 +117,8 @@ class Articulated:
         return poses
 
     def _child_pose(
-        self, joint: Joint, T_parent: Float[np.ndarray, "*v 4 4"], values: JointValues
-    ) -> Float[np.ndarray, "*v 4 4"]:
+        self, joint: Joint, T_parent: Float[np.ndarray, "*parents 4 4"], values: JointValues
+    ) -> Float[np.ndarray, "*batch 4 4"]:
         T = T_parent @ joint.T_parent_joint
         if not joint.movable:
             return T
