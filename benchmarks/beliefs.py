@@ -72,12 +72,18 @@ def openings(scene: Scene, robot: Robot, reach: ReachScorer, limit: int) -> Iter
             yield Opening(f"{item}/{joint}", answer.plan.status, found.probability, words)
 
 
-def scanned_scene(kitchen: str, folder: Path, frames: int) -> Scene:
-    """Return the scene reconstructed from a scan of a built-in kitchen; scan it if needed."""
-    scan, out = folder / kitchen / "scan", folder / kitchen / "found" / "scene.json"
+def scan_of(kitchen: str, folder: Path, frames: int) -> Path:
+    """Return the folder of a scan of a built-in kitchen; render it if needed."""
+    scan = folder / kitchen / "scan"
     if not scan.exists():
         room = load_scene(kitchen)
         write_scan(synthetic_scan(room, frames=frames, seed=0, sensor=DepthSensor()), scan)
+    return scan
+
+
+def scanned_scene(kitchen: str, folder: Path, frames: int) -> Scene:
+    """Return the scene reconstructed from a scan of a built-in kitchen."""
+    scan, out = scan_of(kitchen, folder, frames), folder / kitchen / "found" / "scene.json"
     scan_to_scene(read_scan(scan), out, default_tools())
     return load_scene(out)
 

@@ -10,6 +10,7 @@ from tests.perception.views.painted_box import FRIDGE, camera, image
 
 from momapos.core.geometry.transforms import apply
 from momapos.model.records.scans import Cloud, Detection, Frame, ImageDetection
+from momapos.perception.detection.coco import LABELS
 from momapos.perception.labels import with_labels
 
 EYES = [(-0.5, 0.5, 1.0), (-0.4, 0.2, 1.2), (-0.6, 0.9, 1.1)]
@@ -67,6 +68,6 @@ def test_furniture_with_handles_is_not_a_bed(
         asked.append(item)
         return handles
 
-    (named,) = with_labels([item], cloud, frames, None, found, None, opens)
+    (named,) = with_labels([item], cloud, frames, found, LABELS, None, opens)
     assert (named.label, named.name) == (called, f"{called}_1")
     assert len(asked) == (label == "bed")

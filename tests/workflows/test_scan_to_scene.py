@@ -31,9 +31,11 @@ from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import Modeled, ScanConfig, Survey, Tools
 from momapos.perception.segmentation.pointing import PointAt
 from momapos.perception.segmentation.segmenter import ClassicalSegmenter
+from momapos.perception.views.front_view import ViewMethod
 from momapos.planning.grasps.task_requests import hand_path, make_task, openable
 from momapos.planning.importance.config import ImportanceConfig
 from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.placement.config import Method
 from momapos.planning.result import PlacementResult
 from momapos.workflows.joint_belief import plan_by_hypothesis
 from momapos.workflows.scan import rank_survey, scan_to_scene
@@ -394,6 +396,87 @@ def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     run = json.loads((out / record["run"]).read_text())
     assert run["success"]
     assert (run["true_task"]["object"], run["true_task"]["joint"]) == ("fridge", "door_hinge")
+
+
+@pytest.mark.parametrize(
+    ("method", "views", "taken"),
+    [
+        ("paper", None, "first"),
+        ("paper", "voting", "voting"),
+        ("exhaustive", None, "voting"),
+        pytest.param("exhaustive", "first", "first", marks=pytest.mark.slow),
+    ],
+)
+def test_the_method_chooses_the_views_unless_they_are_given(
+    method: Method,
+    views: ViewMethod | None,
+    taken: ViewMethod,
+    seen: Survey,
+    made: Modeled,
+    scan: Scan,
+    tools: Tools,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("momapos.workflows.solve.survey", lambda *_, **__: seen)
+    robot, (name, door, _) = load_robot("segway_ur5e"), same_door(made, folder)
+    config = PipelineConfig(
+        place=PlaceConfig(method=method), importance=ImportanceConfig(alpha=1.0), timeout=1e-3
+    )
+    answer = solve_scan(
+        scan, [(robot, load_reach_map(robot))], ScanTask("open", name, door),
+        tmp_path / "scene.json", tools=tools, config=config, scanning=ScanConfig(views=views),
+    )  # fmt: skip
+    assert answer.scanning.views == taken
+    (target,) = (d for d in answer.modeled.decisions if d.detection.name == name)
+    assert target.view is not None
+    assert (target.view.evidence == ()) == (taken == "first")  # the first image asks no others
+
+
+def test_a_detector_locates_objects_for_the_views_of_the_paper_alone(
+    scan: Scan, tools: Tools
+) -> None:
+    class Seeing:
+        labels = frozenset({"fridge"})
+
+        def __call__(self, color: np.ndarray) -> list[ImageDetection]:
+            height, width = color.shape[:2]
+            return [ImageDetection((0.0, 0.0, float(width), float(height)), "fridge", 0.9)]
+
+    assert scan.cloud is not None
+    points, normals, colors = (
+        a[::20] for a in (scan.cloud.points, scan.cloud.normals, scan.cloud.colors)
+    )
+    few = replace(scan, frames=scan.frames[:2], cloud=Cloud(points, normals, colors))
+    seeing = replace(tools, detect=Seeing())
+    located = survey(few, seeing, config=ScanConfig(views="first")).found
+    assert located is not None
+    assert set(located) == {frame.name for frame in few.frames}
+    assert survey(few, seeing).found is None
+    given = {few.frames[0].name: Seeing()(few.frames[0].color)}
+    assert survey(few, seeing, found=given).found is given
+
+
+def test_one_command_goes_from_a_scan_to_a_plan_as_the_paper_prints_it(
+    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, door, _ = same_door(made, folder)
+    out = tmp_path / "solved"
+    words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
+    words += ["--out", str(out), "--no-pictures", "--no-run", "--no-tolerance"]
+    assert main([*words, "--method", "paper"]) == 0
+    text = capsys.readouterr().out
+    assert "by the first frontal image" in text
+    record = json.loads((out / "solve.json").read_text())
+    assert (record["status"], record["method"]) == ("solved", "paper")
+    assert record["views"] == "first"
+    assert list(record["stand_ins"]) == ["Detectron2", "ResNet50", "URDFormer", "Mask3D"]
+    assert all(f"{network}: {what}" in text for network, what in record["stand_ins"].items())
+    report = json.loads((out / "scan_report.json").read_text())
+    (target,) = (item for item in report["objects"] if item["name"] == name)
+    assert target["view"]["evidence"] == []
+    assert main(["verify", str(out / record["plan"])]) == 0
 
 
 @pytest.mark.slow

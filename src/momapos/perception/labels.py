@@ -19,12 +19,27 @@ from momapos.perception.segmentation import named
 from .records import Found
 
 
+def detections_of(
+    frames: Sequence[Frame], detector: Detector | None, found: Found | None
+) -> tuple[Found | None, frozenset[str]]:
+    """Return the 2-D detections in all images, and the labels that their detector knows.
+
+    Args:
+        frames: In the upright world.
+        detector: Runs on every image if `found` is None.
+        found: Detections of another program, by frame name.
+    """
+    if found is not None or detector is None:
+        return found, LABELS
+    return detect(frames, detector), detector.labels
+
+
 def with_labels(
     objects: Sequence[Detection],
     cloud: Cloud,
     frames: Sequence[Frame],
-    detector: Detector | None,
     found: Found | None,
+    known: frozenset[str],
     given: Mapping[str, str] | None,
     opens: Callable[[Detection], bool],
 ) -> list[Detection]:
@@ -34,8 +49,8 @@ def with_labels(
         objects: With labels by size and segmenter.
         cloud: In the upright world.
         frames: In the upright world.
-        detector: Runs on every image if `found` is None.
         found: 2-D detections by frame name.
+        known: Labels that the detector of `found` knows.
         given: Labels from the user, by the objects' default names.
         opens: Checks whether an object shows doors or drawers with handles. A detector's label
             without doors, such as a bed, is ignored for such an object.
@@ -43,9 +58,6 @@ def with_labels(
     Raises:
         UnknownNameError, InputError: A given label names no object, or is empty.
     """
-    labels = LABELS
-    if found is None and detector is not None:
-        found, labels = detect(frames, detector), detector.labels
     if found is not None:
         looked_at = [frame for frame in frames if frame.name in found]
         verdicts = vote(objects, cloud, looked_at, found)
@@ -55,6 +67,6 @@ def with_labels(
             else verdict
             for verdict, item in zip(verdicts, objects, strict=True)
         ]
-        objects = relabeled(objects, verdicts, labels)
+        objects = relabeled(objects, verdicts, known)
     objects = named(objects)
     return named(with_given_labels(objects, given)) if given else list(objects)

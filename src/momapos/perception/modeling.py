@@ -36,6 +36,9 @@ MIN_REPORTED_COMPLETION = 0.1
 """Completion is reported from this share of an object's points on [-]."""
 MIN_HANDLE_EVIDENCE = 0.9
 """From this handle evidence on an object has doors or drawers, whatever a detector says [-]."""
+MIN_DETECTION = 0.5
+"""Minimum score of a detection that locates an object for the paper's choice of an image [-]: the
+default of Detectron2's demo; the paper prints none."""
 DETECTED: Mapping[str, float] = {"microwave": 0.5, "oven": 0.5}
 """Precision of a detector's labels, multiplied by its confidence [-]. Other labels do not tell how
 doors open: 6 of the 11 objects that yolox_nano calls a fridge in the simulator's development
@@ -89,13 +92,15 @@ def front_of(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) 
     def look(face: FaceImage) -> Front:
         return tools.look(face, item.label)
 
-    seen = observations(item.box, survey.frames, survey.found) or observations(
+    method = config.views or "voting"
+    least = MIN_DETECTION if method == "first" else 0.0
+    seen = observations(item.box, survey.frames, survey.found, least) or observations(
         item.box, survey.frames
     )
     faces = box_faces(item.box)
     sides = [at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in faces]
     backed = [sides[face.opposite] for face in faces]
-    return choose_view(item.box, survey.frames, seen, look, config.views, survey.rows, backed)
+    return choose_view(item.box, survey.frames, seen, look, method, survey.rows, backed)
 
 
 def shows_handles(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) -> bool:

@@ -41,7 +41,7 @@ from momapos.perception.segmentation import (
 )
 from momapos.perception.views import KnownFront, split_row
 
-from .labels import with_labels
+from .labels import detections_of, with_labels
 from .modeling import decide, shows_handles, with_observed_motion
 from .open_doors import close_leaves, open_leaves
 from .records import Decision, Found, Modeled, Progress, ScanConfig, Survey, Target, Tools, silent
@@ -120,14 +120,15 @@ def survey(
     if not detections:
         raise InputError(f"{scan.name}: the scan shows only floor and walls; no object was found")
     boards = wall_detections(room)
-    seen = Survey(
-        cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves, found,
-        watch.seconds,
-    )  # fmt: skip
     with watch.stage("labels"):
         progress("labeling objects", 0.35)
+        detected, names = detections_of(frames, tools.detect, found)
+        seen = Survey(
+            cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves,
+            detected if config.views == "first" else found, watch.seconds,
+        )  # fmt: skip
         detections = with_labels(
-            detections, cloud, frames, tools.detect, found, labels,
+            detections, cloud, frames, detected, names, labels,
             lambda item: shows_handles(item, seen, tools, config),
         )  # fmt: skip
         detections = with_coverage(detections, cloud, boards, measured)

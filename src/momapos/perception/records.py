@@ -55,9 +55,10 @@ class ScanConfig:
     voxel: float = 0.015
     """Edge length of the fusion voxels [m]."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
-    views: ViewMethod = "voting"
+    views: ViewMethod | None = None
     """How the front of an object is chosen: by a vote of all images, or by the first image that
-    passes, as in the paper."""
+    passes, as in the paper. None: first in `solve_scan` with the paper's placement method, else
+    voting."""
     model: ModelConfig = field(default_factory=ModelConfig)
 
     def __post_init__(self) -> None:
@@ -131,7 +132,8 @@ class Survey:
     leaves: tuple[OpenLeaf, ...]
     """Open doors and flaps; `cloud` and `frames` show them closed."""
     found: Found | None
-    """2-D detections from another program, if there are any."""
+    """2-D detections that locate objects in the images: those of another program, if there are any,
+    or of the detector if one image chooses the front, as in the paper."""
     timing: Mapping[str, float]
     """Seconds by stage."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from momapos.core import Clock, Stopwatch, TaskError, as_path, expect
@@ -62,6 +62,8 @@ class ScanAnswer:
     """Importance thresholds at which the room was modeled, in order [-]."""
     timing: Mapping[str, float]
     """Seconds by stage: the stages of the scan, "importance", "place", and "total"."""
+    scanning: ScanConfig
+    """How the scan became a scene, with the choice of views that the method sets."""
 
 
 def solve_scan(
@@ -91,7 +93,8 @@ def solve_scan(
         found: What is already known of the scan, see `scan_to_scene`.
         labels: Labels of objects, by name, see `scan_to_scene`.
         given: Known models of objects, see `scan_to_scene`.
-        scanning: How the scan becomes a scene; importance is configured by `config`.
+        scanning: How the scan becomes a scene; importance is configured by `config`. With the
+            paper's placement method, one image chooses a front unless `views` says otherwise.
         config: How to rank and search.
         seed: The same seed gives the same answer.
         progress: Called with the current step and the completed share.
@@ -105,7 +108,8 @@ def solve_scan(
     expect("scan", scan, Scan, "read_scan reads one")
     expect("task", task, ScanTask)
     out = as_path("out", out)
-    scanning, config = scanning or ScanConfig(), config or PipelineConfig()
+    config = config or PipelineConfig()
+    scanning = _for_method(scanning or ScanConfig(), config)
     tools, report, watch = tools or default_tools(), progress or silent, Stopwatch(clock)
     seen = survey(
         scan, tools, found=found, labels=labels, config=scanning, progress=report, clock=clock
@@ -140,7 +144,14 @@ def solve_scan(
     with watch.stage("place"):
         _, asked, answers = first.or_next(ask)
     result = cheapest(answers, farthest=asked.farthest)
-    return ScanAnswer(modeled, result, tuple(alphas), {**spent, **watch.timing})
+    return ScanAnswer(modeled, result, tuple(alphas), {**spent, **watch.timing}, scanning)
+
+
+def _for_method(scanning: ScanConfig, config: PipelineConfig) -> ScanConfig:
+    """Return how to choose views, which the placement method sets by default."""
+    if scanning.views is not None:
+        return scanning
+    return replace(scanning, views="first" if config.place.method == "paper" else "voting")
 
 
 def _placed(modeled: Modeled, query: ScanTask, ask: PlanTask) -> MostProbable:

@@ -9,6 +9,7 @@ import pytest
 
 import momapos.perception.reconstruction
 from momapos.apps.cli.main import main
+from momapos.apps.cli.scan import ScanOptions, stand_ins
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.model.scene.scene_files import load_scene
 
@@ -103,3 +104,25 @@ def test_a_scan_that_is_a_fifo_is_refused_without_waiting(
     os.mkfifo(tmp_path / "scan.ply")
     assert main(["scan", str(tmp_path / "scan.ply"), "--out", str(tmp_path / "a.json")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [
+        (ScanOptions(), {"Detectron2": "projections", "URDFormer": "networks"}),
+        (ScanOptions(detections=Path("coco.json")), {"Detectron2": "coco.json"}),
+        (ScanOptions(detector="yolox_nano"), {"Detectron2": "yolox_nano"}),
+        (ScanOptions(instances=Path("masks.npy")), {"Mask3D": "masks.npy"}),
+        (
+            ScanOptions(predictor="urdformer", checkpoint=Path("part.pth")),
+            {"URDFormer": "part.pth"},
+        ),
+        (ScanOptions(predictor="template"), {"URDFormer": "templates"}),
+    ],
+)
+def test_what_stands_in_for_each_network_of_the_paper_is_named(
+    options: ScanOptions, names: dict[str, str]
+) -> None:
+    named = stand_ins(options)
+    assert list(named) == ["Detectron2", "ResNet50", "URDFormer", "Mask3D"]
+    assert all(text in named[network] for network, text in names.items())

@@ -247,9 +247,33 @@ def test_a_door_known_from_the_row_makes_its_piece_a_front() -> None:
 
     assert choose_view(FRIDGE, frames, seen, blind) is None
     before = [KnownFront(face, 0.8, (door,))]
-    methods: tuple[ViewMethod, ...] = ("voting", "first")
-    for method in methods:
-        view = choose_view(FRIDGE, frames, seen, blind, method, before)
+    view = choose_view(FRIDGE, frames, seen, blind, "voting", before)
+    assert view is not None
+    assert view.face.index == FRONT
+    assert view.front.parts == (door,)
+    assert choose_view(FRIDGE, frames, seen, blind, "first", before) is None, "one image decides"
+
+
+def test_the_first_frontal_image_decides_alone() -> None:
+    """Later images and parts known from a row change nothing (MoMa-Pos, III-B)."""
+    frames = around([0.0, 0.2, 0.4], FRONT)
+    seen, face = observations(FRIDGE, frames), box_faces(FRIDGE)[FRONT]
+    looks = 0
+
+    def half(image: FaceImage) -> Front:
+        nonlocal looks
+        looks += 1
+        front = red_is_front(image)
+        return replace(front, parts=tuple(replace(p, box=(0, 0, 0.5, 1)) for p in front.parts))
+
+    other = KnownFront(face, 0.9, (Part("drawer", (0.5, 0.0, 1.0, 1.0), 0.9),))
+    views = [
+        choose_view(FRIDGE, frames, sights, half, "first", known)
+        for sights, known in ((seen[:1], ()), (seen, ()), (seen, (other,)))
+    ]
+    assert looks == len(views)
+    for view in views:
         assert view is not None
-        assert view.face.index == FRONT
-        assert view.front.parts == (door,)
+        assert view.frame == seen[0].frame
+        assert [part.kind for part in view.front.parts] == ["door_left"]
+        assert view.evidence == ()

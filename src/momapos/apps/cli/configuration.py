@@ -51,9 +51,10 @@ class ScanSettings:
 
     voxel: float = 0.015
     """Voxel size for the fusion of depth images [m]."""
-    views: Views = "voting"
+    views: Optional[Views] = None  # noqa: UP045 (see cli.options)
     """How the front of an object is chosen: by a vote of all images, or by the first image that
-    passes, as in the paper."""
+    passes, as in the paper. None: first for solve with the paper's placement method, else
+    voting."""
     grid: bool = False
     """Snap parts to URDFormer's grid of 13 marks."""
     depth_topic: Optional[str] = None  # noqa: UP045 (see cli.options)

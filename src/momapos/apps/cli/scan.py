@@ -258,6 +258,23 @@ def _reader(scan: Scan, path: Path) -> Segmenter:
     return read
 
 
+def stand_ins(options: ScanOptions) -> dict[str, str]:
+    """Return what does the work of each network of MoMa-Pos, section III-B, by its name."""
+    projected = "projections of the 3-D boxes"
+    detections = options.detections or options.detector
+    predictors: dict[Predictor, str] = {
+        "network": "momapos' front networks",
+        "template": "templates by label",
+        "urdformer": f"URDFormer ({options.checkpoint}), on part boxes of momapos' networks",
+    }
+    return {
+        "Detectron2": projected if detections is None else f"{detections}, else {projected}",
+        "ResNet50": "camera poses and momapos' front network",
+        "URDFormer": predictors[options.predictor],
+        "Mask3D": "momapos' segmentation" if options.instances is None else str(options.instances),
+    }
+
+
 def given_models(options: ScanOptions) -> dict[str, GivenModel]:
     """Parse the models of objects, by name or label.
 

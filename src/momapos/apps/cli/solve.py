@@ -104,7 +104,7 @@ def solve(
     _check_world(options, verb)
     config = options.read_config()
     answer, record = _solve(source, verb, target, out, options, config)
-    data = _to_dict(answer, record)
+    data = _to_dict(answer, record, options)
     write_text_atomic(out / RECORD, dumps(data, indent=1, allow_nan=False) + "\n")
     print(dumps(data, allow_nan=False) if options.json else _summary(answer, record, data, out))
     if record is not None and not record.success:
@@ -219,8 +219,10 @@ def _run(
     return record
 
 
-def _to_dict(answer: ScanAnswer, record: RunRecord | None) -> dict[str, Any]:
+def _to_dict(answer: ScanAnswer, record: RunRecord | None, options: SolveOptions) -> dict[str, Any]:
     """Return the record as plain values; times in [s]."""
+    from .scan import stand_ins
+
     plan, timing = answer.result.plan, dict(answer.timing)
     if record is not None:
         timing |= {**record.time, "total": timing.pop("total") + sum(record.time.values())}
@@ -235,6 +237,8 @@ def _to_dict(answer: ScanAnswer, record: RunRecord | None) -> dict[str, Any]:
         "reason": "" if record is None else record.reason,
         "cloud": CLOUD, "scene": SCENE, "plan": PLAN, "run": None if record is None else RUN,
         "alphas": list(answer.alphas),
+        "views": answer.scanning.views,
+        **({"stand_ins": stand_ins(options.scan)} if answer.scanning.views == "first" else {}),
         "modeled": [d.detection.name for d in answer.modeled.decisions if d.model is not None],
         "timing": {name: round(seconds, 4) for name, seconds in timing.items()},
     }  # fmt: skip
@@ -255,6 +259,19 @@ def _summary(answer: ScanAnswer, record: RunRecord | None, data: dict[str, Any],
         *lines, "",
         f"  scan        {len(answer.modeled.decisions)} objects, {len(data['modeled'])} modeled "
         f"with joints (alpha {answer.alphas[-1]:.2f}{back})",
+        *_stand_ins(data),
         f"  all stages  {data['timing']['total']:.1f} s ({stages})",
         f"  record      {out / RECORD}",
     ])  # fmt: skip
+
+
+def _stand_ins(data: dict[str, Any]) -> list[str]:
+    """Name what does the work of the paper's networks, if one image chose each front."""
+    lines = [f"{name}: {what}" for name, what in data.get("stand_ins", {}).items()]
+    if not lines:
+        return []
+    return [
+        "  fronts      by the first frontal image (MoMa-Pos, III-B)",
+        f"  stand-ins   {lines[0]}",
+        *(f"              {line}" for line in lines[1:]),
+    ]

@@ -104,7 +104,8 @@ def choose_view(
 ) -> FrontView | None:
     """Find the front of a box (MoMa-Pos, III-B).
 
-    The paper takes the most central image that a classifier calls frontal. With known poses, every
+    As printed ("first"), images are tried from the most central one on. The first one that shows a
+    face frontally, by the camera's pose and the front score, decides alone. With "voting", every
     image votes for the face that it shows, so the error of one image is outvoted.
 
     Args:
@@ -113,14 +114,14 @@ def choose_view(
         seen: The images that show it, most central first.
         look: Finds the parts on a face.
         method: Vote of all images for each face, or the first image that passes, as in the paper.
-        known: Fronts of rows that the box may be a piece of.
-        backed: Whether the side opposite to each face stands against a wall.
+        known: Fronts of rows that the box may be a piece of (voting).
+        backed: Whether the side opposite to each face stands against a wall (voting).
 
     Returns:
         The front; None if no image shows one.
     """
     if method == "first":
-        return _first(box, frames, seen, look, known)
+        return _first(box, frames, seen, look)
     return _voting(box, frames, seen, look, known, backed)
 
 
@@ -129,7 +130,6 @@ def _first(
     frames: Sequence[Frame],
     seen: Sequence[Observation],
     look: FrontDetector,
-    known: Sequence[KnownFront],
 ) -> FrontView | None:
     faces = box_faces(box)
     for sight in seen:
@@ -142,7 +142,6 @@ def _first(
             continue
         image = face_image(face, [frame])
         front = FaceViews(face, [frame], [0]).look(0, look, MIN_FRONT_PROBABILITY)
-        front = _with_known(front, face, frame, known)
         if front_evidence(front, image) >= MIN_FRONT_PROBABILITY:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return FrontView(face, sight.frame, angle, image, front, ())

@@ -46,6 +46,7 @@ def observations(
     box: UprightBox,
     frames: Sequence[Frame],
     found: Mapping[str, Sequence[ImageDetection]] | None = None,
+    least: float = 0.0,
 ) -> list[Observation]:
     """Return the images that show a box, the one where it is most central first (MoMa-Pos, III-B).
 
@@ -53,12 +54,14 @@ def observations(
         box: Box of the object, in the world.
         frames: All images.
         found: 2-D detections by frame name; if None, the box's projection is used.
+        least: Minimum score of a detection [-].
     """
     seen = []
     for index, frame in enumerate(frames):
         rectangle = projection(box, frame)
         if rectangle is not None and found is not None:
-            match = _match(rectangle, found.get(frame.name, ()))
+            sure = [item for item in found.get(frame.name, ()) if item.score >= least]
+            match = _match(rectangle, sure)
             rectangle = None if match is None else match.box
         if rectangle is not None:
             seen.append(Observation(index, rectangle, _off_center(rectangle, frame)))
