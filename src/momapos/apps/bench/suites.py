@@ -194,7 +194,7 @@ SUITES = {
         _openings, ("segway_ur5e", "husky_ur5e", "fetch"), ("ours", "paper", *BASELINES)
     ),
     "paper-sim": SuiteKind(
-        _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, scannable=False
+        _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, 2, scannable=False
     ),
     "paper-real": SuiteKind(_paper_real, ("ranger_rm63",), PAPER_METHODS),
     "ablations": SuiteKind(
