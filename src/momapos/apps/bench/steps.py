@@ -22,7 +22,7 @@ from momapos.planning import (
     without_departure_check,
 )
 from momapos.planning.baselines import plan_with_method
-from momapos.planning.grasps import make_task, task_motion
+from momapos.planning.grasps import GraspFilter, make_task, task_motion
 from momapos.planning.placement import OURS, PoseMask
 
 from .bench_records import Container, Job, Outcome, Pose
@@ -30,7 +30,9 @@ from .containers import opened, without
 from .trace import JobTrace
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
+
+    from momapos.planning.grasps import TaskMotion
 
 OTHER_POSES = "other base poses"
 """Stage that looks for base poses in other regions of the free floor."""
@@ -57,6 +59,11 @@ class StepPlanner:
     config: PipelineConfig
     trace: JobTrace
 
+    @property
+    def keep_grasps(self) -> GraspFilter | None:
+        """Return the filter that leaves the simplest grasp, if the protocol allows only one."""
+        return simplest_grasp if self.job.protocol.grasps == "one" else None
+
     def plan(self, step: Step, *, keep_poses: PoseMask | None = None) -> PlacementResult:
         """Plan a step, and add its effort to the job.
 
@@ -69,7 +76,8 @@ class StepPlanner:
         _fill_caches(scene, robot, step.task, self.reach, step.start, config)
         query = PlacementQuery(
             scene, robot, step.task, self.reach, step.start, config, keep_poses=keep_poses,
-            seed=self.job.task.seed, watch=Stopwatch(time.process_time),
+            keep_grasps=self.keep_grasps, seed=self.job.task.seed,
+            watch=Stopwatch(time.process_time),
         )  # fmt: skip
         result = plan_with_method(query)
         self.trace.add_effort(result.plan)
@@ -97,6 +105,11 @@ class StepPlanner:
         return ("infeasible" if self.config.place.method in OURS else "gave up"), most
 
 
+def simplest_grasp(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
+    """Return which grasp of a motion is the simplest: the first."""
+    return np.arange(len(motion.Ts_world_tool)) == 0
+
+
 def plan_step(planner: StepPlanner, step: Step) -> list[tuple[Step, PlacementPlan]]:
     """Plan a job of one step; return the step with its plan, or nothing."""
     plan = planner.plan(step).plan
@@ -112,8 +125,9 @@ def plan_opening_first(
 ) -> list[tuple[Step, PlacementPlan]]:
     """Plan to open a container, then plan the task from that base pose.
 
-    If the task is infeasible then, try to open the container from other base poses. If all fail,
-    the job ends with the first opening and the failure of the task after it.
+    If the task is infeasible then, try to open the container from other base poses, unless the
+    first one counts. If all fail, the job ends with the first opening and the failure of the task
+    after it.
     """
     task, trace = planner.job.task, planner.trace
     room = without(scene, task.carried)
@@ -135,7 +149,9 @@ def plan_opening_first(
             trace.add_step(plan)
             return [(opening, found.plan), (step, plan)]
         failures.append(failure)
-        if len(tried) > MAX_OTHER_REGIONS or (plan is not None and plan.status == "timeout"):
+        timed_out = plan is not None and plan.status == "timeout"
+        committed = planner.job.protocol.commit == "first"
+        if committed or timed_out or len(tried) > MAX_OTHER_REGIONS:
             break
         others = planner.other_poses(found, after, tried)
         if others is None:
