@@ -12,7 +12,6 @@ from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, opened_as
 from momapos.model.scene import Scene
 from momapos.planning import PipelineConfig, check_base_pose
-from momapos.planning.grasps import GraspFilter
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -48,7 +47,6 @@ def works_disturbed(
     count: int,
     config: PipelineConfig,
     seed: int,
-    keep_grasps: GraspFilter | None = None,
 ) -> Bool[np.ndarray, "levels n"]:
     """Check at which disturbed base poses the replanned arm still does the task.
 
@@ -58,7 +56,6 @@ def works_disturbed(
         count: Base poses at each level.
         config: Configuration of the planner.
         seed: Same seed, same poses.
-        keep_grasps: Returns which grasps may be used; all by default.
     """
     assert plan.base_pose is not None
     base, rng = np.array(plan.base_pose), np.random.default_rng(seed)
@@ -66,9 +63,8 @@ def works_disturbed(
 
     def works(pose: Float[np.ndarray, "3"]) -> bool:
         attempt = check_base_pose(
-            scene, robot, task, pose, reach, how_far=False, config=config, seed=seed,
-            keep_grasps=keep_grasps,
-        )  # fmt: skip
+            scene, robot, task, pose, reach, how_far=False, config=config, seed=seed
+        )
         return attempt.motion is not None
 
     poses = [disturbed_poses(base, off, turn, count, rng) for off, turn in LEVELS]

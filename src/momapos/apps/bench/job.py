@@ -126,7 +126,7 @@ def _check_and_execute(
         if settings.disturbances:
             trace.add_disturbed(works_disturbed(
                 plan, step.scene, robot, reach, count=settings.disturbances, config=config,
-                seed=seed, keep_grasps=planner.keep_grasps,
+                seed=seed,
             ))  # fmt: skip
         if settings.execute:
             attempts = 1 if planner.job.protocol.commit == "first" else MAX_POSES

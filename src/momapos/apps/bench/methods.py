@@ -16,11 +16,11 @@ METHODS: tuple[str, ...] = get_args(Method)
 
 
 PINCH = ("families=pinch", "turning=false", "sliding=false")
-STRAIGHT = ("turns=0", "tilts=0")
+ONE = (*PINCH, "turns=0", "tilts=0", "count=1")
 FIXED: Mapping[str, tuple[str, ...]] = {
     "first": ("baselines.first_pose=true",),
     "pinch": tuple(f"motion.grasps.{one}" for one in PINCH),
-    "one": tuple(f"motion.grasps.{one}" for one in (*PINCH, *STRAIGHT)),
+    "one": tuple(f"motion.grasps.{one}" for one in ONE),
 }
 """Settings of the protocols, which no variant may change."""
 

@@ -22,7 +22,7 @@ from momapos.planning import (
     without_departure_check,
 )
 from momapos.planning.baselines import plan_with_method
-from momapos.planning.grasps import GraspFilter, make_task, task_motion
+from momapos.planning.grasps import make_task, task_motion
 from momapos.planning.placement import OURS, PoseMask
 
 from .bench_records import Container, Job, Outcome, Pose
@@ -30,9 +30,7 @@ from .containers import opened, without
 from .trace import JobTrace
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
-
-    from momapos.planning.grasps import TaskMotion
+    from jaxtyping import Float
 
 OTHER_POSES = "other base poses"
 """Stage that looks for base poses in other regions of the free floor."""
@@ -59,11 +57,6 @@ class StepPlanner:
     config: PipelineConfig
     trace: JobTrace
 
-    @property
-    def keep_grasps(self) -> GraspFilter | None:
-        """Return the filter that leaves the simplest grasp, if the protocol allows only one."""
-        return simplest_grasp if self.job.protocol.grasps == "one" else None
-
     def plan(self, step: Step, *, keep_poses: PoseMask | None = None) -> PlacementResult:
         """Plan a step, and add its effort to the job.
 
@@ -76,8 +69,7 @@ class StepPlanner:
         _fill_caches(scene, robot, step.task, self.reach, step.start, config)
         query = PlacementQuery(
             scene, robot, step.task, self.reach, step.start, config, keep_poses=keep_poses,
-            keep_grasps=self.keep_grasps, seed=self.job.task.seed,
-            watch=Stopwatch(time.process_time),
+            seed=self.job.task.seed, watch=Stopwatch(time.process_time),
         )  # fmt: skip
         result = plan_with_method(query)
         self.trace.add_effort(result.plan)
@@ -103,11 +95,6 @@ class StepPlanner:
         if plan.status == "assumed":
             return "gave up", f"only a plan that assumes that {plan.assumes}"
         return ("infeasible" if self.config.place.method in OURS else "gave up"), most
-
-
-def simplest_grasp(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
-    """Return which grasp of a motion is the simplest: the first."""
-    return np.arange(len(motion.Ts_world_tool)) == 0
 
 
 def plan_step(planner: StepPlanner, step: Step) -> list[tuple[Step, PlacementPlan]]:

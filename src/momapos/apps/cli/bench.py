@@ -102,11 +102,6 @@ def bench_run(
         _check_scannable(suite)
     if scan and commit == "first":
         raise InputError("--commit first checks the base pose in the true scene; leave out --scan")
-    if execute and grasps == "one":
-        raise InputError(
-            "--grasps one: with --execute the arm replans on arrival with several pinches; use "
-            "--grasps pinch"
-        )
     check_outputs(folders=[out])
     from momapos.apps.bench import method_config
 
