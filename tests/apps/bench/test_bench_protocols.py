@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -193,3 +194,36 @@ def test_a_protocol_that_cannot_be_honored_is_refused_in_one_line(
     assert message in shown.err
     assert (shown.err.count("\n"), shown.out) == (1, "")
     assert not (tmp_path / "out").exists()
+
+
+def test_paper_table_runs_the_tasks_of_paper_real_under_the_papers_protocol_and_ours() -> None:
+    table, real = SUITES["paper-table"], SUITES["paper-real"]
+    assert (table.build, table.robots) == (real.build, real.robots)
+    assert set(table.methods) >= set(real.methods)
+    assert table.protocols == (Protocol("first", "pinch"), Protocol("retry", "all"))
+
+
+@pytest.mark.timeout(300)
+def test_the_table_of_a_run_with_two_protocols_has_both_and_the_printed_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cup = replace(CUP, name="cup", group="grasp cup")
+    made = replace(SUITES["paper-table"], build=lambda *_: [cup], robots=("segway_ur5e",))
+    monkeypatch.setitem(SUITES, "paper-table", made)
+    out = str(tmp_path / "out")
+    run = ["bench", "run", "paper-table", "--methods", "habitat", "--workers", "1", "--out", out]
+    for new in (2, 0):
+        assert main([*run, "--disturbances", "0", "--json"]) == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert (facts["jobs"], facts["new"]) == (2, new)
+    assert set(facts["outcomes"]) == {"habitat (first, pinch)", "habitat (retry, all)"}
+    page = tmp_path / "page.html"
+    assert main(["bench", "report", out, "--html", str(page), "--maps", "1"]) == 0
+    text = capsys.readouterr().out
+    for protocol in ("first, pinch", "retry, all"):
+        assert f"The paper's table and ours ({protocol})" in text
+        assert f"Orders of the methods that differ from the paper's table ({protocol})" in text
+    lines = [line for line in text.splitlines() if line.startswith("| grasp cup | habitat (Habi")]
+    assert len(lines) == 2
+    assert all("100 % of 1 | 100 % |" in line and "3.2 +- 0.0 m" in line for line in lines)
+    assert "cup by habitat" in page.read_text()

@@ -63,9 +63,9 @@ def _sentence(task: str, figure: str, rows: Sequence[Row]) -> str:
         return ""
     printed = sorted(entries, key=lambda one: sign * one.printed)
     here = sorted(entries, key=lambda one: sign * one.mean)
-    mark, digits = (">", 0) if sign < 0 else ("<", 2)
+    mark, in_table, digits = (">", 0, 0) if sign < 0 else ("<", 1, 2)
     in_print = _chain(
-        [f"{one.name} {one.printed:g}" for one in printed],
+        [f"{one.name} {one.printed:.{in_table}f}" for one in printed],
         [mark if one.printed != other.printed else "=" for one, other in pairwise(printed)],
     )
     measured = _chain(
