@@ -54,14 +54,10 @@ def _sentence(task: str, figure: str, rows: Sequence[Row]) -> str:
         and (values := _values(figure, [r for r in rows if r.method == AS_PRINTED[one.name]]))
     ]
     unit, sign = FIGURES[figure]
-    same = all(
-        _is_better(*sorted(pair, key=lambda one: sign * one.printed), sign)
-        for pair in combinations(entries, 2)
-        if pair[0].printed != pair[1].printed
-    )
-    if same:
-        return ""
     printed = sorted(entries, key=lambda one: sign * one.printed)
+    differ = [(a, b) for a, b in combinations(printed, 2) if a.printed != b.printed]
+    if all(_is_better(better, worse, sign) for better, worse in differ):
+        return ""
     here = sorted(entries, key=lambda one: sign * one.mean)
     mark, in_table, digits = (">", 0, 0) if sign < 0 else ("<", 1, 2)
     in_print = _chain(

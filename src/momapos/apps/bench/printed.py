@@ -66,7 +66,7 @@ NOTE = (
 
 
 def printed_table(rows: Sequence[Row], protocol: str) -> Table:
-    """Build the table of the paper's four tasks under one protocol, printed figures beside ours."""
+    """Build the table of the paper's four tasks under one protocol, with the printed figures."""
     lines = []
     for task in dict.fromkeys(one.task for one in PRINTED):
         mine = grouped([row for row in rows if row.group == task], lambda row: row.method)

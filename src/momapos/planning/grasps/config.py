@@ -26,8 +26,8 @@ class GraspConfig:
     families: tuple[GraspFamily, ...] = ("pinch", "hook", "push", "suction")
     """Grasp families to try; without push, no door is opened with a regrasp."""
     count: Optional[int] = None  # noqa: UP045 (see cli.options)
-    """Maximum number of grasps to try, the firmest and simplest first, of those in which the hand
-    is free; None for all [-]."""
+    """Maximum number of grasps to try, the firmest and simplest first, of those in which the
+    fully open hand is free; None for all [-]."""
     turning: bool = True
     """Whether the hand may turn about bars."""
     sliding: bool = True
