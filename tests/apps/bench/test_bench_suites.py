@@ -216,7 +216,8 @@ def test_trials_differ_in_the_pose_of_the_table(
 ) -> None:
     optional.there(DATA / laboratory.ROOM)
     monkeypatch.setenv(laboratory.SHARED, str(DATA))
-    tasks = laboratory_tasks(0, ["ranger_rm63"], tmp_path, 2)
+    monkeypatch.setattr(laboratory, "TRIALS", 2)
+    tasks = laboratory_tasks(0, ["ranger_rm63"], tmp_path)
     assert Counter(task.group for task in tasks) == dict.fromkeys(TASKS, 2)
     rooms = [load_scene(tmp_path / name) for name in dict.fromkeys(task.scene for task in tasks)]
     tables = [room.object(laboratory.TABLE).T_world_object for room in rooms]
