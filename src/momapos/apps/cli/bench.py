@@ -177,12 +177,12 @@ def bench_report(
     rows = in_order(found.suite, all_rows(folder))
     if not rows:
         raise InputError(f"{folder}: contains no results yet; 'momapos bench run' writes them")
-    from momapos.apps.bench import all_tables, compared_tables
+    from momapos.apps.bench import all_tables, compared_tables, labeled
 
     tables = all_tables(found.suite, rows)
     if compare is not None:
         other = read_folder(compare)
-        compared = compared_tables(rows, all_rows(compare))
+        compared = compared_tables(labeled(rows), labeled(all_rows(compare)))
         if not compared[0].lines:
             raise InputError(
                 f"{compare}: shares no task and method with {folder} (suites "
@@ -191,7 +191,7 @@ def bench_report(
         tables += compared
     heading = _heading(found, rows)
     if html is not None:
-        from momapos.apps.bench import labeled, page
+        from momapos.apps.bench import page
         from momapos.model.scene import write_text_atomic
 
         drawn = _maps(folder, found, rows, maps)
