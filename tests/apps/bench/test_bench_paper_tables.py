@@ -128,7 +128,7 @@ def test_the_simulation_counts_each_robot_and_what_the_grid_can_do() -> None:
 
 def test_with_a_scan_the_report_has_the_shares_of_the_papers_stages() -> None:
     stages = {"survey": 10.0, "modeling": 6.0, "importance": 1.0, "search": 2.0, "way": 1.0}
-    rows = [row("a", stages=stages)]
+    rows = [row("a", stages=stages), row("b", stages={"modeling": 9.0}, outcome="infeasible")]
     table = by_title(all_tables(suite(), rows))["From scan to motion"]
     lines = [[cell.text for cell in line] for line in table.lines]
     assert lines[0] == ["ours", "50.0 %", "30.0 %", "15.0 %", "0.0 %", "5.0 %"]
@@ -139,13 +139,16 @@ def test_with_a_scan_the_report_has_the_shares_of_the_papers_stages() -> None:
     assert set(pies(rows)) == {"ours", "MoMa-Pos, as printed"}
 
 
-def test_the_modeling_time_of_each_class_is_a_mean_over_all_answers() -> None:
+def test_the_modeling_time_of_each_class_is_a_mean_over_the_solved_tasks() -> None:
     rows = [
         row(f"{method} {k}", method=method, group=group,
             stages={"survey": 9.0, "modeling": factor * seconds})
         for method, factor in (("paper", 1.0), ("paper:importance.alpha=0", 4.0))
         for k, (group, seconds) in enumerate((("cup", 1.0), ("cup", 2.0), ("fridge", 0.0)))
     ]  # fmt: skip
+    rows.append(
+        row("no", method="paper", group="cup", outcome="gave up", stages={"modeling": 99.0})
+    )
     table = by_title(all_tables(suite(), rows))["Modeling time by class"]
     assert [[cell.text for cell in line] for line in table.lines] == [
         ["paper", "1.50 s", "0.00 s"], ["paper:importance.alpha=0", "6.00 s", "0.00 s"]

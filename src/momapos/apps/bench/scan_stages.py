@@ -1,4 +1,7 @@
-"""Report the stages from a scan to a motion, next to the shares of time that the paper prints."""
+"""Report the stages from a scan to a motion, next to the shares of time that the paper prints.
+
+Only solved tasks count, as in the paper: an infeasible answer models every object.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 
 from .bench_records import Row
 from .cells import Cell, Table
-from .metrics import grouped, stage_shares
+from .metrics import grouped, stage_shares, succeeded
 from .printed import MARK
 
 SURVEY, MODELING, CHECKS = "survey", "modeling", "checks"
@@ -18,8 +21,8 @@ STAGES: Mapping[str, float] = {MODELING: 58.0, CHECKS: 40.0, "potential": 0.9, "
 
 
 def from_scan(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows of answers from a scan."""
-    return [row for row in rows if MODELING in row.stages]
+    """Return the rows of tasks that were solved from a scan."""
+    return [row for row in rows if MODELING in row.stages and succeeded(row)]
 
 
 def printed_stages(rows: Sequence[Row]) -> Table:
@@ -40,7 +43,7 @@ def printed_stages(rows: Sequence[Row]) -> Table:
     printed = (Cell(f"{share:.1f} %") for share in STAGES.values())
     lines.append((Cell(f"MoMa-Pos, {MARK}"), Cell("-"), *printed))
     note = (
-        f"Shares of the processor time. {SURVEY}: from the images to a labeled box of each object, "
+        f"Shares of the processor time of solved tasks. {SURVEY}: from the images to a labeled box of each object, "
         f"which the paper's table does not contain. {CHECKS}: all other stages, mainly the arm "
         "motions at the samples."
     )
@@ -59,7 +62,7 @@ def modeling_table(rows: Sequence[Row]) -> Table:
         )
         lines.append((Cell(method), *cells))
     note = (
-        f"Mean processor time of the models, without the {SURVEY}. The variant "
+        f"Mean processor time of the models in solved tasks, without the {SURVEY}. The variant "
         "paper:importance.alpha=0 models every object."
     )
     return Table("Modeling time by class", ("method", *classes), tuple(lines), note)
