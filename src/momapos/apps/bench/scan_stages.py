@@ -43,9 +43,9 @@ def printed_stages(rows: Sequence[Row]) -> Table:
     printed = (Cell(f"{share:.1f} %") for share in STAGES.values())
     lines.append((Cell(f"MoMa-Pos, {MARK}"), Cell("-"), *printed))
     note = (
-        f"Shares of the processor time of solved tasks. {SURVEY}: from the images to a labeled box of each object, "
-        f"which the paper's table does not contain. {CHECKS}: all other stages, mainly the arm "
-        "motions at the samples."
+        f"Shares of the processor time of solved tasks. {SURVEY}: from the images to a labeled box "
+        f"of each object, which the paper's table does not contain. {CHECKS}: all other stages, "
+        "mainly the arm motions at the samples."
     )
     return Table("From scan to motion", ("method", SURVEY, *STAGES), tuple(lines), note)
 
