@@ -55,7 +55,7 @@ class Protocol:
         return from_plain({"commit": commit, "grasps": grasps}, cls, f"protocol {words!r:.60}")
 
 
-OURS = Protocol()
+DEFAULT_PROTOCOL = Protocol()
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Settings:
     disturbances: int = 0
     """Base poses 2 cm and 2 degrees off the planned one, and as many 5 cm and 5 degrees off it, at
     which the arm motion is replanned."""
-    protocols: tuple[Protocol, ...] = (OURS,)
+    protocols: tuple[Protocol, ...] = (DEFAULT_PROTOCOL,)
     """Each task is run under each of them."""
 
 
@@ -133,7 +133,7 @@ class Job:
     task: SuiteTask
     method: str
     settings: Settings = field(default_factory=Settings)
-    protocol: Protocol = OURS
+    protocol: Protocol = DEFAULT_PROTOCOL
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class Row:
     unsolved or not requested."""
     at_5cm: float | None = None
     """The same for 5 cm and 5 degrees."""
-    protocol: str = str(OURS)
+    protocol: str = str(DEFAULT_PROTOCOL)
     """How the base pose counts, and the grasps: the words of `Protocol`."""
     host: str = ""
     finished: float = 0.0

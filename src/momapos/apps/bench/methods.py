@@ -10,7 +10,7 @@ from momapos.core import InputError, unknown_name
 from momapos.planning import PipelineConfig, apply_settings, parse_setting
 from momapos.planning.placement import Method
 
-from .bench_records import OURS, Protocol
+from .bench_records import DEFAULT_PROTOCOL, Protocol
 
 METHODS: tuple[str, ...] = get_args(Method)
 
@@ -25,7 +25,9 @@ FIXED: Mapping[str, tuple[str, ...]] = {
 """Settings of the protocols, which no variant may change."""
 
 
-def method_config(text: str, timeout: float, protocol: Protocol = OURS) -> PipelineConfig:
+def method_config(
+    text: str, timeout: float, protocol: Protocol = DEFAULT_PROTOCOL
+) -> PipelineConfig:
     """Return the configuration of a method or a variant.
 
     Args:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from momapos.core import InputError, unknown_name
 from momapos.model.robots import library_names
 
-from .bench_records import OURS, Commit, GraspSet, Protocol, SuiteTask
+from .bench_records import DEFAULT_PROTOCOL, Commit, GraspSet, Protocol, SuiteTask
 
 if TYPE_CHECKING:
     from momapos.model.robots import Robot
@@ -205,11 +205,11 @@ SUITES = {
     "paper-real": SuiteKind(_paper_real, ("ranger_rm63",), PAPER_METHODS),
     "paper-table": SuiteKind(
         _paper_real, ("ranger_rm63",), TABLE_METHODS, scannable=False,
-        protocols=(PAPER_PROTOCOL, Protocol()),
+        protocols=(PAPER_PROTOCOL, DEFAULT_PROTOCOL),
     ),
     "ablations": SuiteKind(
         lambda seed, robots, _: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS,
-        protocols=(Protocol(),),
+        protocols=(DEFAULT_PROTOCOL,),
     ),
 }  # fmt: skip
 
@@ -243,7 +243,8 @@ def protocols_of(
     """
     own = SUITES[name].protocols
     if not own:
-        return (Protocol(commit or OURS.commit, grasps or OURS.grasps),)
+        default = DEFAULT_PROTOCOL
+        return (Protocol(commit or default.commit, grasps or default.grasps),)
     if commit or grasps:
         others = ", ".join(other for other, kind in SUITES.items() if not kind.protocols)
         words = "; ".join(map(str, own))
