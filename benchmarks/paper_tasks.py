@@ -106,8 +106,12 @@ def report(rows: list[dict[str, Any]]) -> str:
             cells = (plan, whole, [r["cost"] for r in acted], [r["driven"] for r in acted])
             numbers = " | ".join(_spread(values) for values in cells)
             lines.append(f"| {task} | {method} | {len(mine)} | {numbers} | {good:.0f} |")
-        for _, method, seconds, cost, share in (row for row in PRINTED if row[0] == task):
-            lines.append(f"| | {method}, as printed | | | {seconds} | {cost} | | {share} |")
+        lines += [
+            f"| | {one.name}, as printed | | | {one.time} +- {one.time_spread} | "
+            f"{one.driving} +- {one.driving_spread} | | {one.success:.0f} |"
+            for one in PRINTED
+            if one.task == task
+        ]
     failed = Counter((r["task"], r["method"], str(r["reason"])) for r in rows if not r["success"])
     lines += [f"failed {n} times: {', '.join(what)}" for what, n in failed.most_common()]
     touched = sum(bool(r.get("collisions")) for r in rows)

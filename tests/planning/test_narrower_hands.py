@@ -33,6 +33,7 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.narrower_hands import narrower_hands, with_narrower_hand
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
+from momapos.planning.task_setup import prepare
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
@@ -65,6 +66,18 @@ def solved(
 
 def file_of(result: PlacementResult) -> Path:
     return Path(result.plan.scene).with_name("plan.json")
+
+
+def test_a_limited_number_of_grasps_is_not_exceeded_with_a_hand_that_is_less_open(
+    tmp_path: Path, robots: Callable[[str], Robot]
+) -> None:
+    query = query_of(tmp_path, "a bar in a niche", robots)
+    grasps = replace(query.config.motion.grasps, count=1)
+    motion = replace(query.config.motion, grasps=grasps)
+    limited = replace(query, config=replace(query.config, motion=motion))
+    for asked, some in ((query, True), (limited, False)):
+        ready = prepare(query.scene, query.robot, query.task, asked.config, clearance=0.01)
+        assert any(narrower_hands(asked, ready)) == some
 
 
 def test_a_handle_without_room_is_held_by_a_hand_that_is_less_open(

@@ -34,6 +34,9 @@ class PaperConfig:
     """Whether the potential includes the field F (paper)."""
     inverse_map: bool = True
     """Whether the potential includes inverse reachability (paper)."""
+    check_stops: bool = True
+    """Whether RRT* checks the stops before the robot drives to one, as printed; else the first stop
+    of the first tour is the proposal (paper)."""
     early_cull: bool = False
     """Whether samples from which the map doesn't reach the grasp are dropped (an addition)."""
 
@@ -52,6 +55,9 @@ class BaselineConfig:
     """Whether every object is its bounding box, as for MoMa-Pos's baselines."""
     one_grasp: bool = False
     """Whether there is only the simplest grasp, as for MoMa-Pos's baselines."""
+    first_pose: bool = False
+    """Whether the first base pose that a method proposes counts: the arm motion is planned there in
+    the true scene, and no other base pose is tried. `paper` proposes a stop that RRT* accepts."""
 
 
 @dataclass(frozen=True)

@@ -71,12 +71,14 @@ def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> Iterator[Pl
 
     The narrowest hand comes first: the lines of a wider hand are nearly always among its lines, so
     if it fails, wider ones would. Then comes the widest with similarly many, which forgives more.
+    If the number of grasps is limited, there are none.
 
     Args:
         query: The question.
         prepared: Its task in the scene as it is modeled, for the open hand.
     """
-    if query.robot.fully_open is not None or prepared.blocked:
+    limited = query.config.motion.grasps.count is not None
+    if limited or query.robot.fully_open is not None or prepared.blocked:
         return
     hands = [opened_to(query.robot, width) for width in _openings(prepared)]
     queries = [

@@ -197,7 +197,10 @@ def _with_free_grasp(
         is_free, obstacle = collision_free_grasps(robot, world, other)
         allowed = is_free if keep_grasps is None else is_free & keep_grasps(other)
         if allowed.any():
-            usable = other.only(other.grasps.deepest(allowed))
+            rows = other.grasps.deepest(allowed)
+            if config.motion.grasps.count is not None:
+                rows &= np.cumsum(rows) <= config.motion.grasps.count
+            usable = other.only(rows)
             enclosing = enclosed_by(robot, world, usable)
             if not enclosing:
                 return usable, world, other.refusal

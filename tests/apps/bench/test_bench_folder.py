@@ -12,7 +12,7 @@ import pytest
 from tests.apps.bench.fakes import row, task
 
 from momapos.apps.bench import folder as folders
-from momapos.apps.bench.bench_records import Settings, SuiteTask
+from momapos.apps.bench.bench_records import Protocol, Settings, SuiteTask
 from momapos.apps.bench.folder import locked, open_folder, read_folder, rows_file, scene_digest
 from momapos.apps.bench.row_store import RowStore
 from momapos.apps.bench.suites import SUITES, SuiteKind
@@ -68,6 +68,10 @@ def test_a_second_run_finds_the_folder_unchanged(tmp_path: Path) -> None:
         ({"robots": ["husky_ur5e"]}, "robots fetch, not husky_ur5e"),
         ({"settings": Settings(timeout=3.0)}, "timeout 20.0, not 3.0"),
         ({"settings": Settings(execute=True)}, "execute False, not True"),
+        (
+            {"settings": Settings(protocols=(Protocol("first", "one"), Protocol()))},
+            "protocols retry, all, not first, one; retry, all; use another folder",
+        ),
     ],
 )
 def test_a_folder_of_another_run_is_refused(
@@ -76,6 +80,12 @@ def test_a_folder_of_another_run_is_refused(
     opened(tmp_path)
     with pytest.raises(InputError, match=message):
         opened(tmp_path, **change)  # type: ignore[arg-type]
+
+
+def test_a_folder_from_before_there_were_protocols_has_the_default_one(tmp_path: Path) -> None:
+    first = opened(tmp_path)
+    _edit(lambda data: data["settings"].pop("protocols"))(tmp_path)  # type: ignore[attr-defined]
+    assert read_folder(tmp_path) == first
 
 
 def test_a_folder_of_an_older_suite_revision_is_refused(

@@ -24,7 +24,6 @@ from momapos.apps.bench.html_report import AnswerMap, page
 from momapos.apps.bench.markdown_report import markdown
 from momapos.apps.bench.metrics import in_order, paired_p_value, share
 from momapos.apps.bench.parquet import write_parquet
-from momapos.apps.bench.printed import PRINTED, pies
 from momapos.apps.bench.report_tables import all_tables, compared_tables
 from momapos.apps.bench.row_store import NESTED
 from momapos.core.errors import InputError, MissingExtraError
@@ -159,29 +158,6 @@ def test_a_stage_has_its_share_its_median_and_its_95th_percentile() -> None:
     found = cells(by_title(all_tables(suite(), rows))["Time by stage"])
     assert found["search"] == "50.0 %; 50, 95 ms"
     assert found["model"] == "50.0 %; 50, 50 ms"
-
-
-def test_the_papers_rows_follow_ours_and_are_marked() -> None:
-    made = replace(suite(), name="paper-real")
-    rows = [
-        row("a", group="open fridge", seconds=1.0), row("b", group="open fridge", seconds=3.0),
-        row("c", group="open fridge", outcome="gave up"),
-    ]  # fmt: skip
-    table = by_title(all_tables(made, rows))["The paper's table and ours"]
-    lines = [[cell.text for cell in line] for line in table.lines if line[0].text == "open fridge"]
-    assert lines[0] == ["open fridge", "ours", "2.00 +- 1.00 s", "2.00 +- 0.00 m", "67 % of 3"]
-    assert all("as printed" in line[1] for line in lines[1:])
-    assert len(table.lines) == 1 + len(PRINTED)
-
-
-def test_with_a_scan_the_report_has_the_shares_of_the_papers_stages() -> None:
-    rows = [row("a", stages={"modeling": 6.0, "importance": 1.0, "search": 2.0, "way": 1.0})]
-    table = by_title(all_tables(suite(), rows))["From scan to motion"]
-    assert [cell.text for cell in table.lines[0]] == ["ours", "60.0 %", "10.0 %", "30.0 %"]
-    assert table.lines[1][0].text == "MoMa-Pos, as printed"
-    known = by_title(all_tables(suite(), [row("a")]))
-    assert "From scan to motion" not in known
-    assert set(pies(rows)) == {"ours", "MoMa-Pos, as printed"}
 
 
 @pytest.mark.parametrize("shares", [{"a": 1.0}, {"a": 3.0, "b": 1.0}, {"a": 0.2, "b": 0.2}, {}])

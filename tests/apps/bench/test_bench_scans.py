@@ -93,9 +93,9 @@ def test_poses_are_transformed_to_the_scan_and_back(room: ScannedRoom) -> None:
 def test_the_modeling_time_counts_the_modeled_objects(room: ScannedRoom) -> None:
     names = list(room.record.models)
     everything, nothing = room.modeling(None), room.modeling(())
-    assert everything == pytest.approx(nothing + sum(room.record.models.values()))
-    assert room.modeling(names) == everything
-    assert nothing == pytest.approx(sum(room.record.survey.values()))
+    assert everything == pytest.approx(sum(room.record.models.values()))
+    assert (room.modeling(names), nothing) == (everything, 0.0)
+    assert room.surveying == pytest.approx(sum(room.record.survey.values()))
 
 
 def test_a_room_without_walls_is_not_limited_to_the_scanned_floor(
@@ -113,7 +113,8 @@ def test_the_time_of_a_row_from_a_scan_includes_modeling(
     row = answer_job(job)
     assert (row.outcome, row.verified) == ("solved", True)
     assert row.seconds == pytest.approx(sum(row.stages.values()), abs=0.05)
-    assert row.stages["modeling"] > 0.5 * row.seconds
+    assert row.stages["survey"] == room.surveying > 0.5 * row.seconds
+    assert 0.0 < row.stages["modeling"] < row.stages["survey"]
     bare = replace(room, scene=Scene("bare", ()))
     monkeypatch.setattr(answer, "scanned_room", lambda *_: bare)
     unseen = answer_job(job)

@@ -17,6 +17,7 @@ from momapos.apps.bench.bench_records import Container, SuiteTask
 from momapos.apps.bench.containers import opened, without
 from momapos.apps.bench.dining_rooms import OBJECT_SIZES, PLACES, DiningRoom, make_room
 from momapos.apps.bench.laboratory import TASKS, laboratory_tasks, shared_data
+from momapos.apps.bench.microwaves import MICROWAVE, microwave_on
 from momapos.apps.bench.suites import (
     SMOKE_TASKS,
     SUITES,
@@ -26,11 +27,21 @@ from momapos.apps.bench.suites import (
     spread,
 )
 from momapos.core.errors import FileFormatError
+from momapos.model.collision.arm_collision import FREE
+from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
+from momapos.model.scene.library.box_furniture import (
+    Box,
+    FurniturePart,
+    Piece,
+    hits,
+    obstacles,
+    solid,
+)
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
-from momapos.model.scene.scene_object import SceneObject
+from momapos.model.scene.scene_object import SceneObject, upright_boxes
 from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.verification.exact_check import PlanVerifier
 
@@ -83,10 +94,9 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> DiningRoom:
 
 
 def boxes_overlap(one: SceneObject, other: SceneObject) -> bool:
-    """Check that two bounding boxes overlap by more than 1 mm in every direction."""
-    low = np.maximum(one.bounds[0], other.bounds[0])
-    high = np.minimum(one.bounds[1], other.bounds[1])
-    return bool((high - low > 1e-3).all())
+    """Check that the upright boxes of two objects overlap."""
+    own, others = upright_boxes([one]), upright_boxes([other])
+    return bool(base_hits(np.zeros((1, 3)), own, others, clearance=0.0)[0] != FREE)
 
 
 def test_a_room_has_objects_in_every_place_and_none_overlap(
@@ -143,7 +153,7 @@ def test_every_task_of_a_room_is_valid(drawn: DiningRoom) -> None:
     scene = load_scene(drawn.file)
     tasks = list(_tasks_of_room(drawn, "room.json", "00"))
     assert {task.group for task in tasks} == {
-        *PLACES, "open fridge", "open drawer", "open dishwasher"
+        *PLACES, "open fridge", "open drawer", "open dishwasher", "open microwave"
     }  # fmt: skip
     for task in tasks:
         room = scene.with_joints(task.joints)
@@ -151,6 +161,48 @@ def test_every_task_of_a_room_is_valid(drawn: DiningRoom) -> None:
             make_task(room, "open", task.inside.object, task.inside.joint)
         make_task(room, task.verb, task.object, task.joint, task.to)
         assert {item.name for item in room.objects} >= set(task.carried)
+
+
+def test_a_microwave_is_hinged_on_the_left_and_its_door_can_swing(
+    drawn: DiningRoom, robots: Callable[[str], Robot]
+) -> None:
+    scene = load_scene(drawn.file)
+    oven = scene.object(MICROWAVE)
+    task = make_task(scene, "open", MICROWAVE)
+    assert task.joint is not None
+    assert task.to == pytest.approx(np.pi / 2)
+    verifier = PlanVerifier(scene, robots("segway_ur5e"), task)
+    assert all(verifier.blocked(value) is None for value in np.linspace(0.0, task.to, 7))
+    to_front = oven.T_world_object[:3, :3] @ [0.0, -1.0, 0.0]
+    opened_by = scene.with_joint(MICROWAVE, task.joint, 0.3).object(MICROWAVE)
+    low, high = oven.bounds
+    farther = np.abs(opened_by.bounds - oven.bounds).max(0)
+    assert farther @ np.abs(to_front) > 0.1
+    axis = oven.T_world_object[:3, :3] @ oven.joint(task.joint).axis
+    hinge = oven.link_poses()[oven.model.joint(task.joint).child][:3, 3]
+    left = np.cross([0.0, 0.0, 1.0], -to_front)
+    assert axis[2] == pytest.approx(-1.0)
+    assert (hinge - (low + high) / 2) @ left > 0.2
+
+
+@pytest.mark.parametrize("yaw", [0.0, -np.pi / 2, 2.0])
+def test_a_microwave_fits_no_countertop_without_clearance_for_its_door(yaw: float) -> None:
+    wide = Box("top", (-0.5, -0.32, -0.02), (0.5, 0.32, 0.02))
+    counter = Piece(
+        "countertop", "counter", (1.0, 2.0, 0.88), yaw, (FurniturePart("body", (wide,)),)
+    )
+    c, s = np.cos(yaw), np.sin(yaw)
+    ahead = (1.0 + 0.45 * s, 2.0 - 0.45 * c, 1.0)
+    wall = solid("wall", "wall", (2.0, 0.2, 2.0), ahead, yaw)
+    rng = np.random.default_rng(0)
+    found = microwave_on([(counter, wide)], [counter], rng)
+    assert found is not None
+    oven, swing = found
+    assert not hits(oven, oven.parts[1], np.linspace(0.0, 1.9, 20), obstacles([counter])).any()
+    passed = hits(oven, oven.parts[1], np.linspace(0.2, 1.6, 8), obstacles([swing]))
+    assert passed.all()
+    assert microwave_on([(counter, wide)], [counter, wall], rng) is None
+    assert microwave_on([], [counter], rng) is None
 
 
 def test_the_same_seed_draws_the_same_room(drawn: DiningRoom, tmp_path: Path) -> None:

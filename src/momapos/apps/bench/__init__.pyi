@@ -1,4 +1,6 @@
 from .answer_maps import draw_maps as draw_maps
+from .bench_records import Commit as Commit
+from .bench_records import GraspSet as GraspSet
 from .bench_records import Outcome as Outcome
 from .bench_records import Row as Row
 from .bench_records import Settings as Settings
@@ -17,6 +19,7 @@ from .html_report import page as page
 from .markdown_report import markdown as markdown
 from .methods import method_config as method_config
 from .metrics import in_order as in_order
+from .metrics import labeled as labeled
 from .parquet import write_parquet as write_parquet
 from .report_tables import all_tables as all_tables
 from .report_tables import compared_tables as compared_tables
@@ -24,4 +27,5 @@ from .row_store import RowStore as RowStore
 from .runner import jobs_of as jobs_of
 from .runner import run_jobs as run_jobs
 from .suites import SUITES as SUITES
+from .suites import protocols_of as protocols_of
 from .suites import refuse_unknown as refuse_unknown

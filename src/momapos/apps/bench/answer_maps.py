@@ -16,7 +16,7 @@ from momapos.planning import plan_by_method
 from momapos.planning.grasps import make_task
 from momapos.planning.reachability import load_reach
 
-from .bench_records import Row, SuiteTask
+from .bench_records import Protocol, Row, SuiteTask
 from .containers import without
 from .folder import Contents, scene_path
 from .html_report import AnswerMap
@@ -27,14 +27,21 @@ OURS = "ours"
 
 
 def chosen_rows(tasks: Sequence[SuiteTask], rows: Sequence[Row], count: int) -> list[Row]:
-    """Select solved rows with one step, of `ours` if it ran, taking the classes in turn."""
+    """Select solved rows with one step, of `ours` if it ran, taking the classes in turn.
+
+    Of several protocols the last counts.
+    """
     one_step = {task.name for task in tasks if task.inside is None}
+    last = rows[-1].protocol if rows else ""
     methods = {row.method for row in rows}
     method = OURS if OURS in methods else next((m for m in METHODS if m in methods), None)
     fit = [
         row
         for row in rows
-        if row.task in one_step and row.method == method and row.outcome == "solved"
+        if row.task in one_step
+        and row.method == method
+        and row.protocol == last
+        and row.outcome == "solved"
     ]
     by_group = list(grouped(fit, lambda row: row.group).values())
     turns = max(map(len, by_group), default=0)
@@ -69,7 +76,7 @@ def _drawn(folder: Path, task: SuiteTask, row: Row, timeout: float) -> bytes:
     reach = load_reach(robot, user_cache().folder)
     answer = plan_by_method(
         scene, robot, make_task(scene, task.verb, task.object, task.joint, task.to), reach,
-        config=method_config(row.method, timeout), seed=task.seed,
+        config=method_config(row.method, timeout, Protocol.of(row.protocol)), seed=task.seed,
         start=None if task.start is None else np.array(task.start),
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as temporary:

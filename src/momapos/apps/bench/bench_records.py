@@ -15,6 +15,12 @@ Outcome = Literal["solved", "infeasible", "gave up", "failed"]
 """solved: the exact check accepts the plan; infeasible: a complete search finds no plan; gave up:
 out of base poses or time, which proves nothing; failed: error, hang, crash, or a plan that the
 exact check rejects."""
+Commit = Literal["first", "retry"]
+"""first: the first base pose that a method proposes counts; retry: a method tries its base poses in
+turn."""
+GraspSet = Literal["one", "pinch", "all"]
+"""one: a straight pinch of the handle's middle, or of the object's; pinch: all pinches, without
+turning the hand about the handle; all: every grasp of momapos."""
 Pose = tuple[float, float, float]
 """x [m], y [m], yaw [rad]."""
 Record = TypeVar("Record")
@@ -26,6 +32,30 @@ class Container:
 
     object: str
     joint: str
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """The conditions under which an answer of a method counts."""
+
+    commit: Commit = "retry"
+    grasps: GraspSet = "all"
+
+    def __str__(self) -> str:
+        return f"{self.commit}, {self.grasps}"
+
+    @classmethod
+    def of(cls, words: str) -> Protocol:
+        """Return the protocol that `str` describes.
+
+        Raises:
+            FileFormatError: There is no such protocol.
+        """
+        commit, _, grasps = words.partition(", ")
+        return from_plain({"commit": commit, "grasps": grasps}, cls, f"protocol {words!r:.60}")
+
+
+DEFAULT_PROTOCOL = Protocol()
 
 
 @dataclass(frozen=True)
@@ -88,6 +118,8 @@ class Settings:
     disturbances: int = 0
     """Base poses 2 cm and 2 degrees off the planned one, and as many 5 cm and 5 degrees off it, at
     which the arm motion is replanned."""
+    protocols: tuple[Protocol, ...] = (DEFAULT_PROTOCOL,)
+    """Each task is run under each of them."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +133,7 @@ class Job:
     task: SuiteTask
     method: str
     settings: Settings = field(default_factory=Settings)
+    protocol: Protocol = DEFAULT_PROTOCOL
 
 
 @dataclass(frozen=True)
@@ -141,6 +174,8 @@ class Row:
     unsolved or not requested."""
     at_5cm: float | None = None
     """The same for 5 cm and 5 degrees."""
+    protocol: str = str(DEFAULT_PROTOCOL)
+    """How the base pose counts, and the grasps: the words of `Protocol`."""
     host: str = ""
     finished: float = 0.0
     """Unix time [s]."""

@@ -24,20 +24,22 @@ from momapos.model.scene.library import (
 )
 
 from .bench_records import Container
+from .microwaves import MICROWAVE, microwave_on
 
 OBJECT_SIZES: Mapping[str, Vec] = {
     "cup": (0.075, 0.075, 0.095), "mug": (0.07, 0.07, 0.1), "glass": (0.065, 0.065, 0.12),
     "egg_cup": (0.045, 0.045, 0.065), "apple": (0.07, 0.07, 0.07), "lemon": (0.055, 0.07, 0.055),
     "pear": (0.065, 0.065, 0.095), "egg": (0.045, 0.045, 0.058), "bottle": (0.065, 0.065, 0.22),
     "small_bottle": (0.06, 0.06, 0.16), "can": (0.066, 0.066, 0.115),
-    "tuna_can": (0.075, 0.075, 0.045), "jar": (0.07, 0.07, 0.11), "milk": (0.07, 0.07, 0.2),
+    "jar": (0.07, 0.07, 0.11), "milk": (0.07, 0.07, 0.2),
     "yogurt": (0.065, 0.065, 0.08), "butter": (0.055, 0.1, 0.045), "cheese": (0.06, 0.12, 0.06),
     "cereal_box": (0.06, 0.16, 0.24), "tea_box": (0.065, 0.13, 0.08), "salt": (0.05, 0.05, 0.1),
     "sugar_box": (0.045, 0.09, 0.17), "mustard": (0.055, 0.06, 0.17), "sponge": (0.06, 0.1, 0.05),
     "candle": (0.06, 0.06, 0.12),
 }  # fmt: skip
 """Movable objects and their sizes [m]; each fits a hand with an opening of 8.5 cm. Table, dinner
-table, countertop, fridge, drawer and dishwasher make the paper's thirty kinds complete."""
+table, countertop, fridge, drawer, dishwasher and microwave make the paper's thirty kinds
+complete."""
 PLACES = (
     "on dinner table", "on table", "on countertop", "in fridge", "in drawer", "in dishwasher",
 )  # fmt: skip
@@ -81,7 +83,7 @@ class MovableObject:
 
 @dataclass(frozen=True)
 class RoomPart:
-    """A door of a fridge or dishwasher, or a drawer of a cabinet."""
+    """A door of a fridge, dishwasher or microwave, or a drawer of a cabinet."""
 
     kind: str
     """Task class, such as "open fridge"."""
@@ -118,10 +120,11 @@ def make_room(layout: str, rng: np.random.Generator, out: Path) -> DiningRoom:
         kitchen, floor = empty_kitchen(layout, int(rng.integers(2**31)))
         dining = dining_area(kitchen, floor)
         tables = None if dining is None else _tables(kitchen, dining[1], rng)
-        if dining is not None and tables is not None and _has_containers(kitchen):
+        oven = microwave_on(_countertops(kitchen), kitchen, rng)
+        if dining is not None and tables is not None and oven and _has_containers(kitchen):
             break
-    pieces = with_joint_limits([*kitchen, *tables])
-    objects = _place_objects(pieces, rng)
+    pieces = with_joint_limits([*kitchen, *tables, oven[0]])
+    objects = _place_objects(pieces, oven[1], rng)
     every = [*pieces, *(item for item, _ in objects)]
     write_kitchen(out, out.stem, every, dining[0], free_start(dining[0], every))
     return DiningRoom(out, tuple(placed for _, placed in objects), tuple(_openable(pieces)))
@@ -204,13 +207,17 @@ def _has_containers(kitchen: Sequence[Piece]) -> bool:
     return kinds == {"open fridge", "open drawer", "open dishwasher"}
 
 
+def _countertops(pieces: Sequence[Piece]) -> list[tuple[Piece, Box]]:
+    return [(one.piece, one.top) for one in supports(pieces) if one.place == "on countertop"]
+
+
 def _openable(pieces: Sequence[Piece]) -> Iterator[RoomPart]:
     for piece in pieces:
         for part in piece.parts:
             if part.motion is None or not part.handle:
                 continue
             box = Container(piece.name, joint_name(part))
-            if piece.category in ("fridge", "dishwasher"):
+            if piece.category in ("fridge", "dishwasher", MICROWAVE):
                 yield RoomPart(f"open {piece.category}", box, part.motion.upper)
             elif part.motion.kind == "prismatic" and piece.category == "cabinet":
                 yield RoomPart("open drawer", box, part.motion.upper)
@@ -262,9 +269,9 @@ def _area(box: Box) -> float:
 
 
 def _place_objects(
-    pieces: Sequence[Piece], rng: np.random.Generator
+    pieces: Sequence[Piece], swing: Piece, rng: np.random.Generator
 ) -> list[tuple[Piece, MovableObject]]:
-    """Draw objects for every kind of place, up to `OBJECTS_PER_PLACE`."""
+    """Draw objects for every kind of place, up to `OBJECTS_PER_PLACE`, none in a door's swing."""
     every, kinds = supports(pieces), list(OBJECT_SIZES)
     objects: list[tuple[Piece, MovableObject]] = []
     for place in PLACES:
@@ -275,7 +282,7 @@ def _place_objects(
                 support = there[int(rng.integers(len(there)))]
                 name = f"{kind}_{len(objects)}"
                 item = _draw_object(name, kind, support, rng)
-                others = [*pieces, *(other for other, _ in objects)]
+                others = [*pieces, swing, *(other for other, _ in objects)]
                 if item is not None and _has_clearance(item, support, others):
                     objects.append((item, MovableObject(name, place, support.inside)))
                     break

@@ -1,4 +1,4 @@
-"""Draw the figures of a report as SVG: success with intervals, driving against time, stages."""
+"""Draw the figures of a report as SVG: success with intervals, driving against time, shares."""
 
 from __future__ import annotations
 
@@ -111,6 +111,31 @@ def pie_figure(named: Mapping[str, Mapping[str, float]]) -> str:
         y = 20 + 18 * k
         lines.append(f'<circle cx="{WIDTH - 150}" cy="{y - 4}" r="5" fill="{color}"/>')
         lines.append(_text(WIDTH - 138, y, stage[:22]))
+    return "".join([*lines, "</svg>"])
+
+
+def bar_figure(named: Mapping[str, Mapping[str, float]], unit: str) -> str:
+    """Draw groups of horizontal bars: a group for each class, with a bar for each name.
+
+    Args:
+        named: Values from 0 by class, by the name of each bar.
+        unit: Unit of the values.
+    """
+    classes = list(dict.fromkeys(one for values in named.values() for one in values))
+    most = max((value for values in named.values() for value in values.values()), default=0.0)
+    left, bar, high = 190, WIDTH - 190 - 230, 18 * len(named) + 14
+    lines = [_open(high * len(classes) + 10)]
+    for k, one in enumerate(classes):
+        lines.append(_text(left - 8, 20 + high * k, one[:28], "end"))
+        for i, (name, values) in enumerate(named.items()):
+            y, value = 8 + high * k + 18 * i, values.get(one, 0.0)
+            width = bar * value / most if most > 0 else 0.0
+            lines.append(
+                f'<rect x="{left}" y="{y}" width="{width:.1f}" height="14" '
+                f'fill="{COLORS[i % len(COLORS)]}"><title>{escape(name)}, {escape(one)}: '
+                f"{value:.2f} {escape(unit)}</title></rect>"
+            )
+            lines.append(_text(left + width + 6, y + 12, f"{value:.2f} {unit}, {name[:26]}"))
     return "".join([*lines, "</svg>"])
 
 

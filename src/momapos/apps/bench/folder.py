@@ -98,8 +98,8 @@ def open_folder(
     for what, there, wanted in differences:
         if there != wanted:
             raise InputError(
-                f"{folder}: contains results of another run with {what} {there}, not {wanted}; "
-                "use another folder"
+                f"{folder}: contains results of another run with {what} {_words(there)}, not "
+                f"{_words(wanted)}; use another folder"
             )
     for package, version in versions().items():
         if found.versions.get(package) != version:
@@ -209,6 +209,10 @@ def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...], settings:
         write_atomic(folder / "suite.json", f"{text}\n".encode())
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+
+
+def _words(value: object) -> str:
+    return "; ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _digest(suite: Suite) -> str:

@@ -9,9 +9,9 @@ from html import escape
 
 from .bench_records import Row
 from .cells import Cell, Table
-from .figures import pie_figure, scatter_figure, success_figure
+from .figures import bar_figure, pie_figure, scatter_figure, success_figure
 from .metrics import outcome_text
-from .printed import pies
+from .scan_stages import modeling_times, pies
 
 STYLE = """
 body { font: 15px/1.45 sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em; color: #222 }
@@ -52,6 +52,8 @@ def page(
             parts += ["<h2>Success</h2>", success_figure(rows)]
             parts += ["<h2>Driving against time</h2>", scatter_figure(rows, anchors)]
             parts += ["<h2>Time by stage, shares</h2>", pie_figure(pies(rows))]
+            if times := modeling_times(rows):
+                parts += ["<h2>Modeling time by class</h2>", bar_figure(times, "s")]
     if maps:
         parts.append("<h2>Potential and candidates</h2>")
     parts += [_image(one, anchors) for one in maps]

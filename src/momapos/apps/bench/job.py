@@ -24,6 +24,7 @@ from .containers import without
 from .disturbances import works_disturbed
 from .folder import scene_path
 from .methods import method_config
+from .scan_stages import MODELING, SURVEY
 from .scanned_rooms import scanned_room
 from .steps import Step, StepPlanner, plan_opening_first, plan_step
 from .trace import JobTrace
@@ -37,6 +38,8 @@ WARM_UP = SuiteTask("warm", "", "kitchen_small", "segway_ur5e", "open", "fridge"
 """Task that each process plans once per method before it measures, to load the kernels."""
 WARM_UP_TIMEOUT = 10.0
 """Processor time for the warm-up [s]."""
+MAX_POSES = 3
+"""Maximum number of base poses in physics [-]."""
 NOT_SEEN = "no such object in the scan"
 
 
@@ -55,12 +58,13 @@ def answer_job(job: Job) -> Row:
         done=trace.done, seconds=trace.seconds, wall=time.perf_counter() - began,
         stages=trace.stages, driving=trace.driving if trace.outcome == "solved" else None,
         checked=trace.checked, sampled=trace.sampled, clearance=trace.clearance,
-        bases=tuple(trace.bases), host=socket.gethostname(), **trace.disturbed_shares(),
+        bases=tuple(trace.bases), protocol=str(job.protocol), host=socket.gethostname(),
+        **trace.disturbed_shares(),
     )  # fmt: skip
 
 
 def _run_steps(job: Job, trace: JobTrace) -> None:
-    task, config = job.task, method_config(job.method, job.settings.timeout)
+    task, config = job.task, method_config(job.method, job.settings.timeout, job.protocol)
     planner = StepPlanner(job, *_robot(task.robot), config, trace)
     scene = _scene(scene_path(Path(job.folder), task.scene)).with_joints(task.joints)
     start = None if task.start is None else np.array(task.start)
@@ -90,9 +94,8 @@ def _run_from_scan(
     world = None if seen.joint is None else room.truth
     _check_and_execute(planner, plan_step(planner, Step(room.scene, target, start)), world=world)
     trace.bases = [room.in_room(pose) for pose in trace.bases]
-    modeling = room.modeling(trace.modeled)
-    trace.stages["modeling"] = modeling
-    trace.seconds += modeling
+    stages = {SURVEY: room.surveying, MODELING: room.modeling(trace.modeled)}
+    trace.add_time({**stages, "total": sum(stages.values())})
 
 
 def _check_and_execute(
@@ -126,7 +129,9 @@ def _check_and_execute(
                 seed=seed,
             ))  # fmt: skip
         if settings.execute:
-            trace.add_run(_execute(plan, step.scene, robot, reach, config, seed, world))
+            attempts = 1 if planner.job.protocol.commit == "first" else MAX_POSES
+            record = _execute(plan, step.scene, robot, reach, config, seed, world, attempts)
+            trace.add_run(record)
         if trace.done is False:
             return
 
@@ -143,7 +148,7 @@ def _verify(step: Step, plan: PlacementPlan, robot: Robot) -> tuple[bool, str]:
 
 def _execute(
     plan: PlacementPlan, scene: Scene, robot: Robot, reach: ReachScorer, config: PipelineConfig,
-    seed: int, world: Scene | None,
+    seed: int, world: Scene | None, attempts: int,
 ) -> RunRecord:  # fmt: skip
     """Execute a plan in physics with noise and contact grasping, as `momapos run` does."""
     with require("physics"):
@@ -151,7 +156,7 @@ def _execute(
         from momapos.workflows import run_plan
 
     return run_plan(
-        plan, scene, robot, reach, world=world, config=config, seed=seed,
+        plan, scene, robot, reach, world=world, attempts=attempts, config=config, seed=seed,
         physics=ExecutionConfig(hold="contact", furniture=FurnitureConfig(spread=0.3)),
         clock=time.process_time,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import get_args
 
@@ -9,16 +10,31 @@ from momapos.core import InputError, unknown_name
 from momapos.planning import PipelineConfig, apply_settings, parse_setting
 from momapos.planning.placement import Method
 
+from .bench_records import DEFAULT_PROTOCOL, Protocol
+
 METHODS: tuple[str, ...] = get_args(Method)
 
 
-def method_config(text: str, timeout: float) -> PipelineConfig:
+PINCH = ("families=pinch", "turning=false", "sliding=false")
+ONE = (*PINCH, "turns=0", "tilts=0", "count=1")
+FIXED: Mapping[str, tuple[str, ...]] = {
+    "first": ("baselines.first_pose=true",),
+    "pinch": tuple(f"motion.grasps.{one}" for one in PINCH),
+    "one": tuple(f"motion.grasps.{one}" for one in ONE),
+}
+"""Settings of the protocols, which no variant may change."""
+
+
+def method_config(
+    text: str, timeout: float, protocol: Protocol = DEFAULT_PROTOCOL
+) -> PipelineConfig:
     """Return the configuration of a method or a variant.
 
     Args:
         text: A method of `momapos place`, alone or followed by a colon and settings of
             `PipelineConfig`, as FIELD=VALUE between commas; see `momapos.planning.parse_setting`.
         timeout: Time to search for one answer [s].
+        protocol: The conditions under which an answer counts.
 
     Raises:
         UnknownNameError: There is no such method or field.
@@ -34,4 +50,11 @@ def method_config(text: str, timeout: float) -> PipelineConfig:
     for fixed in ("timeout", "place.method"):
         if any(setting.path == fixed for setting in settings):
             raise InputError(f"{source} a variant can't set {fixed}")
-    return apply_settings(config, settings)
+    conditions = [
+        parse_setting(one, config, f"protocol {protocol}:")
+        for word in (protocol.commit, protocol.grasps)
+        for one in FIXED.get(word, ())
+    ]
+    for fixed in {one.path for one in conditions} & {one.path for one in settings}:
+        raise InputError(f"{source} a variant can't set {fixed}, which the protocol sets")
+    return apply_settings(config, [*settings, *conditions])

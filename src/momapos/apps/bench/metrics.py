@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -13,6 +13,8 @@ from .bench_records import Row, Suite
 
 Key = TypeVar("Key", bound=Hashable)
 CONFIDENCE = 0.95
+GRID = "exhaustive"
+"""The method that checks every base pose of a grid."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,13 @@ def in_order(suite: Suite, rows: Iterable[Row]) -> list[Row]:
             tasks.get(row.task, len(tasks)), methods.get(row.method, len(methods)), row.method,
         ),
     )  # fmt: skip
+
+
+def labeled(rows: Sequence[Row]) -> list[Row]:
+    """Append the protocol to the methods if there are several protocols."""
+    if len({row.protocol for row in rows}) < 2:
+        return list(rows)
+    return [replace(row, method=f"{row.method} ({row.protocol})") for row in rows]
 
 
 def succeeded(row: Row) -> bool:

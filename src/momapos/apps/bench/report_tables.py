@@ -10,7 +10,9 @@ import numpy as np
 from .bench_records import Row, Suite
 from .cells import Cell, Table
 from .metrics import (
+    GRID,
     grouped,
+    labeled,
     paired_p_value,
     percentile,
     reasons,
@@ -20,25 +22,32 @@ from .metrics import (
     stage_shares,
     succeeded,
 )
-from .printed import MODELING, printed_stages, printed_table
+from .orderings import ordering_table
+from .printed import printed_table, simulation_table
+from .scan_stages import from_scan, modeling_table, printed_stages
 
+PAPER_TABLES = ("paper-real", "paper-table")
+"""Suites of the paper's four tasks."""
 MAX_REASONS = 25
 """Lines in the table of failures [-]."""
-GRID = "exhaustive"
-"""The method that checks every base pose of a grid."""
 
 
 def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
     """Build the tables of one results folder."""
+    by_protocol = grouped(rows, lambda row: row.protocol)
+    rows = labeled(rows)
     tables = [summary_table(rows), class_table(rows, "class", "group"), time_table(rows)]
     tables.append(effort_table(suite, rows))
     if len({row.robot for row in rows}) > 1:
         tables.append(class_table(rows, "robot", "robot"))
     tables += [reason_table(rows), stage_table(rows)]
-    if suite.name == "paper-real":
-        tables.append(printed_table(rows))
-    if any(MODELING in row.stages for row in rows):
-        tables.append(printed_stages(rows))
+    if suite.name in PAPER_TABLES:
+        for protocol, mine in by_protocol.items():
+            tables += [printed_table(mine, protocol), ordering_table(mine, protocol)]
+    if suite.name == "paper-sim":
+        tables.append(simulation_table(rows))
+    if from_scan(rows):
+        tables += [printed_stages(rows), modeling_table(rows)]
     return tables
 
 

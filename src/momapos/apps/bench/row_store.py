@@ -24,7 +24,7 @@ TYPES = {
 NESTED = ("stages", "bases")
 """Columns that hold JSON."""
 COLUMNS = tuple(item.name for item in fields(Row))
-ADDED = ("at_2cm", "at_5cm")
+ADDED = ("at_2cm", "at_5cm", "protocol")
 """Columns that older files of this format lack."""
 LOCK_TIMEOUT = 30.0
 """Time to wait for another writer [s]."""

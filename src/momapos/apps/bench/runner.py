@@ -42,7 +42,7 @@ def jobs_of(
     versions: Mapping[str, str],
     limit: int | None = None,
 ) -> list[Job]:
-    """Return all jobs: every task with every method, grouped by task.
+    """Return all jobs: every task under every protocol with every method, grouped by task.
 
     Args:
         suite: The suite.
@@ -60,10 +60,11 @@ def jobs_of(
     same = (sorted(versions.items()), settings)
     return [
         Job(
-            content_key(task, suite.scenes[task.scene], method, *same),
-            str(folder.absolute()), task, method, settings,
+            content_key(task, suite.scenes[task.scene], method, protocol, *same),
+            str(folder.absolute()), task, method, settings, protocol,
         )
         for task in tasks
+        for protocol in settings.protocols
         for method in methods
     ]  # fmt: skip
 
@@ -132,5 +133,5 @@ def failed_row(job: Job, reason: str) -> Row:
     task = job.task
     return Row(
         key=job.key, task=task.name, group=task.group, robot=task.robot, method=job.method,
-        seed=task.seed, outcome="failed", reason=reason,
+        seed=task.seed, outcome="failed", reason=reason, protocol=str(job.protocol),
     )  # fmt: skip

@@ -63,15 +63,19 @@ class ScannedRoom:
     truth: Scene
     record: ScanRecord
 
+    @property
+    def surveying(self) -> float:
+        """Return the processor time from the images to the boxes of all objects [s]."""
+        return sum(self.record.survey.values())
+
     def modeling(self, names: Collection[str] | None) -> float:
-        """Return the processor time from the images to a scene with models of some objects [s].
+        """Return the processor time to model some objects [s].
 
         Args:
             names: The modeled objects; None for all.
         """
         models = self.record.models
-        chosen = models if names is None else [name for name in models if name in names]
-        return sum(self.record.survey.values()) + sum(models[name] for name in chosen)
+        return sum(models[name] for name in models if names is None or name in names)
 
     def start(self, pose: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"] | None:
         """Transform a base pose from the true room to the scene."""

@@ -112,8 +112,9 @@ def plan_opening_first(
 ) -> list[tuple[Step, PlacementPlan]]:
     """Plan to open a container, then plan the task from that base pose.
 
-    If the task is infeasible then, try to open the container from other base poses. If all fail,
-    the job ends with the first opening and the failure of the task after it.
+    If the task is infeasible then, try to open the container from other base poses, unless the
+    first one counts. If all fail, the job ends with the first opening and the failure of the task
+    after it.
     """
     task, trace = planner.job.task, planner.trace
     room = without(scene, task.carried)
@@ -135,7 +136,9 @@ def plan_opening_first(
             trace.add_step(plan)
             return [(opening, found.plan), (step, plan)]
         failures.append(failure)
-        if len(tried) > MAX_OTHER_REGIONS or (plan is not None and plan.status == "timeout"):
+        timed_out = plan is not None and plan.status == "timeout"
+        committed = planner.job.protocol.commit == "first"
+        if committed or timed_out or len(tried) > MAX_OTHER_REGIONS:
             break
         others = planner.other_poses(found, after, tried)
         if others is None:

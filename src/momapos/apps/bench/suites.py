@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from momapos.core import unknown_name
+from momapos.core import InputError, unknown_name
 from momapos.model.robots import library_names
 
-from .bench_records import SuiteTask
+from .bench_records import DEFAULT_PROTOCOL, Commit, GraspSet, Protocol, SuiteTask
 
 if TYPE_CHECKING:
     from momapos.model.robots import Robot
@@ -23,6 +23,7 @@ Build: TypeAlias = Callable[[int, Sequence[str], Path], list[SuiteTask]]
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
 PAPER_METHODS = ("ours", "paper", "habitat", "m3", "reuleaux")
+TABLE_METHODS = ("ours", "paper", "paper:paper.check_stops=false", "habitat", "m3", "reuleaux")
 ABLATIONS = (
     "paper",
     *(f"paper:paper.group={T}" for T in (1, 5, 20)),
@@ -48,6 +49,9 @@ ABLATIONS = (
 and k0, its scorer and arm planner, without its field, without its inverse map. Variants of `ours`:
 importance, samples, rounds (0: grid only), without the grid, without the search for cheaper poses,
 ordered only by driving."""
+PAPER_PROTOCOL = Protocol("first", "pinch")
+"""The paper's conditions: its baselines drive to one base pose, and its gripper closes on what it
+moves."""
 SMOKE_TASKS = 16
 SIM_TASKS, ROOMS = 500, 10
 DISHWASHER_ANGLE = 0.5
@@ -64,6 +68,8 @@ class SuiteKind:
     revision: int = 1
     scannable: bool = True
     """Whether a scan can show the objects of its tasks."""
+    protocols: tuple[Protocol, ...] = ()
+    """The protocols of the suite; empty if the user chooses one."""
 
 
 def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
@@ -194,13 +200,18 @@ SUITES = {
         _openings, ("segway_ur5e", "husky_ur5e", "fetch"), ("ours", "paper", *BASELINES)
     ),
     "paper-sim": SuiteKind(
-        _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, scannable=False
+        _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, 2, scannable=False
     ),
     "paper-real": SuiteKind(_paper_real, ("ranger_rm63",), PAPER_METHODS),
-    "ablations": SuiteKind(
-        lambda seed, robots, _: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS
+    "paper-table": SuiteKind(
+        _paper_real, ("ranger_rm63",), TABLE_METHODS, scannable=False,
+        protocols=(PAPER_PROTOCOL, DEFAULT_PROTOCOL),
     ),
-}
+    "ablations": SuiteKind(
+        lambda seed, robots, _: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS,
+        protocols=(DEFAULT_PROTOCOL,),
+    ),
+}  # fmt: skip
 
 
 def refuse_unknown(name: str, robots: Sequence[str]) -> None:
@@ -216,3 +227,28 @@ def refuse_unknown(name: str, robots: Sequence[str]) -> None:
     for robot in robots:
         if robot not in library_names():
             raise unknown_name("robot", robot, library_names(), "the library")
+
+
+def protocols_of(
+    name: str, commit: Commit | None = None, grasps: GraspSet | None = None
+) -> tuple[Protocol, ...]:
+    """Return the protocols of a run.
+
+    Args:
+        name: A suite.
+        commit, grasps: The user's choice; None for the default.
+
+    Raises:
+        InputError: The suite has its own protocols.
+    """
+    own = SUITES[name].protocols
+    if not own:
+        default = DEFAULT_PROTOCOL
+        return (Protocol(commit or default.commit, grasps or default.grasps),)
+    if commit or grasps:
+        others = ", ".join(other for other, kind in SUITES.items() if not kind.protocols)
+        words = "; ".join(map(str, own))
+        raise InputError(
+            f"--commit and --grasps: {name} has its own protocols ({words}); use {others}"
+        )
+    return own

@@ -10,11 +10,19 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args
 
 from tyro.conf import Positional, arg
 
-from momapos.apps.bench import SUITES, Outcome, Settings, refuse_unknown
+from momapos.apps.bench import (
+    SUITES,
+    Commit,
+    GraspSet,
+    Outcome,
+    Settings,
+    protocols_of,
+    refuse_unknown,
+)
 from momapos.core import InputError, MomaposError, check_outputs
 
 from .console import busy, progress
@@ -42,6 +50,8 @@ def bench_run(
     limit: int = 0,
     timeout: float = Settings.timeout,
     task_limit: float = Settings.limit,
+    commit: Annotated[Optional[Commit], optional("first|retry", "retry")] = None,  # noqa: UP045
+    grasps: Annotated[Optional[GraspSet], optional("one|pinch|all", "all")] = None,  # noqa: UP045
     execute: Flag = False,
     scan: int = Settings.scan,
     disturbances: int = 3,
@@ -52,7 +62,8 @@ def bench_run(
     Exit status: 0 all tasks have a result; 2 unusable input.
 
     Args:
-        suite: smoke, openings, paper-sim, paper-real or ablations; see docs/benchmark.md.
+        suite: smoke, openings, paper-sim, paper-real, paper-table or ablations; see
+            docs/benchmark.md.
         out: The results folder; a stopped run continues in it.
         methods: Methods of `momapos place`, or variants such as paper:paper.group=1 (default: those
             of the suite).
@@ -64,6 +75,10 @@ def bench_run(
         limit: Run this many tasks, drawn from the whole suite; 0: all.
         timeout: Processor time to search for one plan [s].
         task_limit: Wall time after which a task counts as hung [s].
+        commit: first: the first base pose that a method proposes counts, and is checked in the true
+            scene; retry: a method tries its base poses in turn.
+        grasps: one: a straight pinch of the middle of the handle or object; pinch: all pinches;
+            all: every grasp of momapos.
         execute: Execute solved plans in simulation, with contact grasps and noise.
         scan: Number of images of a synthetic scan from which the robot knows each room, such as 60;
             0: it knows the true scene.
@@ -82,14 +97,18 @@ def bench_run(
     for name, count in (("--scan", scan), ("--disturbances", disturbances)):
         if not 0 <= count <= MAX_COUNT:
             raise InputError(f"{name} must be between 0 and {MAX_COUNT}, not {count}")
+    protocols = protocols_of(suite, commit, grasps)
     if scan:
         _check_scannable(suite)
+    if scan and commit == "first":
+        raise InputError("--commit first checks the base pose in the true scene; leave out --scan")
     check_outputs(folders=[out])
     from momapos.apps.bench import method_config
 
     chosen = tuple(dict.fromkeys(methods)) or SUITES[suite].methods
     for method in chosen:
-        method_config(method, timeout)
+        for protocol in protocols:
+            method_config(method, timeout, protocol)
     from momapos.apps.bench import (
         RowStore,
         all_rows,
@@ -103,7 +122,7 @@ def bench_run(
     from .compile import ANSWER, RANK, WALKS, compile_once
 
     compile_once((*ANSWER, *RANK, *WALKS))
-    settings = Settings(timeout, task_limit, execute, scan, disturbances)
+    settings = Settings(timeout, task_limit, execute, scan, disturbances, protocols)
     with locked(out), _executor(workers, scheduler) as (executor, width, do):
         with busy(f"{suite}: preparing the tasks"):
             made = open_folder(out, suite, seed, robots, settings)
@@ -158,12 +177,12 @@ def bench_report(
     rows = in_order(found.suite, all_rows(folder))
     if not rows:
         raise InputError(f"{folder}: contains no results yet; 'momapos bench run' writes them")
-    from momapos.apps.bench import all_tables, compared_tables
+    from momapos.apps.bench import all_tables, compared_tables, labeled
 
     tables = all_tables(found.suite, rows)
     if compare is not None:
         other = read_folder(compare)
-        compared = compared_tables(rows, all_rows(compare))
+        compared = compared_tables(labeled(rows), labeled(all_rows(compare)))
         if not compared[0].lines:
             raise InputError(
                 f"{compare}: shares no task and method with {folder} (suites "
@@ -175,7 +194,8 @@ def bench_report(
         from momapos.apps.bench import page
         from momapos.model.scene import write_text_atomic
 
-        write_text_atomic(html, page(heading, tables, rows, _maps(folder, found, rows, maps)))
+        drawn = _maps(folder, found, rows, maps)
+        write_text_atomic(html, page(heading, tables, labeled(rows), drawn))
     if parquet is not None:
         from momapos.apps.bench import write_parquet
 
@@ -267,6 +287,9 @@ def _duration(seconds: float) -> str:
 
 def _counts(rows: list[Row]) -> dict[str, Any]:
     """Count outcomes by method, and successes in simulation."""
+    from momapos.apps.bench import labeled
+
+    rows = labeled(rows)
     found = Counter((row.method, row.outcome) for row in rows)
     outcomes = {
         method: {what: found[method, what] for what in get_args(Outcome) if found[method, what]}
@@ -286,7 +309,8 @@ def _heading(found: Contents, rows: list[Row]) -> list[str]:
         f"suite revision {suite.revision}, seed {suite.seed}; robots {', '.join(suite.robots)}.",
         f"{settings.timeout:g} s of processor time per plan, {settings.limit:g} s per task"
         + ("; executed in simulation" if settings.execute else "; not executed")
-        + (f"; rooms known from a scan of {settings.scan} images." if settings.scan else "."),
+        + (f"; rooms known from a scan of {settings.scan} images" if settings.scan else "")
+        + f"; protocols (base pose, grasps): {'; '.join(map(str, settings.protocols))}.",
         "Created with " + ", ".join(f"{name} {version}" for name, version in found.versions.items())
         + f", on {', '.join(hosts)}.",
     ]  # fmt: skip

@@ -62,7 +62,9 @@ def _by_placer(placer: BasePlacer) -> Callable[[PlacementQuery], PlacementResult
         with query.watch.stage("model"):
             motion = task_motion(query.scene, query.robot, query.task, query.config.motion)
         ready = prepare_search(query, query.scene, motion)
-        return _timed(ready.result(_search(ready, placer)), query, None)
+        first = query.config.baselines.first_pose
+        used = _proposing(_first_pose(ready, placer)) if first else placer
+        return _timed(ready.result(_search(ready, used)), query, None)
 
     return answer
 
@@ -79,10 +81,37 @@ def _as_printed(query: PlacementQuery) -> PlacementResult:
     selection = initial_selection(query, ranked, motion)
     while True:
         ready = prepare_search(query, scene.with_box_proxies(selection.names), motion)
-        result = ready.result(_search(ready, placer, last=not selection.boxes))
-        if result.plan.status != "infeasible" or not selection.boxes:
+        if config.baselines.first_pose and not config.paper.check_stops:
+            stop = _first_pose(ready, placer)
+            true = prepare_search(query, scene, motion)
+            result, decided = true.result(_search(true, _proposing(stop))), len(stop) > 0
+        else:
+            result = ready.result(_search(ready, placer, last=not selection.boxes))
+            decided = result.plan.status != "infeasible"
+        if decided or not selection.boxes:
             return _timed(result, query, selection.record())
         selection = selection.relax_alpha()
+
+
+def _first_pose(ready: SearchSetup, placer: BasePlacer) -> Float[np.ndarray, "n 3"]:
+    """Return the first base pose that a placer proposes; (0, 3) if it proposes none."""
+    rng = np.random.default_rng(ready.query.seed)
+    with ready.query.watch.stage("search"):
+        batches = placer(_room(ready), rng)
+        return next((poses[:1] for poses in batches if len(poses)), np.zeros((0, 3)))
+
+
+def _proposing(poses: Float[np.ndarray, "n 3"]) -> BasePlacer:
+    """Return a placer that proposes given base poses."""
+    return lambda _room, _rng: iter([poses])
+
+
+def _room(ready: SearchSetup) -> PlacerRoom:
+    query, problem = ready.query, ready.problem
+    return PlacerRoom(
+        ready.prepared, query.reach, problem.travel_cost, problem.start, query.config.place.grasps,
+        query.config.baselines,
+    )  # fmt: skip
 
 
 def _search(ready: SearchSetup, placer: BasePlacer, *, last: bool = True) -> Search:
@@ -95,10 +124,7 @@ def _search(ready: SearchSetup, placer: BasePlacer, *, last: bool = True) -> Sea
     """
     query, problem = ready.query, ready.problem
     place, watch = query.config.place, query.watch
-    room = PlacerRoom(
-        ready.prepared, query.reach, problem.travel_cost, problem.start, place.grasps,
-        query.config.baselines,
-    )  # fmt: skip
+    room = _room(ready)
     proposed: list[Float[np.ndarray, "n 3"]] = []
 
     def proposals() -> Iterator[Float[np.ndarray, "n 3"]]:

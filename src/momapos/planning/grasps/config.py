@@ -25,6 +25,9 @@ class GraspConfig:
 
     families: tuple[GraspFamily, ...] = ("pinch", "hook", "push", "suction")
     """Grasp families to try; without push, no door is opened with a regrasp."""
+    count: Optional[int] = None  # noqa: UP045 (see cli.options)
+    """Maximum number of grasps to try, the firmest and simplest first, of those in which the
+    fully open hand is free; None for all [-]."""
     turning: bool = True
     """Whether the hand may turn about bars."""
     sliding: bool = True
@@ -51,6 +54,8 @@ class GraspConfig:
     def __post_init__(self) -> None:
         refuse_below(self, 0, "hand_clearance", "friction", "pad_contact", "grasp_margin", "swing")
         refuse_below(self, 0.01, "pregrasp")
+        if self.count is not None:
+            refuse_below(self, 1, "count")
         for name in ("families", "turns", "tilts"):
             if not getattr(self, name):
                 raise InputError(f"{name} must hold at least one value")
