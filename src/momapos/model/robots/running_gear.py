@@ -58,6 +58,10 @@ class Wheel:
     """Steering range, counterclockwise seen from the base's z axis [rad]."""
     trail: float = 0.0
     """Distance between the steering axis and the wheel [m]."""
+    unlimited: bool = False
+    """Whether a joint of that name steers it, and has no limits."""
+    locked: str = ""
+    """Fixed joint with the name of a steering above it; "" for none."""
     caster: bool = False
     """Whether a name says that it is a caster's."""
     rollers: bool = False
@@ -107,26 +111,30 @@ def find_running_gear(
     gear: set[str] = set()
     named: list[bool] = []
     finder = _Finder(model, anchor, meshes)
+    locked = [
+        joint
+        for name in fixed_to(model, anchor)
+        for joint in joints_below(model, name)
+        if not joint.movable and STEER.search(f"{joint.name} {joint.child}")
+    ]
+    knuckle = {link: one.name for one in locked for link in fixed_to(model, one.child)}
     for name in fixed_to(model, anchor):
         for joint in joints_below(model, name):
             below = finder.wheels(joint, ()) if joint.movable else None
             if below:
-                found += below
+                found += [replace(one, locked=knuckle.get(name, "")) for one in below]
                 named += [bool(WHEEL.search(f"{w.joint} {w.link}")) for w in below]
                 gear |= {j.name for j in _joints_in(model, joint)}
     if len(found) < 2 and not any(named):  # one round body on the floor is no base
         return RunningGear()
-    locked = tuple(
-        joint.name
-        for name in fixed_to(model, anchor)
-        for joint in joints_below(model, name)
-        if not joint.movable and STEER.search(f"{joint.name} {joint.child}")
-    )
     body = {*fixed_to(model, anchor), *(w.link for w in found)}
     names = [*body, *(j.name for j in model.urdf.joints if j.parent in body)]
     names += [mesh for link in body for mesh in meshes.get(link, ())]
     return RunningGear(
-        tuple(found), frozenset(gear), locked, any(OMNI.search(name) for name in names)
+        tuple(found),
+        frozenset(gear),
+        tuple(one.name for one in locked),
+        any(OMNI.search(name) for name in names),
     )
 
 
@@ -232,7 +240,11 @@ class _Finder:
         if self._axis(turn)[2] < 0:
             least, most = -most, -least
         trail = abs(float((center - T[:3, 3])[:2] @ wheel.ahead))
-        return replace(wheel, steering=turn.name, least=least, most=most, trail=trail)
+        named = bool(STEER.search(f"{turn.name} {turn.child}"))
+        return replace(
+            wheel, steering=turn.name, least=least, most=most, trail=trail,
+            unlimited=named and bool(np.isinf(most - least)),
+        )  # fmt: skip
 
     def _range(self, joint: Joint) -> tuple[float, float]:
         """Return the range of a steering joint about its rest value, also of a follower."""

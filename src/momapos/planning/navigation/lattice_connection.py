@@ -2,7 +2,8 @@
 
 A base close to furniture can neither turn on the spot nor drive to the center of a cell. It backs
 out straight. If a wall runs along its side, that does not help and it shuffles: it turns as far as
-the clearance allows, drives, and turns again. The path to the goal is the same in reverse.
+the clearance allows, drives, and turns again. A car-like base shuffles on arcs. The path to the
+goal is the same in reverse.
 """
 
 from __future__ import annotations
@@ -37,6 +38,26 @@ _MIN_DIFFERENCE = 0.1, np.radians(5.0)
 """Of poses that differ by less, only one is used [m], [rad]."""
 
 
+@dataclass(frozen=True)
+class Maneuvers:
+    """How a base moves on its way out."""
+
+    sides: int
+    """2 for a base that drives along its heading, 4 for an omni base [-]."""
+    turning_radius: float
+    """Turning radius of the paths of a car-like base [m]; 0 for one that turns on the spot."""
+
+    def ends(
+        self, poses: Float[np.ndarray, "l 3"], *, straight: bool
+    ) -> Float[np.ndarray, "l n 3"]:
+        """Return the poses that a stretch leads to from others, with turns unless straight."""
+        if self.turning_radius > 0:
+            sharpest = 1 / self.turning_radius
+            curvature = np.array([0.0] if straight else [0.0, sharpest, -sharpest])
+            return _arcs(poses, curvature)
+        return _stretches(poses, np.zeros(1) if straight else _SMALL_TURNS, self.sides)
+
+
 @dataclass(frozen=True, eq=False)
 class Exits:
     """Tree of poses around a start or goal, which is the root at index 0."""
@@ -61,16 +82,16 @@ class Exits:
 
 
 def straight_exits(
-    pose: Float[np.ndarray, "3"], sides: int, connection_cost: ConnectionCost
+    pose: Float[np.ndarray, "3"], maneuvers: Maneuvers, connection_cost: ConnectionCost
 ) -> Exits:
     """Leave a pose forwards, backwards and, with four sides, sideways.
 
     Args:
         pose: The start or goal.
-        sides: 2 for a base that drives along its heading, 4 for an omni base.
+        maneuvers: How the base moves.
         connection_cost: See `ConnectionCost`.
     """
-    ends = _stretches(pose[None], np.zeros(1), sides)[0]
+    ends = maneuvers.ends(pose[None], straight=True)[0]
     cost = connection_cost(np.broadcast_to(pose, ends.shape), ends, True)
     good = np.isfinite(cost)
     return Exits(
@@ -82,7 +103,7 @@ def straight_exits(
 
 def shuffled_exits(
     pose: Float[np.ndarray, "3"],
-    sides: int,
+    maneuvers: Maneuvers,
     connection_cost: ConnectionCost,
     gap: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, " n"]],
     needed: float,
@@ -90,14 +111,14 @@ def shuffled_exits(
     """Leave a pose by small turns and straight stretches, toward larger gaps.
 
     Args:
-        pose, sides, connection_cost: See `straight_exits`.
+        pose, maneuvers, connection_cost: See `straight_exits`.
         gap: Computes the gaps at poses [m].
         needed: Smallest gap of all poses except those next to the start or goal [m].
     """
     poses, cost, parent = pose[None], np.zeros(1), np.array([-1])
     level = np.array([0])
     for stretch in range(_MAX_STRETCHES):
-        ends = _stretches(poses[level], _SMALL_TURNS, sides)
+        ends = maneuvers.ends(poses[level], straight=False)
         before = np.repeat(level, ends.shape[1])
         ends = ends.reshape(-1, 3)
         gaps = gap(ends)
@@ -128,6 +149,19 @@ def _stretches(
     y = poses[:, 1, None, None, None] + STRETCHES * np.sin(along)
     ends = np.stack([x, y, np.broadcast_to(heading, x.shape)], -1)
     return ends.reshape(len(poses), -1, 3)
+
+
+def _arcs(
+    poses: Float[np.ndarray, "l 3"], curvature: Float[np.ndarray, " c"]
+) -> Float[np.ndarray, "l n 3"]:
+    """Return the poses at the ends of arcs from others, forwards and backwards."""
+    length = np.concatenate([STRETCHES, -STRETCHES])
+    turn = (curvature[:, None] * length).ravel()
+    # The chord has the heading of the arc's middle.
+    chord = np.tile(length, len(curvature)) * np.sinc(turn / 2 / np.pi)
+    middle = poses[:, 2, None] + turn / 2
+    x, y = poses[:, 0, None] + chord * np.cos(middle), poses[:, 1, None] + chord * np.sin(middle)
+    return np.stack([x, y, np.broadcast_to(wrap_angle(poses[:, 2, None] + turn), x.shape)], -1)
 
 
 def _best(
