@@ -178,7 +178,9 @@ class PlanVerifier:
         way = ends[:1] if plan.base_path is None else plan.base_path
         checks: list[Check] = []
         if plan.base_path is not None:
-            checks += paths.base_path_checks(way, ends, self.limits)
+            checks += base_path_checks(way, ends, self.limits)
+        if all(check.ok for check in checks):
+            checks += wheel_checks(way, plan.robot_drive, plan.robot_min_turning_radius)
         if not all(check.ok for check in checks):
             return tuple(checks)
         first = self.robot_model.body_poses((0.0, 0.0, 0.0), plan.motion.approach[:1])

@@ -89,9 +89,7 @@ def _swerve(modules: int) -> DriveGuess:
     )
 
 
-def _steered(
-    limited: Sequence[Wheel], rolling: Sequence[Wheel], unknown: str = ""
-) -> DriveGuess:
+def _steered(limited: Sequence[Wheel], rolling: Sequence[Wheel], unknown: str = "") -> DriveGuess:
     """Return the drive of a base with limited steering: car-like, or it turns on the spot.
 
     The wheels roll without sliding if all their axles meet in one point (Ackermann). It is on the

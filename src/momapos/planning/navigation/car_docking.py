@@ -57,7 +57,9 @@ class CarDocking:
             if is_stopped(velocity):
                 self._stretch, self.index = self._stretch + 1, last
             return np.zeros(3)
-        v = way * approach(left, self.robot.max_acceleration, docking_speed(self.robot, left), self.dt)
+        v = way * approach(
+            left, self.robot.max_acceleration, docking_speed(self.robot, left), self.dt
+        )
         sharpest = 1 / self.robot.min_turning_radius
         bend = np.clip(self._bend(pose, velocity, last, way), -sharpest, sharpest)
         # The slower turns of the limit apply to the speed: the curvature stays.
@@ -69,7 +71,7 @@ class CarDocking:
         return self._stretch == len(self._stretches) and is_stopped(velocity)
 
     def _follow(self, pose: Float[np.ndarray, "3"], last: int, way: float) -> float:
-        """Advance the index to the pose nearest to the base; return the distance to the cusp [m]."""
+        """Advance the index to the pose nearest to the base; return what is left to the cusp."""
         poses = self.path.poses
         end = min(int(np.searchsorted(self._driven, self._driven[self.index] + 0.3)) + 1, last + 1)
         away = np.hypot(*(poses[self.index : end, :2] - pose[:2]).T)

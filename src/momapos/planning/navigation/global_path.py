@@ -171,10 +171,9 @@ class _Planner:
         """
         direct, _ = connections(start[None], goal[None], self.model(self.needs.min()))
         simple = np.stack([start, goal])
-        if np.isfinite(direct[0]):
-            if direct[0] <= self._good_cost(start, goal) + 1e-6:
-                yield simple
-                return
+        if np.isfinite(direct[0]) and direct[0] <= self._good_cost(start, goal) + 1e-6:
+            yield simple
+            return
         begin, end = (
             path_end(self.nav_map, self.config, pose, need, is_goal=is_goal)
             for pose, need, is_goal in zip((start, goal), self.needs, (False, True), strict=True)
@@ -295,9 +294,7 @@ def _line(
     return list(line)
 
 
-def _arc(
-    pose: Float[np.ndarray, "3"], length: float, curvature: float
-) -> Float[np.ndarray, "n 3"]:
+def _arc(pose: Float[np.ndarray, "3"], length: float, curvature: float) -> Float[np.ndarray, "n 3"]:
     """Sample the poses of an arc of a signed length."""
     count = int(np.ceil(max(abs(length) / 0.025, abs(curvature * length) / 0.05)))
     done = length * np.arange(1, count + 1) / count

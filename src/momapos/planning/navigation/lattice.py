@@ -240,9 +240,7 @@ def astar(
             else:
                 b[0], b[1], b[2] = a[0] + dj * cell, a[1] + di * cell, headings[g]
                 if g != h and model.turning_radius > 0:
-                    step = bend_cost(
-                        a, b, model.turning_radius, surroundings, weights, scratch
-                    )
+                    step = bend_cost(a, b, model.turning_radius, surroundings, weights, scratch)
                 else:
                     step = factor * leg(a, b, turn, surroundings, weights, scratch)
             if cost[state] + step < cost[after]:

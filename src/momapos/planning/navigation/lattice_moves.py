@@ -33,8 +33,8 @@ def lattice_moves(robot: Robot) -> Moves:
     """Return the moves of a robot's base.
 
     An omni base moves along all headings and turns on the spot; a differential base moves along its
-    own heading, both ways, and turns on the spot. A car-like base moves along its heading, and bends
-    to the next heading: along whole steps before and after, which are the tangents of an arc.
+    own heading, both ways, and turns on the spot. A car-like base moves along its heading, and
+    bends to the next heading: whole steps before and after are the tangents of an arc.
     """
     if robot.drive == "omni":
         return _turning_moves(True)
@@ -79,9 +79,7 @@ def _car_moves(radius: float) -> Moves:
             )
             length.append(before + behind - 2 * least + least / np.tan(half) * 2 * half)
     factor = np.array([1.0, REVERSING_COST, 1.0, 1.0, REVERSING_COST, REVERSING_COST])
-    return _moves(
-        np.stack(heading, -1), np.stack(steps, 1), np.stack(length, -1), factor
-    )
+    return _moves(np.stack(heading, -1), np.stack(steps, 1), np.stack(length, -1), factor)
 
 
 def _sizes(moves: Int[np.ndarray, "n 2"]) -> np.ndarray:
@@ -89,7 +87,9 @@ def _sizes(moves: Int[np.ndarray, "n 2"]) -> np.ndarray:
 
 
 def _moves(
-    heading: Int[np.ndarray, "h m"], steps: Int[np.ndarray, "h m 2"], length: np.ndarray,
+    heading: Int[np.ndarray, "h m"],
+    steps: Int[np.ndarray, "h m 2"],
+    length: np.ndarray,
     factor: np.ndarray,
 ) -> Moves:
     columns, rows = (np.ascontiguousarray(steps[..., k], np.int64) for k in (0, 1))

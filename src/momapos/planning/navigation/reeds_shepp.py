@@ -54,7 +54,7 @@ def curves_between(a, b, radius, out):
 
 @kernel
 def bend_between(a, b, radius, out):
-    """Compute the bend from pose a to pose b, see `curves_between`; return 0 without one, else 1."""
+    """Compute the bend from a to b, see `curves_between`; return 1, or 0 if there is none."""
     x, y, phi = _relative(a, b, radius)
     count = _bend(x, y, phi, out)
     _scale(out, count, radius)
@@ -80,7 +80,7 @@ def _scale(curves, count, radius):
 
 @kernel
 def _put(out, count, lengths, bends, flip, mirror, reverse):
-    """Add a curve with the pieces' lengths and bends: 1 to the left, -1 to the right, 0 straight."""
+    """Add a curve of pieces with lengths and bends: 1 to the left, -1 to the right, 0 straight."""
     for k in range(MAX_PIECES):
         at = MAX_PIECES - 1 - k if reverse else k
         out[count, at, 0] = flip * lengths[k]
