@@ -17,6 +17,7 @@ from momapos.model.records import Motion, MotionLoads, PlacementPlan, Task
 from momapos.model.scene import ResistanceConfig, Scene
 
 from . import path_checks as paths
+from .base_path_checks import base_path_checks, wheel_checks
 from .exact_shapes import Shapes
 from .floor_contact import depths_below_floor, dips
 from .latch_checks import known_latch_checks, latch_checks
