@@ -44,6 +44,10 @@ METERS_PER_RADIAN = 0.3
 """Path length that a radian of turning counts for in progress [m/rad]."""
 _SPACING = 0.15
 """Spacing of poses on straight stretches of the lattice that are offered for shortening [m]."""
+_CAR_ESTIMATE = 1.5
+"""Estimate of the length ahead of a car-like base, relative to that of a disc [-]. It is no lower
+bound; in 15 searches in `kitchen_small`, 1.5 takes 20 to 30 % less time than 0.97, and the paths
+after shortening have the same total length within 0.5 %."""
 _GOOD_CURVE = 1.5
 """Cost of a curve of a car-like base, relative to the length of the shortest one between its ends,
 up to which no other path is searched [-]; backwards, one without obstacles costs 1.3 to 1.5."""
@@ -208,7 +212,8 @@ class _Planner:
         for cost, end in zip(costs, (first, last), strict=True):
             cost[end.states] = end.cost
         cells = np.unique(last.states % (rows * columns))
-        ahead = _LOWER_BOUND * path_lengths(_standable(nav_map), cells, CELL)
+        share = _CAR_ESTIMATE if nav_map.robot.drive == "car" else _LOWER_BOUND
+        ahead = share * path_lengths(_standable(nav_map), cells, CELL)
         return astar(nav_map.known_gaps, ahead, *costs, _lattice(nav_map), self.model())
 
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

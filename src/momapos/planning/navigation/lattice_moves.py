@@ -26,7 +26,7 @@ deviations in a turn."""
 
 def planned_radius(robot: Robot) -> float:
     """Return the turning radius of a robot's paths [m]; 0 for one that turns on the spot."""
-    return RADIUS_RESERVE * robot.min_turning_radius
+    return RADIUS_RESERVE * robot.min_turning_radius if robot.drive == "car" else 0.0
 
 
 def lattice_moves(robot: Robot) -> Moves:
