@@ -2,7 +2,7 @@
 
 A base close to furniture can neither turn on the spot nor drive to the center of a cell. It backs
 out straight. If a wall runs along its side, that does not help and it shuffles: it turns as far as
-the clearance allows, drives, and turns again. A car-like base shuffles on arcs. The path to the
+the clearance allows, drives, and turns again. A car-like base turns on arcs. The path to the
 goal is the same in reverse.
 """
 
@@ -30,6 +30,8 @@ STRETCHES = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
 """Lengths of straight stretches [m]."""
 _SMALL_TURNS = np.radians([0.0, 0.7, -0.7, 1.5, -1.5, 3.0, -3.0, 6.0, -6.0, 12.0, -12.0])
 """Turns before a stretch of shuffling [rad]; the lattice's headings are 8 to 18 degrees apart."""
+_SMALL_BENDS = np.append(_SMALL_TURNS, np.radians([25.0, -25.0, 50.0, -50.0]))
+"""Turns of a car-like base on an arc before a stretch of shuffling [rad]."""
 _MAX_STRETCHES = 4
 """Largest number of stretches of shuffling [-]."""
 _BEAM_WIDTH = 16
@@ -52,9 +54,8 @@ class Maneuvers:
     ) -> Float[np.ndarray, "l n 3"]:
         """Return the poses that a stretch leads to from others, with turns unless straight."""
         if self.turning_radius > 0:
-            sharpest = 1 / self.turning_radius
-            curvature = np.array([0.0] if straight else [0.0, sharpest, -sharpest])
-            return _arcs(poses, curvature)
+            turns = np.zeros(1) if straight else _SMALL_BENDS
+            return _bent_stretches(poses, turns, self.turning_radius)
         return _stretches(poses, np.zeros(1) if straight else _SMALL_TURNS, self.sides)
 
 
@@ -151,17 +152,18 @@ def _stretches(
     return ends.reshape(len(poses), -1, 3)
 
 
-def _arcs(
-    poses: Float[np.ndarray, "l 3"], curvature: Float[np.ndarray, " c"]
+def _bent_stretches(
+    poses: Float[np.ndarray, "l 3"], turns: Float[np.ndarray, " t"], radius: float
 ) -> Float[np.ndarray, "l n 3"]:
-    """Return the poses at the ends of arcs from others, forwards and backwards."""
-    length = np.concatenate([STRETCHES, -STRETCHES])
-    turn = (curvature[:, None] * length).ravel()
-    # The chord has the heading of the arc's middle.
-    chord = np.tile(length, len(curvature)) * np.sinc(turn / 2 / np.pi)
-    middle = poses[:, 2, None] + turn / 2
-    x, y = poses[:, 0, None] + chord * np.cos(middle), poses[:, 1, None] + chord * np.sin(middle)
-    return np.stack([x, y, np.broadcast_to(wrap_angle(poses[:, 2, None] + turn), x.shape)], -1)
+    """Return the poses that an arc and a straight stretch, either way, are away from others."""
+    # The chord of an arc has the heading of its middle.
+    chord = 2 * radius * np.sin(np.abs(turns) / 2) * np.array([[1.0], [-1.0]])
+    middle = poses[:, 2, None, None] + turns / 2
+    x = poses[:, 0, None, None] + chord * np.cos(middle)
+    y = poses[:, 1, None, None] + chord * np.sin(middle)
+    yaw = np.broadcast_to(poses[:, 2, None, None] + turns, x.shape)
+    bent = np.stack([x, y, yaw], -1).reshape(-1, 3)
+    return _stretches(bent, np.zeros(1), 2).reshape(len(poses), -1, 3)
 
 
 def _best(
