@@ -31,7 +31,8 @@ STRETCHES = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
 _SMALL_TURNS = np.radians([0.0, 0.7, -0.7, 1.5, -1.5, 3.0, -3.0, 6.0, -6.0, 12.0, -12.0])
 """Turns before a stretch of shuffling [rad]; the lattice's headings are 8 to 18 degrees apart."""
 _SMALL_BENDS = np.append(_SMALL_TURNS, np.radians([25.0, -25.0, 50.0, -50.0]))
-"""Turns of a car-like base on an arc before a stretch of shuffling [rad]."""
+"""Turns of a car-like base before a stretch of shuffling [rad], on arcs as long as a stretch at
+most."""
 _MAX_STRETCHES = 4
 """Largest number of stretches of shuffling [-]."""
 _BEAM_WIDTH = 16
@@ -54,7 +55,8 @@ class Maneuvers:
     ) -> Float[np.ndarray, "l n 3"]:
         """Return the poses that a stretch leads to from others, with turns unless straight."""
         if self.turning_radius > 0:
-            turns = np.zeros(1) if straight else _SMALL_BENDS
+            short = self.turning_radius * np.abs(_SMALL_BENDS) <= STRETCHES[-1]
+            turns = np.zeros(1) if straight else _SMALL_BENDS[short]
             return _bent_stretches(poses, turns, self.turning_radius)
         return _stretches(poses, np.zeros(1) if straight else _SMALL_TURNS, self.sides)
 
