@@ -141,7 +141,8 @@ def derive_robot(
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
     model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
     footprint = find_footprint(model, base_link, firsts, notes)
-    drive = find_drive(model, anchor, source.mount is not None, guess, notes)
+    boxed = source.mount is not None and source.mount.box is not None
+    drive = find_drive(model, anchor, boxed, guess, notes)
     pairs: dict[tuple[str, str], str] = {}
     for index, name in enumerate(names):
         report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")

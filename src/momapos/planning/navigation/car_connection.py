@@ -98,7 +98,7 @@ def connect_car(a, b, radius, surroundings, weights, limit, scratch):
     least = np.empty(count)
     for k in range(count):
         least[k] = _least_cost(curves[k], weights)
-    best, chosen = np.inf, 0
+    best, chosen = np.inf, np.int64(0)
     for _ in range(min(count, MAX_TRIES)):
         k = np.argmin(least)
         if least[k] > min(best, limit):
