@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _CORRECTION_LENGTH = 0.2
-"""Distance over which deviations are corrected, with critical damping [m]; 0.1 follows the noise of
-the pose, and 0.4 corrects too little between two cusps."""
+"""Distance over which deviations are corrected, with critical damping [m]. Twelve drives with a
+radius of 1 m in `kitchen_small` take 19 paths with 0.1 and 0.2, and 21 with 0.4."""
 _PREVIEW = 0.15
 """Time by which the path's curvature is looked up ahead [s], because the yaw rate changes slowly:
 about half the time that it takes to turn in at 0.3 m/s and 1 rad/s^2."""

@@ -21,7 +21,8 @@ REVERSING_COST = 1.3
 """Cost of a meter driven backwards, except for an omni base [-]."""
 RADIUS_RESERVE = 1.1
 """Turning radius of the paths of a car-like base, relative to its least one [-]. The rest corrects
-deviations in a turn."""
+deviations in a turn: twelve drives in `kitchen_small` take 27 paths and 213 s with 1.02, 19 and
+187 s with 1.1, and 18 and 202 s with 1.25, where the paths are longer."""
 
 
 def planned_radius(robot: Robot) -> float:
