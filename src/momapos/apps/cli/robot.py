@@ -313,8 +313,9 @@ def as_text(facts: dict[str, Any]) -> str:
     turning = f", turns on {radius:.2f} m" if radius else ""
     lines = [
         f"{facts['name']}{arm} ({facts['path']})",
-        f"  base      {facts['base_link']}, {length:.2f} x {width:.2f} m, {facts['drive']} drive{turning}, "
-        f"{facts['max_speed']:g} m/s, {facts['max_yaw_rate']:g} rad/s",
+        f"  base      {facts['base_link']}, {length:.2f} x {width:.2f} m, "
+        f"{facts['drive']} drive{turning}, {facts['max_speed']:g} m/s, "
+        f"{facts['max_yaw_rate']:g} rad/s",
         f"  tool      {facts['tool_link']}, opening {facts['opening']:.3f} m, "
         f"grips with {facts['grips']}, {facts['grip_force']:g} N",
         f"  reach     {facts['reach']:.2f} m from the first revolute joint, with retracted "

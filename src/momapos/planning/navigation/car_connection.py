@@ -98,15 +98,16 @@ def connect_car(a, b, radius, surroundings, weights, limit, scratch):
     least = np.empty(count)
     for k in range(count):
         least[k] = _least_cost(curves[k], weights)
-    best, chosen = np.inf, np.int64(0)
+    best, chosen = np.inf, np.argmin(least)
     for _ in range(min(count, MAX_TRIES)):
-        k = np.argmin(least)
-        if least[k] > min(best, limit):
+        next_ = np.argmin(least)
+        bound = min(best, limit)
+        if least[next_] > bound:
             break
-        cost = _cost(a, curves[k], least[k], min(best, limit), surroundings, weights, scratch)
+        cost = _cost(a, curves[next_], least[next_], bound, surroundings, weights, scratch)
         if cost < best:
-            best, chosen = cost, k
-        least[k] = np.inf
+            best, chosen = cost, next_
+        least[next_] = np.inf
     return best, curves[chosen]
 
 
