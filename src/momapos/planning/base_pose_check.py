@@ -11,7 +11,7 @@ import numpy as np
 from momapos.core import Stopwatch, finite_array
 from momapos.model.records import Attempt, PoseOutcome, PoseStatus
 from momapos.planning.arm_motion import Feasibility
-from momapos.planning.navigation import plan_path
+from momapos.planning.navigation import TravelLengths, plan_path
 from momapos.planning.placement import (
     BASE_OUTCOMES,
     MIN_MODE_SCORE,
@@ -96,7 +96,7 @@ def plan_at_pose(
         )
         # Driving lengths have the resolution of a cell.
         stays = np.array_equal(first, base)
-        length = 0.0 if stays else float(cost_map(look.prepared, first).lengths(base[None, :2])[0])
+        length = 0.0 if stays else _driving_length(look.prepared, first, base)
     with watch.stage("path"):
         path = plan_path(query.nav_map, first, base) if np.isfinite(length) else None
     attempt = look.attempt
@@ -119,6 +119,13 @@ def plan_at_pose(
         timing=watch.timing,
     )
     return PlacementResult(plan, look.prepared, found, first, query)
+
+
+def _driving_length(
+    prepared: PreparedTask, start: Float[np.ndarray, "3"], base: Float[np.ndarray, "3"]
+) -> float:
+    travel = TravelLengths(cost_map(prepared, start), prepared.robot, start)
+    return float(travel(base[None])[0])
 
 
 @dataclass(frozen=True)

@@ -190,6 +190,8 @@ def plan_of(
         robot_srdf=_named_srdf(robot),
         robot_rest=robot.model.held,
         robot_arm=robot.arm or None,
+        robot_drive=robot.drive,
+        robot_min_turning_radius=robot.min_turning_radius or None,
         robot_amended=robot.amended,
         scene_joints=query.scene.joints_set,
         scene_hypotheses=query.scene.hypotheses_set,

@@ -13,7 +13,7 @@ from momapos.model.records import ReachScorer
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import Feasibility, fitted_bases
 from momapos.planning.grasps import FULL_DOF, TaskMotion
-from momapos.planning.navigation import clear_at_home
+from momapos.planning.navigation import TravelLengths, clear_at_home
 from momapos.planning.placement import AttemptPose, PlaceConfig, Problem, Search, search_in_order
 from momapos.planning.reachability import ReachMap
 
@@ -82,7 +82,7 @@ class SearchSetup:
         poses = found.without_path()
         if robot.ik.complete or problem.fit is not None or not (len(poses) and place.grid):
             return Search()
-        order = np.argsort(problem.travel_cost(poses[:, :2]), kind="stable")
+        order = np.argsort(problem.travel_cost(poses), kind="stable")
         fine = replace(self.feasible, robot=robot.finer)
         problem = replace(
             problem, reach=problem.grid_reach, screen=fine.screen,
@@ -156,7 +156,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         reach=query.reach,
         grid_reach=_optimistic(query.reach),
         mode_scorers=prepared.mode_scorers,
-        travel_cost=costs.lengths,
+        travel_cost=TravelLengths(costs, query.robot, start),
         attempt=_accepted(feasible, drives, robust),
         screen=feasible.screen,
         grasp_step=prepared.motion.grasp_step,

@@ -17,6 +17,7 @@ from momapos.model.records import Motion, MotionLoads, PlacementPlan, Task
 from momapos.model.scene import ResistanceConfig, Scene
 
 from . import path_checks as paths
+from .base_path_checks import base_path_checks, wheel_checks
 from .exact_shapes import Shapes
 from .floor_contact import depths_below_floor, dips
 from .latch_checks import known_latch_checks, latch_checks
@@ -178,7 +179,9 @@ class PlanVerifier:
         way = ends[:1] if plan.base_path is None else plan.base_path
         checks: list[Check] = []
         if plan.base_path is not None:
-            checks += paths.base_path_checks(way, ends, self.limits)
+            checks += base_path_checks(way, ends, self.limits)
+        if all(check.ok for check in checks):
+            checks += wheel_checks(way, plan.robot_drive, plan.robot_min_turning_radius)
         if not all(check.ok for check in checks):
             return tuple(checks)
         first = self.robot_model.body_poses((0.0, 0.0, 0.0), plan.motion.approach[:1])

@@ -1,4 +1,4 @@
-"""Check a motion without collision geometry: numbers, joints, tool poses, grasps, base path."""
+"""Check a motion without collision geometry: numbers, joints, tool poses, grasps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import invert, rotation_about, rotation_angle, wrap_angle
+from momapos.core.geometry import invert, rotation_about, rotation_angle
 from momapos.model.records import Hold, Motion
 
 from .link_bodies import following
@@ -28,8 +28,6 @@ MAX_MAGNITUDE = 1e6
 """Larger numbers are treated as errors."""
 MAX_RIGIDITY_ERROR = 1e-3
 """Largest error of a tool pose as a rigid transform, per matrix entry [-]."""
-MAX_BASE_STEP, MAX_BASE_TURN = 0.05, 0.1
-"""Largest distance [m] and turn [rad] between consecutive poses of a base path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,25 +351,3 @@ def _farthest(part: MovedPart, points: Float[np.ndarray, "k 3"]) -> tuple[float,
         moved = np.linalg.norm(points - points[i], axis=1)
         bounds = np.minimum(bounds, distance + moved)
     return worst, where
-
-
-def base_path_checks(
-    way: Float[np.ndarray, "k 3"], ends: Float[np.ndarray, "2 3"], limits: Limits
-) -> Iterator[Check]:
-    """Check that a base path leads from the start to the base pose in small steps."""
-    if not len(way) or len(way) > limits.states or np.abs([*way, *ends]).max() > MAX_MAGNITUDE:
-        yield verdict(f"base path has 1 to {limits.states} poses", False)
-        return
-    off = _max_offset(way[[0, -1]], ends)
-    yield at_most("base path from start to base pose", 1000 * off[0], 1000 * limits.join, "mm")
-    yield at_most("base path from start to base pose, turn", off[1], limits.join, "rad")
-    step, turn = _max_offset(way[1:], way[:-1])
-    yield at_most("step of the base path", 1000 * step, 1000 * MAX_BASE_STEP, "mm")
-    yield at_most("turn of the base path", turn, MAX_BASE_TURN, "rad")
-
-
-def _max_offset(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
-    """Return the largest distance [m] and turn [rad] between poses."""
-    away = a - b
-    distance = np.hypot(away[:, 0], away[:, 1]).max(initial=0.0)
-    return float(distance), float(np.abs(wrap_angle(away[:, 2])).max(initial=0.0))

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from momapos.core.geometry.transforms import wrap_angle
+from momapos.model.robots.robot import Robot
 from momapos.model.urdf.hulls import Boxes
-from momapos.planning.navigation.cost_map import CELL, build_cost_map, floor_plan
+from momapos.planning.navigation.cost_map import CELL, FloorPlan, build_cost_map, floor_plan
+from momapos.planning.navigation.driving_lengths import TravelLengths
 
 
 def wall(center: tuple[float, float, float], half: tuple[float, float, float]) -> Boxes:
@@ -71,3 +77,21 @@ def test_a_rotated_box_blocks_the_cells_under_it() -> None:
     local = np.abs(centers @ R[:2, :2])
     assert (local <= [0.8 + 1.5 * CELL, 0.3 + 1.5 * CELL]).all()
     assert plan.blocked.sum() * CELL**2 >= 0.8 * 0.3 * 4
+
+
+def test_a_car_like_base_drives_at_least_the_shortest_curve(
+    robots: Callable[[str], Robot],
+) -> None:
+    robot, start = robots("fetch"), np.array([0.5, -0.5, 0.4])
+    plan = FloorPlan(np.array([-3.0, -3.0]), np.zeros((120, 120), bool))
+    costs = build_cost_map(plan, start[:2], radius=0.3)
+    poses = np.random.default_rng(0).uniform([-2, -2, -3], [2, 2, 3], (200, 3))
+    turning = TravelLengths(costs, robot, start)
+    car = TravelLengths(costs, replace(robot, drive="car", min_turning_radius=0.9), start)
+    np.testing.assert_array_equal(turning(poses), costs.lengths(poses[:, :2]))
+    np.testing.assert_array_equal(car(poses[:, :2]), costs.lengths(poses[:, :2]))
+    turn = np.abs(wrap_angle(poses[:, 2] - start[2]))
+    assert (car(poses) >= np.maximum(turning(poses), 0.9 * turn) - 1e-9).all()
+    around = np.array([[*start[:2], start[2] + np.pi]])
+    assert turning(around)[0] < 0.1
+    assert car(around)[0] > 0.9 * np.pi

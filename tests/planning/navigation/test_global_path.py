@@ -16,13 +16,13 @@ from momapos.planning.navigation.cost_map import CELL, FloorPlan, build_cost_map
 from momapos.planning.navigation.footprint_map import (
     HEADINGS,
     MAX_GAP,
-    MOVES,
     NavigationMap,
     build_navigation_map,
 )
 from momapos.planning.navigation.global_path import BasePath, direct_path, leads_straight, plan_path
 from momapos.planning.navigation.judge import FootprintCollisionChecker
 from momapos.planning.navigation.lattice import Lattice, PathModel, standable
+from momapos.planning.navigation.lattice_moves import lattice_moves
 from momapos.planning.navigation.outline_gaps import CostWeights, OutlineArrays
 from momapos.planning.navigation.path_ends import MIN_GAP
 
@@ -100,9 +100,10 @@ def test_a_cell_is_standable_where_the_base_fits_with_some_heading(
 ) -> None:
     for name in ("fetch", "segway_ur5e"):
         nav_map = build_navigation_map(load_scene("kitchen_small"), robots(name))
-        lattice = Lattice(nav_map.origin, CELL, MOVES, HEADINGS, MAX_GAP)
+        moves = lattice_moves(nav_map.robot)
+        lattice = Lattice(nav_map.origin, CELL, HEADINGS, moves, MAX_GAP)
         surroundings = OutlineArrays(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
-        model = PathModel(False, surroundings, CostWeights(MIN_GAP, 0.08, 1.0, 0.1, 1.3))
+        model = PathModel(False, 0.0, surroundings, CostWeights(MIN_GAP, 0.08, 1.0, 0.1, 1.3, 0.2))
         found = standable(nav_map.inside, lattice, model)
         assert 0.05 < found.mean() < 0.95
         np.testing.assert_array_equal(found, (nav_map.gap >= MIN_GAP).any(0))

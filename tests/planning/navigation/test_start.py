@@ -102,7 +102,7 @@ def test_a_plan_contains_its_start_and_a_free_path_to_its_base_pose(
     np.testing.assert_allclose(plan.base_path[-1], plan.base_pose)
     assert all(touching(robot, room, pose) == "" for pose in plan.base_path[::5])
     checks = PlanVerifier(room, robot, plan.task).drive_checks(plan)
-    assert len(checks) == 5
+    assert len(checks) == 6
     assert all(check.ok for check in checks)
 
 

@@ -79,8 +79,8 @@ def find(
         assert path(base[None])[0]
         return Attempt(MOTION, FEASIBLE) if whole(base[None])[0] else Attempt(None, NO_APPROACH)
 
-    def length(xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        return np.linalg.norm(xy - START[:2], axis=1)
+    def length(places: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+        return np.linalg.norm(places[:, :2] - START[:2], axis=1)
 
     scorers = grasp_mode_scorers(geometry.Ts_world_tool, np.zeros((0, 1), int))
     problem = Problem(

@@ -292,6 +292,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "pairs_never_checked": len(robot.disabled),
         "base_size": np.ptp(robot.footprint, axis=0).round(3).tolist(),
         "drive": robot.drive,
+        "min_turning_radius": robot.min_turning_radius,
         "max_speed": robot.max_speed,
         "max_yaw_rate": robot.max_yaw_rate,
         "approach_axis": robot.approach_axis.tolist(),
@@ -308,10 +309,13 @@ def as_text(facts: dict[str, Any]) -> str:
     """Format the facts about a robot."""
     length, width = facts["base_size"]
     arm = f", arm {facts['arm']}" if facts["arm"] else ""
+    radius = facts["min_turning_radius"]
+    turning = f", turns on {radius:.2f} m" if radius else ""
     lines = [
         f"{facts['name']}{arm} ({facts['path']})",
-        f"  base      {facts['base_link']}, {length:.2f} x {width:.2f} m, {facts['drive']} drive, "
-        f"{facts['max_speed']:g} m/s, {facts['max_yaw_rate']:g} rad/s",
+        f"  base      {facts['base_link']}, {length:.2f} x {width:.2f} m, "
+        f"{facts['drive']} drive{turning}, {facts['max_speed']:g} m/s, "
+        f"{facts['max_yaw_rate']:g} rad/s",
         f"  tool      {facts['tool_link']}, opening {facts['opening']:.3f} m, "
         f"grips with {facts['grips']}, {facts['grip_force']:g} N",
         f"  reach     {facts['reach']:.2f} m from the first revolute joint, with retracted "

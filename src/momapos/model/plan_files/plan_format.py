@@ -59,6 +59,12 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "srdf": plan.robot_srdf,
             "rest": dict(plan.robot_rest),
             "arm": plan.robot_arm,
+            "drive": plan.robot_drive,
+            **(
+                {}
+                if plan.robot_min_turning_radius is None
+                else {"min_turning_radius": plan.robot_min_turning_radius}
+            ),
         },
         "task": _task_to_dict(plan.task),
         "resistance": {
@@ -245,6 +251,10 @@ def _check(data: members.Plan, path: Path) -> None:
     }  # fmt: skip
     for key, name in names.items():
         need(0 < len(name) <= 4000 and "\0" not in name, f"{key} must be a name")
+    need(
+        data.robot.drive != "car" or data.robot.min_turning_radius is not None,
+        "robot.min_turning_radius is missing; a robot with the drive 'car' needs it [m]",
+    )
     need(len(set(data.joints)) == len(data.joints), "joints contains a joint twice")
     need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
     moves = data.task.verb in ("open", "close")
@@ -290,6 +300,8 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
         robot_rest=robot.rest,
         robot_arm=robot.arm,
+        robot_drive=robot.drive,
+        robot_min_turning_radius=robot.min_turning_radius,
         scene_joints=data.scene_joints,
         scene_hypotheses=data.scene_hypotheses,
         assumption=None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -20,6 +20,8 @@ class PlanRobot(msgspec.Struct):
     srdf: str | None = None
     rest: dict[str, float] = {}
     arm: str | None = None
+    drive: Literal["differential", "omni", "car"] | None = None
+    min_turning_radius: Annotated[float, msgspec.Meta(gt=0)] | None = None
 
 
 class PlanTask(msgspec.Struct):

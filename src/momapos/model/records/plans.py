@@ -218,6 +218,10 @@ class PlacementPlan:
     """Rest values of other joints than the arm's, if not zero [rad] or [m]."""
     robot_arm: str | None = None
     """The arm used, of a robot with several; the others rest."""
+    robot_drive: Literal["differential", "omni", "car"] | None = None
+    """How the base drives; None in older plans."""
+    robot_min_turning_radius: float | None = None
+    """Least turning radius of a car-like base [m]; None for others."""
     robot_amended: str | None = field(default=None, repr=False)
     """The URDF with the robot file's additions, if any; it is written next to the plan."""
     scene_joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -12,8 +12,9 @@ from .scans import Cloud, FaceImage, Front, ImageDetection, Instance
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-TravelCost: TypeAlias = "Callable[[Float[np.ndarray, 'n 2']], Float[np.ndarray, ' n']]"
-"""Returns the driving length from the start to floor positions [m]; infinite if unreachable."""
+TravelCost: TypeAlias = "Callable[[Float[np.ndarray, 'n k']], Float[np.ndarray, ' n']]"
+"""Returns the driving length from the start to positions x, y [m] or base poses with the yaw [rad]:
+[m], infinite if unreachable."""
 
 
 class ReachScorer(Protocol):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import RobotError
-from momapos.core.geometry import apply, rpy_of
+from momapos.core.geometry import apply, invert, rpy_of
 from momapos.model.urdf import Articulated
 
 from .amended_urdf import AddedFrame
@@ -29,6 +29,9 @@ UPRIGHT_COSINE = 0.999
 """Least cosine between the z axis of a base link and the vertical [-]."""
 AHEAD_COSINE = 0.95
 """Least cosine between the x axis of a base link and the direction in which its wheels roll [-]."""
+AXLE_TOLERANCE = 0.01
+"""Largest distance of a car-like base's base link from the middle of its fixed axle [m]; at a
+turning radius of 0.5 m the base link then moves sideways by 2 % of its path."""
 FLOOR_FRAME = "base_floor"
 MAX_CORNERS = 16
 
@@ -64,16 +67,18 @@ def _named_wheels(model: Articulated) -> bool:
     return any(WHEEL.search(name) or OMNI.search(name) for name in names)
 
 
-def refuse_car(model: Articulated, guess: DriveGuess | None) -> None:
-    """Check that the base is one that momapos plans for.
+def refuse_unknown_axle(model: Articulated, guess: DriveGuess | None) -> None:
+    """Check that a car-like base shows about which axle it turns.
 
     Raises:
-        RobotError: It is car-like; the message says why.
+        RobotError: It does not; the message says what is missing.
     """
-    if guess is not None and guess.drive == "car":
+    if guess is not None and guess.drive == "car" and guess.axle is None:
         raise RobotError(
-            f"{model.urdf.path}: the base is car-like: {guess.why}. momapos plans for bases that "
-            "turn on the spot or drive sideways"
+            f"{model.urdf.path}: the base is car-like: {guess.why}; give the steering joints "
+            "limits and the other wheels joints, or write a robot file with base_link at the "
+            'middle of the fixed axle, base.drive = "car" and base.min_turning_radius '
+            "(docs/robots.md)"
         )
 
 
@@ -105,7 +110,8 @@ def find_base_link(
 ) -> tuple[str, AddedFrame | None]:
     """Find a link fixed to the base with z = 0 on the floor, z up and x ahead, or define a frame.
 
-    The wheels tell where up and ahead are. Without any, these are z and x of the root.
+    The wheels tell where up and ahead are. Without any, these are z and x of the root. The base
+    link of a car-like base is at the middle of its fixed axle, which never moves sideways.
     """
     rigid = fixed_to(model, anchor)
     usual: tuple[str, ...] = ("base_footprint", "base_link")
@@ -113,6 +119,7 @@ def find_base_link(
     body = base_links(model, firsts)
     up, ahead, seen = _directions(model, anchor, firsts, gear, guess)
     forward = "it drives along x" if seen else "its x axis is assumed to point forward"
+    axle = guess.axle if guess is not None and guess.drive == "car" else None
     turned: dict[str, str] = {}
     for name in dict.fromkeys([*preferred, anchor, *rigid]):
         points = points_of(model, name, body)
@@ -125,6 +132,9 @@ def find_base_link(
         if R[:, 2] @ up < UPRIGHT_COSINE or abs(R[:, 0] @ ahead) < AHEAD_COSINE:
             wrong = "z does not point up" if R[:, 2] @ up < UPRIGHT_COSINE else "x is not ahead"
             turned[name] = wrong
+            continue
+        if axle is not None and off_axle(model, name, anchor, axle) > AXLE_TOLERANCE:
+            turned[name] = "it is not at the middle of the fixed axle"
             continue
         low = float(points[:, 2].min())
         if abs(low) <= FLOOR_TOLERANCE:
@@ -139,14 +149,37 @@ def find_base_link(
     R = np.stack([ahead, np.cross(up, ahead), up], -1)
     rpy = rpy_of(model.rest_poses[name][:3, :3].T @ R)
     low = float((points_of(model, name, body) @ (model.rest_poses[name][:3, :3].T @ up)).min())
-    x, y, z = np.round(model.rest_poses[name][:3, :3].T @ up * low, 4) + 0.0
+    T_name_world = invert(model.rest_poses[name])
+    place, where = T_name_world[:3, :3] @ up * low, "at the base's lowest point"
+    if axle is not None:
+        middle = apply(model.rest_poses[anchor], np.array([[*axle, 0.0]]))
+        away = apply(T_name_world, middle)[0]
+        place += away - (away @ (T_name_world[:3, :3] @ up)) * (T_name_world[:3, :3] @ up)
+        where = "under the middle of the fixed axle"
+    x, y, z = np.round(place, 4) + 0.0
     frame = AddedFrame(FLOOR_FRAME, name, (float(x), float(y), float(z)), rpy)
     why = f" ({name}: {turned[name]})" if name in turned else ""
     notes.append(
         f"base_link: {FLOOR_FRAME}, a frame that the robot file adds {abs(low):.3f} m "
-        f"{'below' if low < 0 else 'above'} {name}{why}, at the base's lowest point; {forward}"
+        f"{'below' if low < 0 else 'above'} {name}{why}, {where}; {forward}"
     )
     return FLOOR_FRAME, frame
+
+
+def off_axle(
+    model: Articulated, base_link: str, anchor: str, axle: Float[np.ndarray, "2"]
+) -> float:
+    """Return how far a base link is from the middle of the fixed axle, seen from above [m].
+
+    Args:
+        model: The robot.
+        base_link: The base link.
+        anchor: Link that carries the base.
+        axle: The middle of the fixed axle in the anchor's frame [m].
+    """
+    T = invert(model.rest_poses[base_link]) @ model.rest_poses[anchor]
+    away = apply(T, np.array([[*axle, 0.0]]))[0]
+    return float(np.hypot(away[0], away[1]))
 
 
 def _directions(

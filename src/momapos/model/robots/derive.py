@@ -28,7 +28,7 @@ from .base_guess import (
     find_drive,
     find_footprint,
     lift_as_base,
-    refuse_car,
+    refuse_unknown_axle,
     refuse_without_base,
 )
 from .drive_guess import drive_of
@@ -127,7 +127,7 @@ def derive_robot(
     drawn = drawn_meshes(source.content, urdf)
     gear = find_running_gear(model, anchor, drawn)
     guess = drive_of(gear)
-    refuse_car(model, guess)
+    refuse_unknown_axle(model, guess)
     chains = _chains(model, anchor, source, srdf, gear, notes)
     couplings = {name: mimic for chain in chains for name, mimic in chain.coupled}
     firsts = [chain.joints[0] for chain in chains]
@@ -141,7 +141,8 @@ def derive_robot(
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
     model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
     footprint = find_footprint(model, base_link, firsts, notes)
-    drive = find_drive(model, anchor, source.mount is not None, guess, notes)
+    boxed = source.mount is not None and source.mount.box is not None
+    drive = find_drive(model, anchor, boxed, guess, notes)
     pairs: dict[tuple[str, str], str] = {}
     for index, name in enumerate(names):
         report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")
@@ -162,6 +163,7 @@ def derive_robot(
         base_link=base_link,
         footprint=footprint,
         drive=drive,
+        min_turning_radius=guess.radius if guess is not None and drive == "car" else 0.0,
         arms={name: arm.text for name, arm in arms.items()},
         rest={joint: value for joint, value in model.held.items() if joint not in taken},
         coupled=couplings,

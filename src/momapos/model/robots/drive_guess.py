@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -19,6 +19,11 @@ COAXIAL = 0.03
 """Distance along the base between wheels that share an axle [m]."""
 MIN_RADIUS = 0.02
 """Turning radius below which a base turns on the spot [m]."""
+ASSUMED_STEERING = 0.5
+"""Largest steering angle of a car-like base whose file states none [rad]; 28.6 degrees, a little
+less than most vehicles steer, so that the assumed radius is rather too large."""
+MAX_RADIUS = 100.0
+"""Turning radius from which steering counts as stuck to one side [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +40,8 @@ class DriveGuess:
     [m]; 0 if it turns on the spot."""
     wheelbase: float = 0.0
     """Distance between steered wheels and that axle or middle [m]; 0 without steering."""
+    axle: Float[np.ndarray, "2"] | None = None
+    """That middle in the anchor's frame [m]: the point that never moves sideways."""
     doubt: str = ""
     """What the user should check."""
 
@@ -54,16 +61,26 @@ def drive_of(gear: RunningGear) -> DriveGuess | None:
         return _steered(limited, rolling)
     if not rolling:
         return _swerve(len({wheel.steering for wheel in steered}))
+    unlimited = [wheel for wheel in steered if wheel.unlimited]
+    if unlimited:
+        return _steered([_assumed(wheel) for wheel in unlimited], rolling, "have no limits")
+    locked = [wheel for wheel in rolling if wheel.locked]
+    if locked and len(locked) < len(rolling):
+        fixed = [wheel for wheel in rolling if not wheel.locked]
+        return _steered([_assumed(wheel) for wheel in locked], fixed, "cannot move in this file")
     if len(rolling) < 2:
         return None
     guess = _unsteered(rolling, gear)
     if gear.locked and guess.drive == "differential":
-        return DriveGuess(
-            "car",
-            f"{_named(gear.locked)} would steer its wheels, but cannot move in this file",
-            guess.ahead,
-        )
+        why = f"{_named(gear.locked)} would steer its wheels, but cannot move in this file"
+        return DriveGuess("car", why, guess.ahead)
     return guess
+
+
+def _assumed(wheel: Wheel) -> Wheel:
+    """Return a wheel with the assumed steering angle, of a file that states none."""
+    steering = wheel.steering or wheel.locked
+    return replace(wheel, steering=steering, least=-ASSUMED_STEERING, most=ASSUMED_STEERING)
 
 
 def _swerve(modules: int) -> DriveGuess:
@@ -72,11 +89,16 @@ def _swerve(modules: int) -> DriveGuess:
     )
 
 
-def _steered(limited: Sequence[Wheel], rolling: Sequence[Wheel]) -> DriveGuess:
+def _steered(limited: Sequence[Wheel], rolling: Sequence[Wheel], unknown: str = "") -> DriveGuess:
     """Return the drive of a base with limited steering: car-like, or it turns on the spot.
 
     The wheels roll without sliding if all their axles meet in one point (Ackermann). It is on the
     fixed axle, or on the line across the middle if all wheels are steered.
+
+    Args:
+        limited: The steered wheels.
+        rolling: The others.
+        unknown: Why the steering angle is assumed; "" if the file states it.
     """
     base = rolling or limited
     ahead = base[0].ahead
@@ -94,14 +116,25 @@ def _steered(limited: Sequence[Wheel], rolling: Sequence[Wheel]) -> DriveGuess:
     if not rolling and wheelbase < COAXIAL:
         why = f"{names} by at most {turn:.2f} rad, and no wheel shows the fixed axle"
         return DriveGuess("car", f"{why}, so its turning radius is unknown", ahead)
+    if radius >= MAX_RADIUS:
+        why = f"{names} to one side only"
+        return DriveGuess("car", f"{why}, so its turning radius is unknown", ahead)
     if radius < MIN_RADIUS:
         why = f"{names} far enough to turn about the middle of the fixed axle"
         return DriveGuess("differential", why, ahead)
+    limits = f"by at most {turn:.2f} rad"
+    doubt = ""
+    if unknown:
+        limits += f", an assumption because {_named(joints)} {unknown},"
+        doubt = (
+            f"{_named(joints)} {unknown}: a steering angle of {turn:.2f} rad is assumed, so a "
+            f"least turning radius of {radius:.2f} m; correct base.min_turning_radius"
+        )
     return DriveGuess(
         "car",
-        f"{names} by at most {turn:.2f} rad at a wheelbase of {wheelbase:.2f} m, so its "
+        f"{names} {limits} at a wheelbase of {wheelbase:.2f} m, so its "
         f"least turning radius is {radius:.2f} m",
-        ahead, radius, wheelbase,
+        ahead, radius, wheelbase, middle, doubt,
     )  # fmt: skip
 
 
@@ -149,8 +182,8 @@ def _unsteered(wheels: Sequence[Wheel], gear: RunningGear) -> DriveGuess:
         return DriveGuess("differential", f"its {len(wheels)} driven wheels share one axle", ahead)
     doubt = (
         "its wheels share no axle and do not steer, so it turns on the spot by skidding; if they "
-        "are mecanum wheels, set drive to omni; a car-like base whose steering was left out cannot "
-        "be planned for"
+        "are mecanum wheels, set drive to omni; if it is a car-like base whose steering was left "
+        "out, set drive to car, and min_turning_radius"
     )
     why = f"its {len(wheels)} wheels do not steer and have parallel axles (skid steering)"
     return DriveGuess("differential", why, ahead, doubt=doubt)

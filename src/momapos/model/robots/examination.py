@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from .arm_states import sample_states, self_collision_shares, touches
-from .base_guess import FLOOR_TOLERANCE, MAX_WHEEL_HEIGHT, base_links, outside
-from .drive_guess import drive_of
+from .base_guess import (
+    AXLE_TOLERANCE,
+    FLOOR_TOLERANCE,
+    MAX_WHEEL_HEIGHT,
+    base_links,
+    off_axle,
+    outside,
+)
+from .drive_guess import DriveGuess, drive_of
 from .gripper_guess import points_of
 from .joint_tree import find_anchor
 from .robot import Robot
@@ -14,6 +21,8 @@ from .running_gear import drawn_meshes, find_running_gear
 
 MAX_REPORTED_PAIRS, MIN_REPORTED_SHARE = 5, 0.02
 """Maximum number of reported link pairs, and minimum share of states that each blocks [-]."""
+MIN_RADIUS_SHARE = 0.95
+"""Share of the radius that the wheels tell from which a robot file's radius is accepted [-]."""
 
 
 def blocking(robot: Robot, *, seed: int = 0) -> list[str]:
@@ -69,7 +78,26 @@ def _drive_doubts(robot: Robot) -> list[str]:
     assert urdf is not None
     anchor = find_anchor(robot.model, [])
     guess = drive_of(find_running_gear(robot.model, anchor, drawn_meshes(None, urdf)))
-    if guess is None or guess.doubt or guess.drive == robot.drive:
+    if guess is None or guess.doubt:
         return []
-    kind = "car-like" if guess.drive == "car" else guess.drive
-    return [f"base.drive is {robot.drive!r}, but the wheels are {kind}: {guess.why}"]
+    if guess.drive != robot.drive:
+        kind = "car-like" if guess.drive == "car" else guess.drive
+        return [f"base.drive is {robot.drive!r}, but the wheels are {kind}: {guess.why}"]
+    return _car_doubts(robot, anchor, guess) if robot.drive == "car" else []
+
+
+def _car_doubts(robot: Robot, anchor: str, guess: DriveGuess) -> list[str]:
+    """Report a turning radius or a base link of a car-like base that its wheels do not have."""
+    doubts = []
+    if robot.min_turning_radius < MIN_RADIUS_SHARE * guess.radius:
+        doubts.append(
+            f"base.min_turning_radius is {robot.min_turning_radius:.2f} m, but {guess.why}"
+        )
+    if guess.axle is not None:
+        away = off_axle(robot.model, robot.base_link, anchor, guess.axle)
+        if away > AXLE_TOLERANCE:
+            doubts.append(
+                f"base_link {robot.base_link} is {away:.2f} m from the middle of the fixed axle, "
+                "about which the base turns; put a frame there ([frames]) and make it base_link"
+            )
+    return doubts

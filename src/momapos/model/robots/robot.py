@@ -42,7 +42,8 @@ MAX_FOOTPRINT_CORNERS = 1_000
 """Maximum number of footprint corners [-]."""
 MAX_REACH = 5.0
 """Maximum reach of an arm [m]; the size of maps and grids grows with its cube."""
-Drive = Literal["differential", "omni"]
+Drive = Literal["differential", "omni", "car"]
+DRIVES: tuple[Drive, ...] = ("differential", "omni", "car")
 ASSUMED_FORCE, ASSUMED_OPENING = 60.0, 0.08
 """Assumed finger force [N] and gripper opening [m] if the robot file does not state them."""
 
@@ -67,7 +68,7 @@ class Robot:
     """Robot file (TOML)."""
     model: Articulated
     base_link: str
-    """Link on the floor, x forward."""
+    """Link on the floor, x forward; of a car-like base at the middle of its fixed axle."""
     tool_link: str
     arm_joints: tuple[str, ...]
     """Base to tool; a torso joint comes first."""
@@ -77,6 +78,7 @@ class Robot:
     footprint: Float[np.ndarray, "k 2"]
     """Convex outline of the base in its own frame, counterclockwise [m]."""
     drive: Drive
+    """Wheels that turn on the spot, that also drive sideways, or that turn on arcs only."""
     max_speed: float
     max_yaw_rate: float
     max_acceleration: float
@@ -104,6 +106,8 @@ class Robot:
     """Names of all arms; empty for a robot with one arm. The other arms rest at home."""
     other_arms: tuple[str, ...] = ()
     """Joints of the other arms."""
+    min_turning_radius: float = 0.0
+    """Least radius of the base link's path [m], of a car-like base; 0 for others."""
     payload: float | None = None
     """Payload of the arm [kg]; None if unknown."""
     amended: str | None = None
@@ -279,7 +283,8 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
         gripper_links=tuple(own.texts("gripper_links")),
         home=own.vector("home"),
         footprint=_footprint(base, path, cache),
-        drive=base.choice("drive", ("differential", "omni")),  # type: ignore[arg-type]
+        drive=base.choice("drive", DRIVES),  # type: ignore[arg-type]
+        min_turning_radius=_turning_radius(base),
         max_speed=base.positive("max_speed", 0.5),
         max_yaw_rate=base.positive("max_yaw_rate", 1.0),
         max_acceleration=base.positive("max_acceleration", 0.5),
@@ -305,6 +310,25 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     )
     _check(robot)
     return robot
+
+
+def _turning_radius(base: TomlTable) -> float:
+    """Return the least turning radius, which only a car-like base has.
+
+    Raises:
+        RobotError: A car-like base lacks one, or another one has it.
+    """
+    key = "min_turning_radius"
+    if base.data.get("drive") != "car":
+        if key in base.data:
+            raise RobotError(f'{base.path}: base.{key} is for base.drive = "car" only; remove it')
+        return 0.0
+    if key not in base.data:
+        raise RobotError(
+            f"{base.path}: base.{key} is missing; a car-like base needs the least radius on which "
+            "base_link, at the middle of its fixed axle, can turn [m]"
+        )
+    return base.positive(key, 0.0)
 
 
 def _assumed(tool: TomlTable, grips: Grip) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -45,6 +46,8 @@ class RobotText:
     base_link: str
     footprint: Float[np.ndarray, "k 2"]
     drive: str
+    min_turning_radius: float
+    """Of a car-like base [m]."""
     arms: Mapping[str, ArmText]
     """By name; a single arm is named ""."""
     rest: Mapping[str, float]
@@ -72,6 +75,7 @@ class RobotText:
             "[base]",
             f"footprint = [{corners}]",
             f"drive = {quoted(self.drive)}",
+            *self._radius(),
             "max_speed = 0.5",
             "max_yaw_rate = 1.0",
             "max_acceleration = 0.5",
@@ -84,6 +88,10 @@ class RobotText:
             lines += ["", f"[arms.{quoted(name)}.tool]", *_tool(arm)]
         lines += self._tables()
         return "\n".join(lines) + "\n"
+
+    def _radius(self) -> list[str]:
+        radius = math.ceil(1000 * self.min_turning_radius) / 1000  # rather too large
+        return [f"min_turning_radius = {radius:g}"] if self.drive == "car" else []
 
     def _tables(self) -> list[str]:
         """Return the tables with additions to the URDF and nonzero rest values."""

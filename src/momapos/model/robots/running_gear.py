@@ -58,6 +58,10 @@ class Wheel:
     """Steering range, counterclockwise seen from the base's z axis [rad]."""
     trail: float = 0.0
     """Distance between the steering axis and the wheel [m]."""
+    unlimited: bool = False
+    """Whether a joint of that name steers it, and has no limits."""
+    locked: str = ""
+    """Fixed joint with the name of a steering above it; "" for none."""
     caster: bool = False
     """Whether a name says that it is a caster's."""
     rollers: bool = False
@@ -107,26 +111,29 @@ def find_running_gear(
     gear: set[str] = set()
     named: list[bool] = []
     finder = _Finder(model, anchor, meshes)
-    for name in fixed_to(model, anchor):
-        for joint in joints_below(model, name):
-            below = finder.wheels(joint, ()) if joint.movable else None
-            if below:
-                found += below
-                named += [bool(WHEEL.search(f"{w.joint} {w.link}")) for w in below]
-                gear |= {j.name for j in _joints_in(model, joint)}
+    joints = [(name, one) for name in fixed_to(model, anchor) for one in joints_below(model, name)]
+    locked = [one for _, one in joints if not one.movable and _names_steering(one)]
+    knuckle = {link: one.name for one in locked for link in fixed_to(model, one.child)}
+    for name, joint in joints:
+        below = finder.wheels(joint, ()) if joint.movable else None
+        if below:
+            found += [replace(one, locked=knuckle.get(name, "")) for one in below]
+            named += [bool(WHEEL.search(f"{w.joint} {w.link}")) for w in below]
+            gear |= {j.name for j in _joints_in(model, joint)}
+    if found:
+        rigid = [j for _, j in joints if j.name not in gear and finder.steers_a_rigid_wheel(j)]
+        found += [finder.rigid_wheel(joint, found[0].axle) for joint in rigid]
+        gear |= {joint.name for joint in rigid}
     if len(found) < 2 and not any(named):  # one round body on the floor is no base
         return RunningGear()
-    locked = tuple(
-        joint.name
-        for name in fixed_to(model, anchor)
-        for joint in joints_below(model, name)
-        if not joint.movable and STEER.search(f"{joint.name} {joint.child}")
-    )
     body = {*fixed_to(model, anchor), *(w.link for w in found)}
     names = [*body, *(j.name for j in model.urdf.joints if j.parent in body)]
     names += [mesh for link in body for mesh in meshes.get(link, ())]
     return RunningGear(
-        tuple(found), frozenset(gear), locked, any(OMNI.search(name) for name in names)
+        tuple(found),
+        frozenset(gear),
+        tuple(one.name for one in locked),
+        any(OMNI.search(name) for name in names),
     )
 
 
@@ -143,6 +150,10 @@ def drawn_meshes(content: str | None, urdf: Path) -> dict[str, list[str]]:
         for link in read_tree(text, urdf).findall("link")
         if link.find("visual") is not None or link.find("collision") is not None
     }
+
+
+def _names_steering(joint: Joint) -> bool:
+    return bool(STEER.search(f"{joint.name} {joint.child}"))
 
 
 def _joints_in(model: Articulated, joint: Joint) -> list[Joint]:
@@ -217,22 +228,42 @@ class _Finder:
         own = [joint.name, *links, *(m for link in links for m in self.meshes.get(link, ()))]
         rollers = sum(one.movable for one in _joints_in(self.model, joint)) - 1
         axis, center = self._axis(joint), self.poses[joint.child][:3, 3]
-        steering = [one for one in above if abs(self._axis(one)[2]) > 1 - LEVEL_COSINE]
-        steering = [one for one in steering if one.kind != "prismatic"]
+        steering = [one for one in above if self._turns_upright(one)]
         level = np.array([axis[0], axis[1], 0.0])
         wheel = Wheel(
             joint.name, joint.child, center, level / np.linalg.norm(level),
             caster=any(map(_CASTER.search, names)),
             rollers=rollers >= MIN_ROLLERS or any(map(OMNI.search, own)),
         )  # fmt: skip
-        if not steering:
-            return wheel
-        turn, T = steering[0], self.poses[steering[0].child]
+        return self._steered(wheel, steering[0]) if steering else wheel
+
+    def steers_a_rigid_wheel(self, joint: Joint) -> bool:
+        """Return whether a joint named steering turns a body on the floor that does not roll."""
+        links = self.model.links_below(joint.child)
+        points = [apply(self.poses[n], h.vertices) for n in links for h in self.model.hulls[n]]
+        if not (joint.movable and points and _names_steering(joint) and self._turns_upright(joint)):
+            return False
+        return float(np.concatenate(points)[:, 2].min()) - self.ground < WHEEL_TOLERANCE
+
+    def rigid_wheel(self, joint: Joint, axle: Float[np.ndarray, "3"]) -> Wheel:
+        """Return the wheel that a steering joint carries, with the axle of another one."""
+        center = self.poses[joint.child][:3, 3]
+        return self._steered(Wheel(joint.name, joint.child, center, axle), joint)
+
+    def _turns_upright(self, joint: Joint) -> bool:
+        return joint.kind != "prismatic" and abs(self._axis(joint)[2]) > 1 - LEVEL_COSINE
+
+    def _steered(self, wheel: Wheel, turn: Joint) -> Wheel:
+        """Return a wheel with the joint that steers it."""
+        T = self.poses[turn.child]
         least, most = self._range(turn)
         if self._axis(turn)[2] < 0:
             least, most = -most, -least
-        trail = abs(float((center - T[:3, 3])[:2] @ wheel.ahead))
-        return replace(wheel, steering=turn.name, least=least, most=most, trail=trail)
+        trail = abs(float((wheel.center - T[:3, 3])[:2] @ wheel.ahead))
+        return replace(
+            wheel, steering=turn.name, least=least, most=most, trail=trail,
+            unlimited=_names_steering(turn) and bool(np.isinf(most - least)),
+        )  # fmt: skip
 
     def _range(self, joint: Joint) -> tuple[float, float]:
         """Return the range of a steering joint about its rest value, also of a follower."""

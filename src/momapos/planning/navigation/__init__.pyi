@@ -9,6 +9,7 @@ from .drivable import drivable_floor as drivable_floor
 from .drive_record import DriveRecord as DriveRecord
 from .driving import DriveConfig as DriveConfig
 from .driving import drive as drive
+from .driving_lengths import TravelLengths as TravelLengths
 from .footprint_map import NavigationMap as NavigationMap
 from .footprint_map import build_navigation_map as build_navigation_map
 from .footprint_map import with_object_moved as with_object_moved

@@ -19,13 +19,14 @@ def clip_velocity(
     """Return the velocity that a base reaches after some time on its way to another velocity.
 
     Args:
-        robot: The robot, with its speed and acceleration limits; a differential base has no vy.
+        robot: The robot, with its speed and acceleration limits. Only an omni base has vy, and the
+            yaw rate of a car-like base is at most that of its least turning radius.
         now: vx [m/s], vy [m/s], yaw rate [rad/s], base frame.
         wish: The commanded velocity, likewise.
         dt: Time [s].
     """
     wish = np.array(wish, float)
-    if robot.drive == "differential":
+    if robot.drive != "omni":
         wish[1] = 0.0
     wish[:2] *= min(1.0, robot.max_speed / max(float(np.hypot(wish[0], wish[1])), 1e-12))
     wish[2] = np.clip(wish[2], -robot.max_yaw_rate, robot.max_yaw_rate)
@@ -34,7 +35,11 @@ def clip_velocity(
     change[:2] *= min(1.0, step / max(float(np.hypot(change[0], change[1])), 1e-12))
     turn = robot.max_yaw_acceleration * dt
     change[2] = np.clip(change[2], -turn, turn)
-    return now + change
+    reached = now + change
+    if robot.drive == "car":
+        fastest = abs(reached[0]) / robot.min_turning_radius
+        reached[2] = np.clip(reached[2], -fastest, fastest)
+    return reached
 
 
 def integrate(

@@ -45,14 +45,14 @@ class CostMap:
     wide: Bool[np.ndarray, "rows columns"]
     """Cells where the disc fits with a cell to spare, so that the grid does not decide."""
 
-    def lengths(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Return the driving lengths to positions [m], infinite without a path.
+    def lengths(self, places: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+        """Return the driving lengths to positions or base poses [m], infinite without a path.
 
         The best of the neighboring cells counts, because a base can stand closer to furniture than
         a cell center that the disc can reach.
         """
         rows, columns = self.distance.shape
-        x, y = np.ascontiguousarray(xy.T, float)
+        x, y = np.ascontiguousarray(places.T[:2], float)
         j = np.floor((x - self.origin[0]) / CELL).astype(int) + _NEIGHBORS[:, :1]
         i = np.floor((y - self.origin[1]) / CELL).astype(int) + _NEIGHBORS[:, 1:]
         dx = self.origin[0] + (j + 0.5) * CELL - x

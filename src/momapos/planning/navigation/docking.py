@@ -22,7 +22,7 @@ _ACCELERATION_SHARE = 0.5
 """Share of the base's acceleration limits that docking uses [-]."""
 _LOOKAHEAD = 0.15
 """Lookahead distance of a differential base on its line [m]."""
-_STOP_DISTANCE, _STOP_ANGLE = 0.004, float(np.radians(0.4))
+STOP_DISTANCE, _STOP_ANGLE = 0.004, float(np.radians(0.4))
 """Remaining distance [m] and angle [rad] at which a base stops driving or turning."""
 _MAX_HEADING_ERROR = 0.15
 """Largest heading error at the start of a leg that a moving base corrects while driving [rad]."""
@@ -35,6 +35,11 @@ def approach(left: float, acceleration: float, fastest: float, dt: float) -> flo
     braking = np.sqrt(2 * _ACCELERATION_SHARE * acceleration * abs(left))
     speed = min(fastest, braking, 0.5 * abs(left) / dt)
     return float(np.copysign(speed, left))
+
+
+def docking_speed(robot: Robot, left: float) -> float:
+    """Return the largest speed at a remaining distance [m/s]: slow where docking begins."""
+    return robot.max_speed if left > DOCKING_DISTANCE else min(_MAX_SPEED, robot.max_speed)
 
 
 class Docking:
@@ -69,7 +74,7 @@ class Docking:
         left = nodes[self.leg + 1, :2] - pose[:2]
         if self.phase == "aim":
             step = nodes[self.leg + 1, :2] - nodes[self.leg, :2]
-            if np.hypot(*step) < _STOP_DISTANCE:
+            if np.hypot(*step) < STOP_DISTANCE:
                 self.phase = "turn"
                 return np.zeros(3)
             # Aim from the present pose, not from the start of the leg.
@@ -89,7 +94,7 @@ class Docking:
             return (
                 is_stopped(velocity)
                 and turned
-                and float(np.hypot(*(goal - pose)[:2])) < 2 * _STOP_DISTANCE
+                and float(np.hypot(*(goal - pose)[:2])) < 2 * STOP_DISTANCE
             )
         last = self.phase == "turn" and self.leg == len(self.path.nodes) - 2
         return is_stopped(velocity) and turned and last
@@ -116,7 +121,7 @@ class Docking:
         robot = self.robot
         v = approach(distance + rest, robot.max_acceleration, self._fastest, self.dt)
         w = self._turn(turn)
-        if distance < _STOP_DISTANCE:
+        if distance < STOP_DISTANCE:
             return np.array([0.0, 0.0, w])
         if rest > 0 and abs(turn) > _STOP_ANGLE:
             pace = min(v / distance, abs(w) / abs(turn))
@@ -128,7 +133,7 @@ class Docking:
     ) -> Float[np.ndarray, "3"]:
         """Follow the line to the end of the leg, forwards or backwards."""
         left, offset = left_world @ rotation(self.line)
-        if abs(left) < _STOP_DISTANCE:
+        if abs(left) < STOP_DISTANCE:
             self.phase = "turn"
             return np.zeros(3)
         v = approach(left, self.robot.max_acceleration, self._fastest, self.dt)
@@ -144,7 +149,7 @@ def is_stopped(velocity: Float[np.ndarray, "3"]) -> bool:
 
 
 def is_aligned(robot: Robot, path: BasePath) -> bool:
-    """Check whether a base can follow a path without turning on the spot first."""
+    """Check whether an omni or differential base can follow a path without turning first."""
     if robot.drive == "omni":
         return True
     step = path.nodes[1, :2] - path.nodes[0, :2]

@@ -24,6 +24,7 @@ class DriveEnding(Enum):
     OFF_GOAL = "the estimated pose is off the goal"
     MISSED = "it stopped"
     HIT = "it hit"
+    IMPOSSIBLE = "the wheels cannot do that:"
     TIMEOUT = "timeout"
 
 

@@ -17,13 +17,14 @@ from momapos.core import Clock, SceneError, refuse_below
 from momapos.core.geometry import wrap_angle
 
 from .base_motion import clip_velocity, integrate
+from .car_docking import CarDocking
 from .convex_polygons import pack
 from .docking import DOCKING_DISTANCE, Docking, can_stop, is_aligned, is_stopped
 from .drive_record import DriveEnding, DriveRecord
 from .dynamic_window import Steering, WindowConfig, velocity_window
 from .footprint_map import NavigationMap, navigation_map_of
 from .global_path import METERS_PER_RADIAN, BasePath, direct_path, plan_path
-from .judge import FootprintCollisionChecker
+from .judge import FootprintCollisionChecker, impossible_motion
 from .localization import Localizer, NoiseConfig
 from .path_ends import PathConfig
 
@@ -184,8 +185,10 @@ class _DriveRun:
         if ended := self._wait(SETTLE_TIME):
             return ended
         end: _End | None = None
-        # After the dynamic window got stuck, and near the goal, the path is followed exactly.
-        exactly = False
+        # After the dynamic window got stuck, and near the goal, the path is followed exactly. So it
+        # is always by a car-like base, which would need a cusp to get back to it.
+        car = self.nav_map.robot.drive == "car"
+        exactly = car
         for self.paths in range(1, self.config.replans + 2):  # noqa: B020
             path = self._plan()
             if path is None:
@@ -205,7 +208,7 @@ class _DriveRun:
                 exactly = end is not None
             if path is not None:
                 end = self._dock(path)
-                exactly = end is None
+                exactly = car or end is None
                 if end is None and self._at_goal(self.localizer.pose, 0.6):
                     return None if self._at_goal(self.pose, 1.0) else self._missed()
                 end = end or _End(DriveEnding.OFF_GOAL)
@@ -287,14 +290,15 @@ class _DriveRun:
     def _dock(self, path: BasePath) -> _End | None:
         config, robot = self.config, self.nav_map.robot
         steering = Steering(self.nav_map, path, config.window, CONTROL_STEP)
-        docking = Docking(robot, path, CONTROL_STEP)
+        kind = CarDocking if robot.drive == "car" else Docking
+        docking = kind(robot, path, CONTROL_STEP)
         waited = 0.0
         while not docking.finished(self.localizer.pose, self.velocity):
             began = self.clock()
             pose, discs = self.localizer.pose, self._discs()
             wish = docking.command(pose, self.velocity)
             reached = clip_velocity(robot, self.velocity, wish, CONTROL_STEP)
-            if not steering.allows(pose, reached, discs):
+            if not steering.allows(pose, reached, docking.index, discs):
                 wish = velocity_window(robot, self.velocity, CONTROL_STEP)[0]
             self.step_times.append(self.clock() - began)
             if ended := self._step(wish):
@@ -331,7 +335,10 @@ class _DriveRun:
         self.on_pose(self.pose)
         mean = np.mean(self.velocities[-count:], axis=0)
         self.localizer.step(self.pose, mean, CONTROL_STEP)
-        return self._check(np.array(passed))
+        cannot = impossible_motion(
+            robot.drive, robot.min_turning_radius, np.array(self.poses[-count - 1 :])
+        )
+        return _End(DriveEnding.IMPOSSIBLE, cannot) if cannot else self._check(np.array(passed))
 
     def _check(self, passed: Float[np.ndarray, "k 3"]) -> _End | None:
         """Check the true poses; return why the drive ends, None if it continues."""

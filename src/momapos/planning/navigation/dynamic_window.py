@@ -288,10 +288,10 @@ def velocity_window(
     )
     brake = now * max(0.0, 1 - dt / braking) if braking > 0 else np.zeros(3)
     step, turn = robot.max_acceleration * dt, robot.max_yaw_acceleration * dt
-    share = np.linspace(-1, 1, 13 if robot.drive == "differential" else 7)
+    share = np.linspace(-1, 1, 7 if robot.drive == "omni" else 13)
     w = now[2] + turn * np.sign(share) * np.abs(share) ** 1.5  # densest at the present rate
     w = np.append(w, np.clip(0.0, now[2] - turn, now[2] + turn))
-    if robot.drive == "differential":
+    if robot.drive != "omni":
         vx = now[0] + step * np.append(np.linspace(-1, 1, 7), np.clip(-now[0] / step, -1, 1))
         linear = np.stack([vx, np.zeros(len(vx))], -1)
     else:
@@ -303,6 +303,8 @@ def velocity_window(
     linear = linear[speed <= robot.max_speed + 1e-9]
     w = w[np.abs(w) <= robot.max_yaw_rate + 1e-9]
     pairs = np.column_stack([np.repeat(linear, len(w), axis=0), np.tile(w, len(linear))])
+    if robot.drive == "car":
+        pairs = pairs[robot.min_turning_radius * np.abs(pairs[:, 2]) <= np.abs(pairs[:, 0]) + 1e-9]
     return np.concatenate([brake[None], pairs])
 
 
@@ -358,7 +360,8 @@ class Steering:
         self,
         pose: Float[np.ndarray, "3"],
         velocity: Float[np.ndarray, "3"],
+        index: int,
         discs: Float[np.ndarray, "d 5"],
     ) -> bool:
         """Check whether a base that follows the path exactly can stop from a velocity."""
-        return bool(np.isfinite(self.ratings(pose, velocity[None], 0, discs)[0]))
+        return bool(np.isfinite(self.ratings(pose, velocity[None], index, discs)[0]))

@@ -1,5 +1,7 @@
 """Check exactly whether the robot touches anything: outlines against outlines, in plain numpy.
 
+And check whether the wheels of its base can make a motion.
+
 It is independent of planning and steering: it uses no map, no reduced obstacles and no kernels.
 """
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 MAX_DISTANCE = 0.5
 """Upper bound of the reported distances [m]."""
+_SLACK = 1e-6
+"""Rounding errors of a motion between two poses [m], [rad]."""
 _BLOCK = 8
 """Number of poses, and of obstacles, that are checked together [-]."""
 
@@ -99,6 +103,34 @@ class FootprintCollisionChecker:
             apart = edge_distances(discs[:, :2], robot[0])
             found.append(np.where(contains(robot[0], discs[:, :2]), 0.0, apart))
         return np.min(found, axis=0) - discs[:, 4]
+
+
+def impossible_motion(drive: str, radius: float, poses: Float[np.ndarray, "n 3"]) -> str:
+    """Return what the wheels of a base cannot do between consecutive poses; "" if nothing.
+
+    Args:
+        drive: "omni", "differential" or "car".
+        radius: Least turning radius of a car-like base [m].
+        poses: x [m], y [m], yaw [rad]; each motion between them is an arc.
+    """
+    if drive == "omni":
+        return ""
+    step = np.diff(poses[:, :2], axis=0)
+    turn = np.pi - (np.pi - np.diff(poses[:, 2])) % (2 * np.pi)
+    middle = poses[:-1, 2] + turn / 2  # an arc's chord has the heading of its middle
+    across = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
+    if (np.abs(across) > _SLACK).any():
+        return "it moved sideways"
+    if drive == "car" and (radius * np.abs(turn) > _arc_lengths(step, turn) + _SLACK).any():
+        return f"it turned tighter than its radius of {radius:.2f} m"
+    return ""
+
+
+def _arc_lengths(
+    step: Float[np.ndarray, "n 2"], turn: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Return the lengths of arcs from their chords."""
+    return np.asarray(np.hypot(step[:, 0], step[:, 1]) / np.sinc(turn / 2 / np.pi))
 
 
 def overlap(

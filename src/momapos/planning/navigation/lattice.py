@@ -9,6 +9,7 @@ import numpy as np
 
 from momapos.core.compiled import B2, F1, F2, I2, S3, entry, kernel
 
+from .car_connection import bend_cost, connect_car
 from .outline_gaps import (
     CostWeights,
     OutlineArrays,
@@ -19,6 +20,7 @@ from .outline_gaps import (
     select,
     wrapped,
 )
+from .reeds_shepp import MAX_PIECES
 
 
 class PathModel(NamedTuple):
@@ -26,8 +28,24 @@ class PathModel(NamedTuple):
 
     omni: bool
     """Whether the base can move sideways."""
+    turning_radius: float
+    """Turning radius of the paths of a car-like base [m]; 0 for one that turns on the spot."""
     surroundings: OutlineArrays
     cost_weights: CostWeights
+
+
+class Moves(NamedTuple):
+    """The moves from a state, by heading and move; see `lattice_moves`."""
+
+    heading: I2
+    """Index of the heading after the move."""
+    columns: I2
+    rows: I2
+    """Cells that it moves by."""
+    length: F2
+    """Length of its path [m]."""
+    factor: F1
+    """Cost of a meter of each move [-]."""
 
 
 class Lattice(NamedTuple):
@@ -37,10 +55,9 @@ class Lattice(NamedTuple):
     """World position of the corner of cell (0, 0) [m]."""
     cell: float
     """Edge of a cell [m]."""
-    moves: I2
-    """Steps (columns, rows) along each heading."""
     headings: F1
     """[rad]"""
+    moves: Moves
     farthest: float
     """Upper bound of gaps [m]."""
 
@@ -51,10 +68,37 @@ def connections(a: F2, b: F2, model: PathModel) -> tuple[np.ndarray, np.ndarray]
     scratch = scratch_for(model.surroundings)
     cost, backwards = np.empty(len(a)), np.empty(len(a), np.bool_)
     for k in range(len(a)):
-        cost[k], backwards[k] = connect(
-            a[k], b[k], model.omni, model.surroundings, model.cost_weights, np.inf, scratch
-        )
+        cost[k], backwards[k] = _connect(a[k], b[k], model, model.cost_weights, np.inf, scratch)
     return cost, backwards
+
+
+@kernel
+def _connect(a, b, model, weights, limit, scratch):
+    """Find the cheapest simple path of any base between two poses, see `connect`."""
+    surroundings, radius = model.surroundings, model.turning_radius
+    if radius > 0:
+        return connect_car(a, b, radius, surroundings, weights, limit, scratch)[0], False
+    return connect(a, b, model.omni, surroundings, weights, limit, scratch)
+
+
+@entry
+def car_curves(a: F2, b: F2, model: PathModel) -> np.ndarray:
+    """Return the pieces of the cheapest curves between pairs of poses (n, 3) of a car-like base.
+
+    Returns:
+        Signed length [m] and curvature [1/m] of each piece (n, `MAX_PIECES`, 2); zeros where no
+        curve is free.
+    """
+    scratch, weights = scratch_for(model.surroundings), model.cost_weights
+    out = np.zeros((len(a), MAX_PIECES, 2))
+    for k in range(len(a)):
+        cost, curve = connect_car(
+            a[k], b[k], model.turning_radius, model.surroundings, weights, np.inf, scratch
+        )
+        if np.isfinite(cost):
+            for piece in range(MAX_PIECES):
+                out[k, piece, 0], out[k, piece, 1] = curve[piece, 0], curve[piece, 1]
+    return out
 
 
 @entry
@@ -145,13 +189,12 @@ def astar(
     Returns:
         Flat indices of the path's states from start to goal; empty without a path.
     """
-    origin, cell = lattice.origin, lattice.cell
-    moves, headings = lattice.moves, lattice.headings
-    omni, weights = model.omni, model.cost_weights
-    radius = model.surroundings.prisms.radius
-    turns, rows, columns = known.shape
+    origin, cell, headings, moves = lattice.origin, lattice.cell, lattice.headings, lattice.moves
+    surroundings, weights = model.surroundings, model.cost_weights
+    radius = surroundings.prisms.radius
+    rows, columns = known.shape[1:]
     area = rows * columns
-    scratch = scratch_for(model.surroundings)
+    scratch = scratch_for(surroundings)
     cost, parent = first.copy(), np.full(first.size, -1, np.int64)
     done = np.zeros(first.size, np.bool_)
     queue = [(np.inf, np.int64(-1))]
@@ -161,7 +204,6 @@ def astar(
             heapq.heappush(queue, (first[attached] + bound, np.int64(attached)))
     best, end = np.inf, np.int64(-1)
     a, b = np.zeros(3), np.zeros(3)
-    directions = turns if omni else 2
     while True:
         estimate, state = heapq.heappop(queue)
         if estimate >= best or state < 0:
@@ -174,15 +216,9 @@ def astar(
         h, i, j = state // area, (state % area) // columns, state % columns
         a[0], a[1] = origin[0] + (j + 0.5) * cell, origin[1] + (i + 0.5) * cell
         a[2] = headings[h]
-        here = _gap_at(h, i, j, known, lattice, model.surroundings, scratch)
-        for move in range(directions + 2):
-            g, di, dj, factor = h, 0, 0, 1.0
-            if move < 2:
-                g = (h + 1 - 2 * move) % turns
-            else:
-                along = move - 2 if omni else (h + (move - 2) * (turns // 2)) % turns
-                dj, di = moves[along, 0], moves[along, 1]
-                factor = weights.reversing if move == 3 and not omni else 1.0
+        here = _gap_at(h, i, j, known, lattice, surroundings, scratch)
+        for move in range(moves.heading.shape[1]):
+            g, di, dj = moves.heading[h, move], moves.rows[h, move], moves.columns[h, move]
             ni, nj = i + di, j + dj
             if ni < 0 or nj < 0 or ni >= rows or nj >= columns:
                 continue
@@ -190,11 +226,11 @@ def astar(
             if done[after] or not np.isfinite(ahead[ni, nj]):
                 continue
             turn = wrapped(headings[g] - headings[h]) if g != h else 0.0
-            length = cell * np.hypot(di, dj)
+            length, factor = moves.length[h, move], moves.factor[move]
             step = factor * (length + weights.turning * abs(turn))
             if cost[state] + step >= cost[after]:
                 continue
-            there = _gap_at(g, ni, nj, known, lattice, model.surroundings, scratch)
+            there = _gap_at(g, ni, nj, known, lattice, surroundings, scratch)
             if there < weights.needed_clearance:
                 continue
             between = (here + there) / 2
@@ -202,8 +238,11 @@ def astar(
                 near = max(0.0, 1 - between / weights.preferred_clearance)
                 step *= 1 + weights.proximity * near**2
             else:
-                b[0], b[1] = a[0] + dj * cell, a[1] + di * cell
-                step = factor * leg(a, b, turn, model.surroundings, weights, scratch)
+                b[0], b[1], b[2] = a[0] + dj * cell, a[1] + di * cell, headings[g]
+                if g != h and model.turning_radius > 0:
+                    step = bend_cost(a, b, model.turning_radius, surroundings, weights, scratch)
+                else:
+                    step = factor * leg(a, b, turn, surroundings, weights, scratch)
             if cost[state] + step < cost[after]:
                 cost[after], parent[after] = cost[state] + step, state
                 heapq.heappush(queue, (cost[after] + ahead[ni, nj], after))
@@ -245,10 +284,9 @@ def shorten(poses: F2, needs: F1, model: PathModel) -> np.ndarray:
                     weights.proximity,
                     weights.turning,
                     weights.reversing,
+                    weights.cusp,
                 )
-                found = connect(
-                    poses[i], poses[j], model.omni, model.surroundings, local, limit, scratch
-                )[0]
+                found = _connect(poses[i], poses[j], model, local, limit, scratch)[0]
                 if found < limit:
                     cost[j], parent[j] = cost[i] + found, i
     kept = [n - 1]

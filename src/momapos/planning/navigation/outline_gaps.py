@@ -54,6 +54,8 @@ class CostWeights(NamedTuple):
     """Cost of turning [m/rad]."""
     reversing: float
     """Cost of a meter driven backwards [-]."""
+    cusp: float
+    """Cost of a reversal of a car-like base [m]."""
 
 
 @kernel

@@ -15,10 +15,12 @@ import numpy as np
 from momapos.core import refuse_below
 from momapos.core.geometry import wrap_angle
 
+from .car_connection import shortest_lengths
 from .cost_map import CELL
 from .footprint_map import HEADINGS, MAX_GAP, NavigationMap
 from .lattice import PathModel, connections
-from .lattice_connection import Exits, shuffled_exits, straight_exits
+from .lattice_connection import Exits, Maneuvers, shuffled_exits, straight_exits
+from .lattice_moves import REVERSING_COST, planned_radius
 from .outline_gaps import CostWeights, OutlineArrays, gaps
 
 if TYPE_CHECKING:
@@ -28,12 +30,17 @@ MIN_GAP = 0.01
 """Smallest gap along a path, except at its ends [m]."""
 _RADII = 0.15, 0.3
 """Radius of the lattice states connected to an exit, and to the start or goal itself [m]."""
+_CAR_RADII = 0.3, 0.6
+"""The same for a car-like base, which has to drive farther for a small offset [m]."""
+_MAX_CURVE = 0.9
+"""Largest length of the path between an exit and a lattice state [m]. Only longer curves of a
+car-like base exceed it; they take half of the time and lead to no better paths."""
 CONTACT_COST = 1.0
 """Additional cost of a meter in contact with obstacles [-]."""
 TURNING_COST = 0.1
 """Cost of turning [m/rad]."""
-REVERSING_COST = 1.3
-"""Cost of a meter driven backwards, for a differential base [-]."""
+CUSP_COST = 0.2
+"""Cost of a reversal of a car-like base [m]: about the way that it drives while it stops."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +63,11 @@ def path_model(
     """Collect the data of a path search for the kernels."""
     weights = CostWeights(
         float(needed_clearance), config.preferred_clearance, CONTACT_COST, TURNING_COST,
-        REVERSING_COST,
+        REVERSING_COST, CUSP_COST,
     )  # fmt: skip
     surroundings = OutlineArrays(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
-    return PathModel(nav_map.robot.drive == "omni", surroundings, weights)
+    robot = nav_map.robot
+    return PathModel(robot.drive == "omni", planned_radius(robot), surroundings, weights)
 
 
 def lattice_shape(nav_map: NavigationMap) -> tuple[int, int, int]:
@@ -105,17 +113,19 @@ class PathEnd:
     @cached_property
     def straight(self) -> LatticeEntries:
         """Entries through straight exits."""
-        return self._entries(straight_exits(self.pose, self._sides, self._connection_cost))
+        return self._entries(straight_exits(self.pose, self._maneuvers, self._connection_cost))
 
     @cached_property
     def shuffled(self) -> LatticeEntries:
         """Entries through shuffled exits, which are slow to compute."""
-        exits = shuffled_exits(self.pose, self._sides, self._connection_cost, self._gaps, MIN_GAP)
+        cost = self._connection_cost
+        exits = shuffled_exits(self.pose, self._maneuvers, cost, self._gaps, MIN_GAP)
         return self._entries(exits)
 
     @property
-    def _sides(self) -> int:
-        return 4 if self.nav_map.robot.drive == "omni" else 2
+    def _maneuvers(self) -> Maneuvers:
+        robot = self.nav_map.robot
+        return Maneuvers(4 if robot.drive == "omni" else 2, planned_radius(robot))
 
     def _gaps(self, poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         return gaps(poses, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=MAX_GAP)
@@ -130,13 +140,14 @@ class PathEnd:
 
     def _entries(self, exits: Exits) -> LatticeEntries:
         """Connect each lattice state near the exits to the cheapest of them."""
-        found = [self._near(pose, _RADII[k == 0]) for k, pose in enumerate(exits.poses)]
+        radii = _CAR_RADII if self._maneuvers.turning_radius > 0 else _RADII
+        found = [self._near(pose, radii[k == 0]) for k, pose in enumerate(exits.poses)]
         which = np.repeat(np.arange(len(found)), [len(f) for f in found])
         states, of = np.unique(np.concatenate(found), return_inverse=True)
         poses, tight = lattice_poses(self.nav_map, states), exits.near_root()
-        away = poses[of] - exits.poses[which]
-        turn = np.abs(wrap_angle(away[:, 2]))
-        least = exits.cost[which] + np.hypot(*away[:, :2].T) + TURNING_COST * turn
+        least = exits.cost[which] + self._least_costs(exits.poses[which], poses[of])
+        near = least <= exits.cost[which] + _MAX_CURVE
+        which, of, least = which[near], of[near], least[near]
         cost, via = np.full(len(states), np.inf), np.full(len(states), -1)
         left = np.lexsort((least, of))
         while len(left):
@@ -153,6 +164,15 @@ class PathEnd:
         good = np.isfinite(cost)
         return LatticeEntries(exits, states[good], cost[good], via[good])
 
+    def _least_costs(
+        self, a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, " n"]:
+        """Compute lower bounds of the costs of simple paths [m]."""
+        away, radius = b - a, self._maneuvers.turning_radius
+        if radius > 0:
+            return shortest_lengths(*map(np.ascontiguousarray, (a, b)), radius)
+        return np.hypot(*away[:, :2].T) + TURNING_COST * np.abs(wrap_angle(away[:, 2]))
+
     def _near(self, exit_pose: Float[np.ndarray, "3"], radius: float) -> Int[np.ndarray, " k"]:
         """Find free lattice states around a pose with headings for turning or driving there."""
         nav_map, shape = self.nav_map, lattice_shape(self.nav_map)
@@ -167,6 +187,8 @@ class PathEnd:
         i, j, away = i[near], j[near], away[near] * (-1 if self.is_goal else 1)
         toward = np.arctan2(away[:, 1], away[:, 0])
         headings = np.stack([np.full(len(i), exit_pose[2]), toward, toward + np.pi], -1)
+        if self._maneuvers.turning_radius > 0:
+            headings = headings[:, :1]  # others are far on arcs
         apart = np.abs(wrap_angle((headings[..., None] - HEADINGS).ravel()))
         h = apart.reshape(*headings.shape, count).argmin(-1)
         h = np.column_stack([h, (h[:, 0] + 1) % count, (h[:, 0] - 1) % count])

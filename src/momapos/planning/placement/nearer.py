@@ -84,7 +84,7 @@ def _checked_steps(
     config = costs.config
     poses = compose(best.pose, (2.0 * latin_hypercube(rng, _COUNT, 3) - 1.0) * around * _AROUND)
     limit = best.known - _MIN_GAIN * config.weight_driving
-    travel = problem.travel_cost(poses[:, :2])
+    travel = problem.travel_cost(poses)
     poses, travel = poses[np.isfinite(travel)], travel[np.isfinite(travel)]
     clear = clear_poses(problem, poses[costs.before_path(poses, travel) < limit], Search())
     if clear is None:

@@ -96,7 +96,7 @@ def cull(
     for code, outcome in BASE_OUTCOMES.items():
         outcomes[status == code] = outcome
     row = np.flatnonzero(status == BaseStatus.CLEAR)
-    travel = problem.travel_cost(poses[row, :2])
+    travel = problem.travel_cost(poses[row])
     left = Shortlist(poses[row], row, travel, outcomes, np.zeros(len(poses), bool))
     left.keep(np.isfinite(travel), PoseOutcome(PoseStatus.NO_ROUTE))
     every: tuple[PoseRule, ...] = (*rules(problem.region, problem.geometry), *problem.rules)
