@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core.compiled import B1, F1, F2, F3, I1, entry, kernel
+from momapos.core.compiled import LANES, B1, F1, F2, F3, I1, entry, kernel
 from momapos.model.kinematics import (
     Chain,
     ChainArrays,
@@ -41,7 +41,7 @@ from .hull_overlap import moved
 from .spheres import Spheres
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, Float32, Int
 
 CELL = 0.1
 """Edge length of a bucket [m]."""
@@ -83,8 +83,17 @@ class CollisionWorld:
         return WorldArrays(
             static.center, static.rotation, static.half, moving.center, moving.rotation,
             moving.half, self.grasped, self.grid_origin, self.grid_shape, self.grid_start,
-            self.grid_index, self.filled,
+            self.grid_index, self.filled, self._blocks,
         )  # fmt: skip
+
+    @property
+    def _blocks(self) -> Float32[np.ndarray, "rows 8"]:
+        """Return the bounds of the static boxes in blocks of eight, see `WorldArrays`."""
+        extent = np.einsum("bij,bj->bi", np.abs(self.static.rotation), self.static.half)
+        bounds = np.full((-(-len(extent) // LANES) * LANES, 6), np.inf, np.float32)
+        bounds[: len(extent), :3] = self.static.center - extent
+        bounds[: len(extent), 3:] = -(self.static.center + extent)
+        return np.ascontiguousarray(bounds.reshape(-1, LANES, 6).swapaxes(1, 2)).reshape(-1, LANES)
 
 
 def build_world(
