@@ -24,7 +24,7 @@ from .lanes import LANES as LANES
 from .lanes import highest as highest
 from .lanes import larger as larger
 from .lanes import less as less
-from .lanes import load as load
+from .lanes import load_lanes as load_lanes
 from .lanes import magnitude as magnitude
 from .lanes import spread as spread
-from .lanes import store as store
+from .lanes import store_lanes as store_lanes

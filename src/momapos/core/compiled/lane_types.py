@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models
 from numba.core.imputils import lower_builtin
-from numba.core.typing.templates import AbstractTemplate, ConcreteTemplate, infer_global, signature
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import register_model
 
 from . import lanes
@@ -41,7 +41,7 @@ def _types(function: Callable[..., Any], *signatures: Any) -> None:
 
     @infer_global(function)
     class _Typed(ConcreteTemplate):
-        cases = list(signatures)
+        cases: ClassVar = list(signatures)
 
 
 _two = signature(_vector, _vector, _vector)
@@ -52,8 +52,8 @@ _types(lanes.magnitude, signature(_vector, _vector))
 _types(lanes.less, signature(types.int64, _vector, _vector))
 _types(lanes.highest, signature(types.float64, _vector))
 _types(lanes.spread, signature(_vector, types.float64))
-_types(lanes.load, signature(_vector, _rows, types.int64))
-_types(lanes.store, signature(types.none, _rows, types.int64, _vector))
+_types(lanes.load_lanes, signature(_vector, _rows, types.int64))
+_types(lanes.store_lanes, signature(types.none, _rows, types.int64, _vector))
 
 
 @lower_builtin(operator.add, _vector, _vector)
@@ -113,12 +113,12 @@ def _row(context: Any, builder: Any, rows: Any, i: Any) -> Any:
     return builder.bitcast(start, _VECTOR.as_pointer())
 
 
-@lower_builtin(lanes.load, _rows, types.int64)
+@lower_builtin(lanes.load_lanes, _rows, types.int64)
 def _load(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
     return builder.load(_row(context, builder, *args), align=_BYTES_PER_LANE)
 
 
-@lower_builtin(lanes.store, _rows, types.int64, _vector)
+@lower_builtin(lanes.store_lanes, _rows, types.int64, _vector)
 def _store(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
     rows, i, value = args
     builder.store(value, _row(context, builder, rows, i), align=_BYTES_PER_LANE)

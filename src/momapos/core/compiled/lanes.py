@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 LANES = 8
 
 
-def load(rows: Float32[np.ndarray, "k 8"], i: int) -> Float32[np.ndarray, "8"]:
+def load_lanes(rows: Float32[np.ndarray, "k 8"], i: int) -> Float32[np.ndarray, "8"]:
     """Return a row."""
     return rows[i].copy()
 
 
-def store(rows: Float32[np.ndarray, "k 8"], i: int, value: Float32[np.ndarray, "8"]) -> None:
+def store_lanes(rows: Float32[np.ndarray, "k 8"], i: int, value: Float32[np.ndarray, "8"]) -> None:
     """Write a row."""
     rows[i] = value
 
@@ -37,9 +37,7 @@ def magnitude(a: Float32[np.ndarray, "8"]) -> Float32[np.ndarray, "8"]:
     return np.abs(a)
 
 
-def larger(
-    a: Float32[np.ndarray, "8"], b: Float32[np.ndarray, "8"]
-) -> Float32[np.ndarray, "8"]:
+def larger(a: Float32[np.ndarray, "8"], b: Float32[np.ndarray, "8"]) -> Float32[np.ndarray, "8"]:
     """Return the larger number of each lane."""
     return np.maximum(a, b)
 

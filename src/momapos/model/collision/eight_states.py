@@ -12,17 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from momapos.core.compiled import (
-    LANES,
     I1,
+    LANES,
     S2,
     highest,
     kernel,
     larger,
     less,
-    load,
+    load_lanes,
     magnitude,
     spread,
-    store,
+    store_lanes,
 )
 
 from .arm_collision import FINGER, KNOWN, PALM
@@ -82,7 +82,7 @@ def place_eight(base, chain, spheres, states):
     poses, turns = states.poses, states.turns
     c, s = np.cos(base[2]), np.sin(base[2])
     for k, value in enumerate((c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, base[0], base[1], 0.0)):
-        store(poses, k, spread(value))
+        store_lanes(poses, k, spread(value))
     for i in range(len(chain.slides)):
         _place_segment(i, chain, turns, poses)
     for g in range(len(spheres.segment)):
@@ -95,15 +95,14 @@ def _place_segment(i, chain, turns, poses):
     """Place the segment after joint i, see `forward` and `rotate_by`."""
     before, after = _POSE * i, _POSE * (i + 1)
     x, y, z = spread(chain.h[i, 0]), spread(chain.h[i, 1]), spread(chain.h[i, 2])
-    a, b = load(turns, 2 * i), load(turns, 2 * i + 1)
+    a, b = load_lanes(turns, 2 * i), load_lanes(turns, 2 * i + 1)
     origin = _moved(poses, i, chain.d, i)
     if chain.slides[i]:
         for k in range(9):
-            store(poses, after + k, load(poses, before + k))
+            store_lanes(poses, after + k, load_lanes(poses, before + k))
         for k in range(3):
-            row = before + 3 * k
-            along = load(poses, row) * x + load(poses, row + 1) * y + load(poses, row + 2) * z
-            store(poses, after + 9 + k, origin[k] + a * along)
+            along = _dot(poses, before + 3 * k, x, y, z)
+            store_lanes(poses, after + 9 + k, origin[k] + a * along)
         return
     _keep(poses, after + 9, origin)
     v = spread(1.0) - a
@@ -112,10 +111,10 @@ def _place_segment(i, chain, turns, poses):
     m20, m21, m22 = x * z * v - y * b, y * z * v + x * b, a + z * z * v
     for k in range(3):
         row, out = before + 3 * k, after + 3 * k
-        r, s, t = load(poses, row), load(poses, row + 1), load(poses, row + 2)
-        store(poses, out, r * m00 + s * m10 + t * m20)
-        store(poses, out + 1, r * m01 + s * m11 + t * m21)
-        store(poses, out + 2, r * m02 + s * m12 + t * m22)
+        r, s, t = _kept(poses, row)
+        store_lanes(poses, out, r * m00 + s * m10 + t * m20)
+        store_lanes(poses, out + 1, r * m01 + s * m11 + t * m21)
+        store_lanes(poses, out + 2, r * m02 + s * m12 + t * m22)
 
 
 @kernel
@@ -124,25 +123,29 @@ def _moved(poses, segment, points, s):
     row = _POSE * segment
     x, y, z = spread(points[s, 0]), spread(points[s, 1]), spread(points[s, 2])
     return (
-        load(poses, row + 9)
-        + load(poses, row) * x + load(poses, row + 1) * y + load(poses, row + 2) * z,
-        load(poses, row + 10)
-        + load(poses, row + 3) * x + load(poses, row + 4) * y + load(poses, row + 5) * z,
-        load(poses, row + 11)
-        + load(poses, row + 6) * x + load(poses, row + 7) * y + load(poses, row + 8) * z,
-    )  # fmt: skip
+        load_lanes(poses, row + 9) + _dot(poses, row, x, y, z),
+        load_lanes(poses, row + 10) + _dot(poses, row + 3, x, y, z),
+        load_lanes(poses, row + 11) + _dot(poses, row + 6, x, y, z),
+    )
+
+
+@kernel
+def _dot(rows, first, x, y, z):
+    """Return the dot product of three rows with a vector."""
+    a, b, c = _kept(rows, first)
+    return a * x + b * y + c * z
 
 
 @kernel
 def _keep(rows, first, point):
-    store(rows, first, point[0])
-    store(rows, first + 1, point[1])
-    store(rows, first + 2, point[2])
+    store_lanes(rows, first, point[0])
+    store_lanes(rows, first + 1, point[1])
+    store_lanes(rows, first + 2, point[2])
 
 
 @kernel
 def _kept(rows, first):
-    return load(rows, first), load(rows, first + 1), load(rows, first + 2)
+    return load_lanes(rows, first), load_lanes(rows, first + 1), load_lanes(rows, first + 2)
 
 
 @kernel
@@ -204,7 +207,7 @@ def _on_floor(spheres, states, rounding):
         if spheres.gripper[g] == KNOWN:
             continue
         reach = spread(spheres.bound_radius[g] + rounding)
-        if less(load(states.bounds, 3 * g + 2), reach) == 0:
+        if less(load_lanes(states.bounds, 3 * g + 2), reach) == 0:
             continue
         for s in range(spheres.start[g], spheres.start[g + 1]):
             c = _moved(states.poses, spheres.segment[g], spheres.center, s)
@@ -291,8 +294,8 @@ def _overlapping(blocks, block, low, high):
     """Return which boxes of a block overlap bounds, by their own bounds."""
     bits = 2**LANES - 1
     for k in range(3):
-        bits &= less(load(blocks, 6 * block + k), spread(high[k]))
-        bits &= less(load(blocks, 6 * block + 3 + k), spread(-low[k]))
+        bits &= less(load_lanes(blocks, 6 * block + k), spread(high[k]))
+        bits &= less(load_lanes(blocks, 6 * block + 3 + k), spread(-low[k]))
     return bits
 
 

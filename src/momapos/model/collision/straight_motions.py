@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core.compiled import LANES, F1, entry, kernel
+from momapos.core.compiled import F1, LANES, entry, kernel
 from momapos.model.kinematics import (
     ArmScratch,
     Chain,
@@ -22,16 +22,13 @@ from momapos.model.kinematics import (
     state_loads,
 )
 
-from .arm_collision import FREE, SELF, hit_self, place_arm, scratch_of
-from .collision_world import CollisionWorld, check_one, collision_arrays
+from .arm_collision import SELF, hit_self, place_arm, scratch_of
+from .collision_world import CollisionWorld, collision_arrays
 from .eight_states import HIT, EightStates, collisions, eight_states, set_states
 from .spheres import Spheres
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-OVERLOADED = -4
-"""Code of a state that a motor or the base does not bear."""
 
 
 class HandLoad(NamedTuple):
@@ -81,15 +78,6 @@ def motion_scratch(motion, joints):
 
 
 @kernel
-def state_hit(q, motion, scratch):
-    """Return the code of the first collision of a state, OVERLOADED or FREE."""
-    code = check_one(q, motion.base, motion.state, motion.chain, motion.room, scratch.arm)
-    if code != FREE or len(motion.load.limits.limit) == 0:
-        return code
-    return OVERLOADED if _overloaded(q, motion, scratch) else FREE
-
-
-@kernel
 def _overloaded(q, motion, scratch):
     """Return whether a motor or the base does not bear a state."""
     chain, load, R, p = motion.chain, motion.load, scratch.arm.R, scratch.arm.p
@@ -129,7 +117,7 @@ def motion_hit(a, b, motion, known, scratch):
     spare = 0 if known else 1
     rounds = (steps + spare + LANES - 1) // LANES
     steps = rounds * LANES - spare
-    for first in range(rounds):
+    for first in range(rounds):  # noqa: SIM110, numba has no generators here
         if _round_hit(a, b, motion, steps, first, rounds, scratch):
             return True
     return False
@@ -186,7 +174,7 @@ class StraightMotions:
         return not _motion_hit(a, b, self.arrays)
 
 
-def straight_motions(
+def build_motions(
     world: CollisionWorld,
     chain: Chain,
     spheres: Spheres,

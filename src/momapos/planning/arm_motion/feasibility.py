@@ -14,13 +14,12 @@ from momapos.core.geometry import apply, invert, pose_planar
 from momapos.model.collision import (
     FLOOR,
     FREE,
-    CheckMotion,
     CollisionWorld,
     Spheres,
     box_spheres,
+    build_motions,
     carry,
     check,
-    motion_checker,
     place_segments,
 )
 from momapos.model.kinematics import chain_arrays
@@ -115,7 +114,9 @@ class Feasibility:
         """
         order = np.argsort(-scores, axis=1, kind="stable")[:, :most]
         reached = np.minimum((scores > 0).sum(1), order.shape[1])
-        home = self._check(np.tile(self.robot.home, (len(bases), 1)), bases, self.robot.spheres)
+        home = self._check(
+            np.tile(self.robot.home, (len(bases), 1)), bases, self.robot.spheres.by_hulls
+        )
         best: list[tuple[int, ArmPath | None]] = [(-1, None)] * len(bases)
         undecided = home == FREE
         first, width = 0, 1
@@ -184,18 +185,18 @@ class Feasibility:
     ) -> tuple[Motion | None, PoseOutcome]:
         """Add the approach from home and run the exact check."""
         chain, hold = self.robot.chain, self.motion.grasp_step
-        spheres = self.robot.spheres
+        spheres = self.robot.spheres.by_hulls
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
         checker = partial(
-            motion_checker, self.world, chain, spheres, base, value=int(self.motion.value[0]),
+            build_motions, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        loads = partial(self._refused, carried=(grasp, 0) if self._carrying else None)
-        path = _within_limits(
-            self.robot.home, q[0], checker, loads, self.robot, self.planner, self.seed + grasp
-        )
+        path = self._path(
+            self.robot.home, q[0], checker, (grasp, 0) if self._carrying else None,
+            self.planner, self.seed + grasp,
+        )  # fmt: skip
         if path is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
@@ -229,26 +230,46 @@ class Feasibility:
             q: Arm state at the end.
             grasp: Index of the grasp, for rigid objects.
         """
-        motion, chain, spheres, last = self.motion, self.robot.chain, self.robot.spheres, -1
+        motion, chain, spheres, last = (
+            self.motion,
+            self.robot.chain,
+            self.robot.spheres.by_hulls,
+            -1,
+        )
         if motion.task.verb == "pick":
             T = motion.Ts_world_tool[grasp, last]
             spheres = with_payload(self.robot, motion, T, last)
         # A hand that pushed has not retracted from the part.
         pushes = motion.task.joint is not None and motion.release_step is None
         checker = partial(
-            motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
+            build_motions, self.world, chain, spheres, base, value=int(motion.value[last]),
             holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
         )  # fmt: skip
         carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
-        path = _within_limits(
-            q, self.robot.home, checker, partial(self._refused, carried=carried),
-            self.robot, brief_config(self.planner), self.seed + grasp,
-        )  # fmt: skip
+        config = brief_config(self.planner)
+        path = self._path(q, self.robot.home, checker, carried, config, self.seed + grasp)
         return None if path is None else chain.joint_values(interpolate(path)[1:])
 
-    @property
-    def _refused(self) -> Callable[..., Bool[np.ndarray, " s"]]:
-        return TaskLoads(self.robot, self.motion).refused
+    def _path(
+        self,
+        start: Float[np.ndarray, " n"],
+        goal: Float[np.ndarray, " n"],
+        checker: MotionCheckerFactory,
+        carried: tuple[int, int] | None,
+        config: PlannerConfig,
+        seed: int,
+    ) -> Float[np.ndarray, "k n"] | None:
+        """Plan a free arm motion whose states the motors and the base bear.
+
+        Loads rarely decide, so the search considers them only if its first path exceeds them.
+        """
+        loads, chain = TaskLoads(self.robot, self.motion), self.robot.chain
+        ends = start, goal, chain.lower, chain.upper
+        path = plan_with_clearance(*ends, checker, config=config, seed=seed)
+        if path is None or not loads.free(interpolate(path), carried).refused.any():
+            return path
+        bounded = partial(checker, load=loads.of_hand(carried))
+        return plan_with_clearance(*ends, bounded, config=config, seed=seed)
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
@@ -269,28 +290,6 @@ class Feasibility:
             obstacle = self.world.reason(path.obstacle)
             return PoseOutcome(PoseStatus.ARM_COLLISION, obstacle, where)
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
-
-
-def _within_limits(
-    start: Float[np.ndarray, " n"],
-    goal: Float[np.ndarray, " n"],
-    checker: MotionCheckerFactory,
-    refused: Callable[[Float[np.ndarray, "s n"]], Bool[np.ndarray, " s"]],
-    robot: Robot,
-    config: PlannerConfig,
-    seed: int,
-) -> Float[np.ndarray, "k n"] | None:
-    """Plan a free arm motion whose states the motors and the base bear; None if there is none."""
-
-    def bounded(*, extra_clearance: float) -> CheckMotion:
-        free = checker(extra_clearance=extra_clearance)
-        return lambda a, b: free(a, b) and not refused(interpolate(np.stack([a, b]))).any()
-
-    lower, upper = robot.chain.lower, robot.chain.upper
-    path = plan_with_clearance(start, goal, lower, upper, checker, config=config, seed=seed)
-    if path is None or not refused(interpolate(path)).any():
-        return path
-    return plan_with_clearance(start, goal, lower, upper, bounded, config=config, seed=seed)
 
 
 @cache
@@ -314,7 +313,10 @@ def with_payload(
     center, radius = _object_spheres(motion, step)
     in_tool = apply(invert(T_world_tool), center)
     return carry(
-        robot.spheres, chain.last, chain.tool_offset + in_tool @ chain.tool_rotation.T, radius
+        robot.spheres.by_hulls,
+        chain.last,
+        chain.tool_offset + in_tool @ chain.tool_rotation.T,
+        radius,
     )
 
 
