@@ -67,7 +67,8 @@ def plan_motion(
     Args:
         start, goal: Configurations; joints without limits are not wrapped.
         lower, upper: Joint limits; infinite if there are none.
-        free: Checks straight motions, at `RESOLUTION` or finer.
+        free: Checks straight motions, at `RESOLUTION` or finer. Between the checked states a motion
+            may graze an obstacle.
         config: The planner and its maximum number of checks.
         seed: Same seed, same path.
 
@@ -90,8 +91,7 @@ def plan_motion(
         )  # fmt: skip
     if path is None or not len(path):
         return None
-    path = np.concatenate([start[None], path[1:-1], goal[None]])
-    return path if all(free(a, b) for a, b in pairwise(path)) else None
+    return np.concatenate([start[None], path[1:-1], goal[None]])
 
 
 def plan_with_clearance(
