@@ -52,7 +52,10 @@ def gantry(tmp_path_factory: pytest.TempPathFactory) -> tuple[Chain, Spheres]:
 
 
 def motions_of(
-    gantry: tuple[Chain, Spheres], *boxes: tuple[float, float, float, float], extra: float = 0.0
+    gantry: tuple[Chain, Spheres],
+    *boxes: tuple[float, float, float, float],
+    extra: float = 0.0,
+    fine: bool = False,
 ) -> StraightMotions:
     """Return the check of the gantry's motions between boxes: center and half edges [m]."""
     chain, spheres = gantry
@@ -63,7 +66,7 @@ def motions_of(
     world = build_world(static, none, np.zeros(0, bool), [""] * len(boxes), spheres, clearance=0.0)
     return build_motions(
         world, chain, spheres, np.zeros(3), value=0, holding=False, step=RESOLUTION,
-        extra_clearance=extra,
+        extra_clearance=extra, fine=fine,
     )  # fmt: skip
 
 
@@ -220,12 +223,12 @@ def test_a_path_keeps_clearance_where_possible(
     half = 1.5 - gap / 4
     walls = [(0.0, -3.0 + half, 0.1, half), (0.0, 3.0 - half, 0.1, half)]
 
-    def checker(*, extra_clearance: float) -> StraightMotions:
-        return motions_of(gantry, *walls, extra=extra_clearance)
+    def checker(*, extra_clearance: float, fine: bool) -> StraightMotions:
+        return motions_of(gantry, *walls, extra=extra_clearance, fine=fine)
 
     path = plan_with_clearance(A, B, LOW, HIGH, checker, config=PlannerConfig(), seed=1)
     assert path is not None
-    near, far = checker(extra_clearance=0.0), checker(extra_clearance=PREFERRED_CLEARANCE)
+    near, far = (checker(extra_clearance=extra, fine=True) for extra in (0.0, PREFERRED_CLEARANCE))
     assert all(near(state, state) for state in path)
     states = interpolate(path)
     assert all(far(state, state) for state in states) is kept

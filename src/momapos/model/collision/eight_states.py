@@ -175,29 +175,38 @@ def _near_box(c, r, center, rotation, half, b):
 
 
 @kernel
-def collisions(base, state, chain, room, states):
-    """Return HIT if one of eight states collides, or else the lanes in which hulls must decide.
+def collisions(base, state, chain, room, fine, states):
+    """Find collisions of eight states.
 
     Args:
         base: Base pose (x, y, yaw).
         state: `TaskState`.
         chain, room: The arm and what it must not hit.
-        states: The states, see `set_state`.
+        fine: Whether hulls decide where spheres hit a box.
+        states: The states, see `set_states`.
+
+    Returns:
+        HIT if one of them collides, or else the lanes in which hulls must decide whether the robot
+        touches itself; and those in which they must decide whether it hits a box.
     """
     spheres, world, margin = room
     rounding = ROUNDING * (3.0 + abs(base[0]) + abs(base[1]))
     place_eight(base, chain, spheres, states)
-    if (
-        _on_floor(spheres, states, rounding)
-        or _moving_hit(state, spheres, world, margin + rounding, states)
-        or _static_hit(spheres, world, margin + rounding, states)
-    ):
-        return HIT
+    if _on_floor(spheres, states, rounding):
+        return HIT, 0
+    near = _moving_hits(state, spheres, world, margin + rounding, fine, states)
+    if near != 0 and not fine:
+        return HIT, 0
+    near |= _static_hits(spheres, world, margin + rounding, fine, states)
+    if near != 0 and not fine:
+        return HIT, 0
     doubt = _links_near(spheres, states, rounding)
     if doubt == HIT:
-        return HIT
+        return HIT, 0
     more = _base_near(base, spheres, states, rounding)
-    return HIT if more == HIT else doubt | more
+    if more == HIT:
+        return HIT, 0
+    return doubt | more, near
 
 
 @kernel
@@ -217,10 +226,10 @@ def _on_floor(spheres, states, rounding):
 
 
 @kernel
-def _moving_hit(state, spheres, world, margin, states):
-    """Return whether a box that the task moves is hit, see `hit_boxes`."""
+def _moving_hits(state, spheres, world, margin, fine, states):
+    """Return in which lanes a box that the task moves is hit; some of them unless `fine`."""
     center, rotation = world.moving_center[state.value], world.moving_rotation[state.value]
-    half = world.moving_half[state.value]
+    half, hit = world.moving_half[state.value], 0
     for g in range(len(spheres.segment)):
         role = spheres.gripper[g]
         if role == KNOWN or (state.holding and role == FINGER):
@@ -233,20 +242,19 @@ def _moving_hit(state, spheres, world, margin, states):
                 continue
             for s in range(spheres.start[g], spheres.start[g + 1]):
                 c = _moved(states.poses, spheres.segment[g], spheres.center, s)
-                if _near_box(c, spheres.radius[s] + margin, center, rotation, half, b) != 0:
-                    return True
-    return False
+                hit |= _near_box(c, spheres.radius[s] + margin, center, rotation, half, b)
+                if hit != 0 and not fine:
+                    return hit
+    return hit
 
 
 @kernel
-def _static_hit(spheres, world, margin, states):
-    """Return whether a static box is hit."""
-    count = _near_blocks(spheres, world, margin, states)
-    if count == 0:
-        return False
+def _static_hits(spheres, world, margin, fine, states):
+    """Return in which lanes a static box is hit; some of them unless `fine`."""
+    count, hit = _near_blocks(spheres, world, margin, states), 0
     # The hand, which is hit most, comes last.
     for g in range(len(spheres.segment) - 1, -1, -1):
-        if spheres.gripper[g] == KNOWN:
+        if count == 0 or spheres.gripper[g] == KNOWN:
             continue
         bound, far = _kept(states.bounds, 3 * g), spheres.bound_radius[g] + margin
         low, high = _extent(bound, far)
@@ -255,10 +263,12 @@ def _static_hit(spheres, world, margin, states):
             bits = _overlapping(world.blocks, block, low, high)
             b = block * LANES
             while bits != 0:
-                if bits & 1 and _group_hits(g, bound, far, b, spheres, world, margin, states):
-                    return True
+                if bits & 1:
+                    hit |= _group_hits(g, bound, far, b, spheres, world, margin, fine, states)
+                    if hit != 0 and not fine:
+                        return hit
                 bits, b = bits >> 1, b + 1
-    return False
+    return hit
 
 
 @kernel
@@ -300,16 +310,17 @@ def _overlapping(blocks, block, low, high):
 
 
 @kernel
-def _group_hits(g, bound, far, b, spheres, world, margin, states):
-    """Return whether a group of spheres hits static box b."""
-    center, rotation, half = world.center, world.rotation, world.half
+def _group_hits(g, bound, far, b, spheres, world, margin, fine, states):
+    """Return in which lanes a group of spheres hits static box b; some of them unless `fine`."""
+    center, rotation, half, hit = world.center, world.rotation, world.half, 0
     if _near_box(bound, far, center, rotation, half, b) == 0:
-        return False
+        return hit
     for s in range(spheres.start[g], spheres.start[g + 1]):
         c = _moved(states.poses, spheres.segment[g], spheres.center, s)
-        if _near_box(c, spheres.radius[s] + margin, center, rotation, half, b) != 0:
-            return True
-    return False
+        hit |= _near_box(c, spheres.radius[s] + margin, center, rotation, half, b)
+        if hit != 0 and not fine:
+            return hit
+    return hit
 
 
 @kernel

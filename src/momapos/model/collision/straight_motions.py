@@ -25,6 +25,7 @@ from momapos.model.kinematics import (
 from .arm_collision import SELF, hit_self, place_arm, scratch_of
 from .collision_world import CollisionWorld, collision_arrays
 from .eight_states import HIT, EightStates, collisions, eight_states, set_states
+from .near_obstacles import hulls_hit
 from .spheres import Spheres
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class MotionArrays(NamedTuple):
     chain: ChainArrays
     room: CollisionArrays
     load: HandLoad
+    fine: bool
 
 
 class MotionScratch(NamedTuple):
@@ -131,18 +133,21 @@ def _round_hit(a, b, motion, steps, first, rounds, scratch):
         step[k] = (a[k] - b[k]) * (rounds / steps)
     _interpolate(a, b, steps, first, q)
     set_states(q, step, motion.chain, scratch.eight)
-    doubt = collisions(motion.base, motion.state, motion.chain, motion.room, scratch.eight)
+    chain, room = motion.chain, motion.room
+    doubt, near = collisions(motion.base, motion.state, chain, room, motion.fine, scratch.eight)
     if doubt == HIT:
         return True
     loaded = len(motion.load.limits.limit) > 0
     for lane in range(LANES):
-        doubtful = (doubt >> lane) & 1
-        if not (loaded or doubtful):
+        self_near, box_near = (doubt >> lane) & 1, (near >> lane) & 1
+        if not (loaded or self_near or box_near):
             continue
         _interpolate(a, b, steps, first + rounds * lane, q)
-        place_arm(q, motion.base, motion.chain, motion.room.spheres, scratch.arm)
+        place_arm(q, motion.base, chain, room.spheres, scratch.arm)
         R, p, bounds = scratch.arm
-        if doubtful and hit_self(R, p, bounds, motion.room.spheres) == SELF:
+        if box_near and hulls_hit(R, p, bounds, motion.state, room):
+            return True
+        if self_near and hit_self(R, p, bounds, room.spheres) == SELF:
             return True
         if loaded and _overloaded(q, motion, scratch):
             return True
@@ -185,6 +190,7 @@ def build_motions(
     step: float,
     load: HandLoad | None = None,
     extra_clearance: float = 0.0,
+    fine: bool = False,
 ) -> StraightMotions:
     """Build the check of straight motions of an arm at one base pose.
 
@@ -197,6 +203,8 @@ def build_motions(
         step: Largest joint step between checked states [rad] or [m].
         load: What the motors and the base have to bear; None if they bear anything.
         extra_clearance: Clearance in addition to that of the world, also from itself [m].
+        fine: Whether hulls decide where spheres hit a box, which takes longer. Spheres protrude by
+            up to two centimeters.
     """
     if load is None:
         none = np.zeros(0)
@@ -206,6 +214,6 @@ def build_motions(
     return StraightMotions(
         MotionArrays(
             np.array(base, float), TaskState(value, holding), step, chain_arrays(chain),
-            collision_arrays(grown, world), load,
+            collision_arrays(grown, world), load, fine,
         )
     )  # fmt: skip

@@ -22,7 +22,7 @@ RESOLUTION = 0.04
 PREFERRED_CLEARANCE = 0.005
 """Preferred clearance of a free motion to everything, including the robot itself: an arm deviates
 from its path by millimeters, and between the checked states it may come closer [m]."""
-BRIEF_SHARE = 0.4
+BRIEF_SHARE = 0.25
 """Share of the checks for a path between two grasps or home; most are easy or infeasible [-]."""
 _UNBOUNDED = np.pi
 """Half range, around the start, in which a joint without limits is sampled [rad]."""
@@ -36,8 +36,8 @@ def brief_config(config: PlannerConfig) -> PlannerConfig:
 class MotionCheckerFactory(Protocol):
     """Builds checks of motions."""
 
-    def __call__(self, *, extra_clearance: float) -> StraightMotions:
-        """Return the check for a clearance [m]."""
+    def __call__(self, *, extra_clearance: float, fine: bool) -> StraightMotions:
+        """Return the check for a clearance [m], see `build_motions`."""
         ...
 
 
@@ -104,9 +104,12 @@ def plan_with_clearance(
     config: PlannerConfig,
     seed: int,
 ) -> Float[np.ndarray, "k n"] | None:
-    """Find a path with `PREFERRED_CLEARANCE`, or else one that is free, see `plan_motion`."""
-    for clearance in (PREFERRED_CLEARANCE, 0.0):
-        free = checker(extra_clearance=clearance)
+    """Find a path with `PREFERRED_CLEARANCE`, or else a free one past obstacles, see `plan_motion`.
+
+    Spheres judge the clearance. Where they leave no path, hulls decide what is free.
+    """
+    for clearance, fine in ((PREFERRED_CLEARANCE, False), (0.0, True)):
+        free = checker(extra_clearance=clearance, fine=fine)
         path = plan_motion(start, goal, lower, upper, free, config=config, seed=seed)
         if path is not None:
             return path
