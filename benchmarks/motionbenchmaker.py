@@ -5,8 +5,8 @@
 
 For another arm than the library's, name its URDF and links: --robot FILE.urdf --srdf FILE --base
 LINK --tool LINK --joints NAME ... --suffix panda. These problems have no floor: stand the arm on a
-fixed joint of 2 m and raise the scene by --lift 2. Prints a table by kind of scene: problems with both ends
-valid, solved, processor time of the search and length of the paths.
+fixed joint of 2 m and raise the scene by --lift 2. Prints a table by kind of scene: problems with
+both ends valid, solved, processor time of the search and length of the paths.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def problems(folder: Path, suffix: str, kind: str, count: int) -> Iterator[tuple
     for i in range(1, count + 1):
         names = f"scene{i:04d}.yaml", f"request{i:04d}.yaml"
         files = (folder / f"{kind}_{suffix}" / name for name in names)
-        yield tuple(yaml.load(file.read_text(), yaml.CSafeLoader) for file in files)  # type: ignore[misc]
+        yield tuple(yaml.load(file.read_text(), yaml.CSafeLoader) for file in files)
 
 
 def run_kind(
@@ -128,7 +128,7 @@ def run_kind(
     none = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
     for scene, request in given:
         boxes = boxes_of(scene)
-        raised = Boxes(boxes.center + [0.0, 0.0, lift], boxes.rotation, boxes.half)
+        raised = Boxes(boxes.center + np.array([0.0, 0.0, lift]), boxes.rotation, boxes.half)
         labels = [""] * len(boxes)
         world = build_world(raised, none, np.zeros(0, bool), labels, spheres, clearance=0.0)
         checker = partial(

@@ -31,7 +31,7 @@ _rows = types.Array(types.float32, 2, "C")
 
 
 @register_model(_Vector)
-class _Model(models.PrimitiveModel):
+class _Model(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _VECTOR)
 
@@ -40,7 +40,7 @@ def _types(function: Callable[..., Any], *signatures: Any) -> None:
     """Tell numba the types of a function."""
 
     @infer_global(function)
-    class _Typed(ConcreteTemplate):
+    class _Typed(ConcreteTemplate):  # type: ignore[misc]
         cases: ClassVar = list(signatures)
 
 
