@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
-from momapos.model.collision import motion_checker
+from momapos.model.collision import build_motions
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
 from momapos.model.scene import resistance_along, stays_in_place
 from momapos.model.urdf import opening_of
@@ -158,7 +158,7 @@ class TwoGrasps:
         """Plan a free arm path while the door stands ajar."""
         chain = self.second.robot.chain
         checker = partial(
-            motion_checker, self.second.world, chain, self.second.robot.spheres, base,
+            build_motions, self.second.world, chain, self.second.robot.spheres.by_hulls, base,
             value=int(self.second.motion.value[0]), holding=False, step=RESOLUTION,
         )  # fmt: skip
         return plan_with_clearance(

@@ -105,7 +105,7 @@ class NearbyReplanner:
         carrying = task.task.verb == "place"
         q = chain.freedom_values(np.concatenate([motion.approach, motion.q]))
         approach = len(q) - steps
-        spheres = robot.spheres
+        spheres = robot.spheres.by_hulls
         if carrying:
             T = pose_planar(pose) @ chain.tool_poses(q[approach : approach + 1])[0]
             spheres = with_payload(robot, task, T, 0)

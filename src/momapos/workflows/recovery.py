@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.core import TaskError
 from momapos.core.geometry import invert, rotation_angle
-from momapos.model.collision import CheckMotion, motion_checker
+from momapos.model.collision import StraightMotions, build_motions
 from momapos.model.records import Motion, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, hypothesis_about, scene_with_part_motion
@@ -155,7 +155,7 @@ def arm_home_path(
     world = collision_world(robot, motion, replace(config, arm_clearance=0.0))
     chain = robot.chain
     checker = partial(
-        motion_checker, world, chain, robot.spheres, base_pose, value=int(motion.value[0]),
+        build_motions, world, chain, robot.spheres.by_hulls, base_pose, value=int(motion.value[0]),
         holding=False, step=RESOLUTION,
     )  # fmt: skip
     q = chain.freedom_values(q)
@@ -175,7 +175,7 @@ def _free_state(
     q: Float[np.ndarray, " n"],
     lower: Float[np.ndarray, " n"],
     upper: Float[np.ndarray, " n"],
-    free: CheckMotion,
+    free: StraightMotions,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " n"] | None:
     """Return the nearest sampled state without a collision: spheres enclose more than the arm."""

@@ -18,7 +18,6 @@ from momapos.model.collision.collision_world import (
     CollisionWorld,
     build_world,
     check,
-    motion_checker,
 )
 from momapos.model.collision.sphere_cover import BODY
 from momapos.model.collision.spheres import MARGIN, Spheres, box_spheres, carry
@@ -200,30 +199,6 @@ def test_both_kernels_agree(robot: Robot) -> None:
     boxes = (world.static.center, world.static.rotation, world.static.half, np.zeros(8, bool))
     one = check_states(q, base, chain_arrays(robot.chain), robot.spheres.arrays, boxes, False, 0.01)
     np.testing.assert_array_equal(np.minimum(one, 0), np.minimum(many, 0))
-
-
-def test_a_motion_is_free_if_all_its_states_are(robot: Robot) -> None:
-    rng = np.random.default_rng(8)
-    world = world_of(robot, rng, static=6, moving=2, clearance=0.01)
-    ends, _, _, _ = situations(robot, 120, rng, 1.0)
-    base, step, verdicts = np.array([0.2, -0.1, 0.7]), 0.1, []
-    for value, holding in ((0, False), (2, True)):
-        free = motion_checker(
-            world, robot.chain, robot.spheres, base, value=value, holding=holding, step=step
-        )
-        for a, b in zip(ends[::2], ends[1::2], strict=True):
-            b = a + 0.3 * (b - a)
-            count = max(1, int(np.ceil(np.abs(b - a).max() / step - 1e-9)))
-            states = a + (b - a) * np.linspace(0.0, 1.0, count + 1)[:, None]
-            m = len(states)
-            codes = check(
-                world, robot.chain, robot.spheres, states, np.tile(base, (m, 1)),
-                np.full(m, value), np.full(m, holding),
-            )  # fmt: skip
-            verdicts.append(free(a, b))
-            assert verdicts[-1] == (codes == FREE).all()
-    assert True in verdicts
-    assert False in verdicts
 
 
 def test_a_carried_object_is_checked_like_the_hand(robots: Callable[[str], Robot]) -> None:

@@ -15,7 +15,7 @@ from momapos.model.robots.arm_states import touches
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.joint_opening import opening_of
-from momapos.planning.arm_motion.feasibility import payload_hits_at_home, with_payload
+from momapos.planning.arm_motion.payload import payload_hits_at_home, with_payload
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.handles import find_handle
 from momapos.planning.grasps.task_motions import task_motion

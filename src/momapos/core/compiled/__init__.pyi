@@ -20,3 +20,11 @@ from .code_store import store as store
 from .entries import ENTRIES as ENTRIES
 from .entries import entry as entry
 from .entries import kernel as kernel
+from .lanes import LANES as LANES
+from .lanes import highest as highest
+from .lanes import larger as larger
+from .lanes import less as less
+from .lanes import load_lanes as load_lanes
+from .lanes import magnitude as magnitude
+from .lanes import spread as spread
+from .lanes import store_lanes as store_lanes

@@ -19,7 +19,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.registry import cpu_target
 from numba.core.typed_passes import NativeLowering
 
-from . import arrays
+from . import arrays, lane_types  # noqa: F401, registers types
 from .borrowing import BorrowingLowering
 from .kernel_source import KernelSource
 from .native import Code

@@ -11,6 +11,8 @@ from typing import Any
 from . import arrays
 
 Options = dict[str, Any]
+_NAMED = types.ModuleType | types.BuiltinFunctionType | types.FunctionType | type
+"""What a stamp names: modules, functions of libraries or of `lanes`, and types."""
 
 
 class KernelSource:
@@ -49,7 +51,7 @@ class KernelSource:
                 if isinstance(value, KernelSource):
                     waiting.append(value)
                     value = value.name
-                elif isinstance(value, types.ModuleType | types.BuiltinFunctionType | type):
+                elif isinstance(value, _NAMED):
                     value = value.__name__
                 digest.update(f"{name} {value!r}\n".encode())
             waiting.sort(key=lambda k: k.name)

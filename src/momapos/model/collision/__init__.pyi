@@ -17,14 +17,12 @@ from .base_collision import OrientedBox as OrientedBox
 from .base_collision import base_hits as base_hits
 from .base_collision import boxes_apart as boxes_apart
 from .collision_world import CELL as CELL
-from .collision_world import CheckMotion as CheckMotion
 from .collision_world import CollisionWorld as CollisionWorld
 from .collision_world import any_filled as any_filled
 from .collision_world import build_world as build_world
 from .collision_world import check as check
 from .collision_world import check_one as check_one
 from .collision_world import collision_arrays as collision_arrays
-from .collision_world import motion_checker as motion_checker
 from .hull_overlap import moved as moved
 from .link_hulls import LinkHulls as LinkHulls
 from .self_collision import arm_spheres as arm_spheres
@@ -37,3 +35,9 @@ from .spheres import build_spheres as build_spheres
 from .spheres import carry as carry
 from .spheres import neighbors as neighbors
 from .spheres import reposed as reposed
+from .straight_motions import HandLoad as HandLoad
+from .straight_motions import MotionArrays as MotionArrays
+from .straight_motions import StraightMotions as StraightMotions
+from .straight_motions import build_motions as build_motions
+from .straight_motions import motion_hit as motion_hit
+from .straight_motions import motion_scratch as motion_scratch

@@ -6,14 +6,14 @@ could touch. Moving boxes are few and are tested directly, at each joint value o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.compiled import B1, F1, F2, F3, I1, entry, kernel
+from momapos.core.compiled import B1, F1, F2, F3, I1, LANES, entry, kernel
 from momapos.model.kinematics import (
     Chain,
     ChainArrays,
@@ -41,12 +41,10 @@ from .hull_overlap import moved
 from .spheres import Spheres
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, Float32, Int
 
 CELL = 0.1
 """Edge length of a bucket [m]."""
-CheckMotion: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Float[np.ndarray, ' n']], bool]"
-"""Returns whether the straight motion between two configurations is free, including its ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +81,17 @@ class CollisionWorld:
         return WorldArrays(
             static.center, static.rotation, static.half, moving.center, moving.rotation,
             moving.half, self.grasped, self.grid_origin, self.grid_shape, self.grid_start,
-            self.grid_index, self.filled,
+            self.grid_index, self.filled, self._blocks,
         )  # fmt: skip
+
+    @property
+    def _blocks(self) -> Float32[np.ndarray, "rows 8"]:
+        """Return the bounds of the static boxes in blocks of eight, see `WorldArrays`."""
+        extent = np.einsum("bij,bj->bi", np.abs(self.static.rotation), self.static.half)
+        bounds = np.full((-(-len(extent) // LANES) * LANES, 6), np.inf, np.float32)
+        bounds[: len(extent), :3] = self.static.center - extent
+        bounds[: len(extent), 3:] = -(self.static.center + extent)
+        return np.ascontiguousarray(bounds.reshape(-1, LANES, 6).swapaxes(1, 2)).reshape(-1, LANES)
 
 
 def build_world(
@@ -238,37 +245,19 @@ def check_one(q, base, state, chain, room, scratch):
 
 
 @entry
-def _first_hits(
-    a: F2,
-    b: F2,
-    step: float,
+def _state_hits(
+    q: F2,
     bases: F2,
     value: I1,
     holding: B1,
     chain: ChainArrays,
     room: CollisionArrays,
 ) -> np.ndarray:
-    """Return the code of a collision of each straight motion, or FREE; a = b checks a state."""
-    scratch = scratch_of(len(chain.slides), room.spheres)
-    q, out = np.empty(a.shape[1]), np.empty(len(a), np.int64)
-    for m in range(len(a)):
-        state, longest = TaskState(value[m], holding[m]), 0.0
-        for k in range(len(q)):
-            longest = max(longest, abs(b[m, k] - a[m, k]))
-        count = int(np.ceil(longest / step - 1e-9))
-        # Check the end, the start, the middle, then ever finer steps, to find collisions early.
-        stride, half, hit = 0, max(count, 1), FREE
-        while hit == FREE and half > 0:
-            for i in range(count // half * half, -1, -half):
-                if stride > 0 and (i % stride == 0 or i == count):
-                    continue
-                for k in range(len(q)):
-                    q[k] = a[m, k] + (b[m, k] - a[m, k]) * (i / max(count, 1))
-                hit = check_one(q, bases[m], state, chain, room, scratch)
-                if hit != FREE:
-                    break
-            stride, half = half, (half + 1) // 2 if half > 1 else 0
-        out[m] = hit
+    """Return the code of the first collision of each configuration, or FREE."""
+    scratch, out = scratch_of(len(chain.slides), room.spheres), np.empty(len(q), np.int64)
+    for m in range(len(q)):
+        state = TaskState(value[m], holding[m])
+        out[m] = check_one(q[m], bases[m], state, chain, room, scratch)
     return out
 
 
@@ -296,43 +285,5 @@ def check(
         value: Index of the object's joint value at each configuration.
         holding: Whether the gripper may touch the grasped part at each configuration.
     """
-    q = np.ascontiguousarray(q)
-    rest = (np.ascontiguousarray(array) for array in (bases, value, holding))
-    return _first_hits(q, q, 1.0, *rest, chain_arrays(chain), collision_arrays(spheres, world))
-
-
-def motion_checker(
-    world: CollisionWorld,
-    chain: Chain,
-    spheres: Spheres,
-    base: Float[np.ndarray, "3"],
-    *,
-    value: int,
-    holding: bool,
-    step: float,
-    extra_clearance: float = 0.0,
-) -> CheckMotion:
-    """Build a function that checks whether straight motions of the arm are free.
-
-    Args:
-        world: The obstacles.
-        chain, spheres: The arm.
-        base: Base pose (x, y, yaw).
-        value: Index of the object's joint value.
-        holding: Whether the gripper may touch the grasped part.
-        step: Largest joint step between checked states [rad] or [m].
-        extra_clearance: Clearance in addition to that of the world, also from itself [m].
-    """
-    fixed = (
-        step,
-        np.array([base], float),
-        np.array([value]),
-        np.array([holding]),
-        chain_arrays(chain),
-        collision_arrays(spheres.grown(extra_clearance) if extra_clearance else spheres, world),
-    )
-
-    def free(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:
-        return bool(_first_hits(a[None], b[None], *fixed)[0] == FREE)
-
-    return free
+    arrays = (np.ascontiguousarray(array) for array in (q, bases, value, holding))
+    return _state_hits(*arrays, chain_arrays(chain), collision_arrays(spheres, world))

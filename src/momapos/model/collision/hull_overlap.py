@@ -52,8 +52,8 @@ def _overlap(R, p, hulls, h, k):
     for _ in range(MAX_DIRECTIONS):
         b, c, d = a, b, c
         a = sub(
-            moved(R, p, m, hulls.vertices[_farthest_vertex(R, m, hulls, h, toward, 1.0)]),
-            moved(R, p, n, hulls.vertices[_farthest_vertex(R, n, hulls, k, toward, -1.0)]),
+            moved(R, p, m, hulls.vertices[farthest_vertex(R, m, hulls, h, toward, 1.0)]),
+            moved(R, p, n, hulls.vertices[farthest_vertex(R, n, hulls, k, toward, -1.0)]),
         )
         if hulls.margin > 0.0:  # Minkowski sum with a ball of that radius
             out = hulls.margin / max(math.sqrt(dot(toward, toward)), 1e-12)
@@ -92,7 +92,7 @@ def _overlap(R, p, hulls, h, k):
 
 
 @kernel
-def _farthest_vertex(R, segment, hulls, h, toward, sign):
+def farthest_vertex(R, segment, hulls, h, toward, sign):
     """Return the vertex of a hull that is farthest along sign times a direction."""
     T = R[segment]
     x, y, z = sign * toward[0], sign * toward[1], sign * toward[2]

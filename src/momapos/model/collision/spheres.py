@@ -72,6 +72,14 @@ class Spheres:
             np.flatnonzero(self.base_pairs.any(1)),
         )  # fmt: skip
 
+    @cached_property
+    def by_hulls(self) -> Spheres:
+        """Return the robot with hulls to decide wherever spheres of two links meet.
+
+        For planning: the hand may pass its own arm closely. Maps need spheres, which are faster.
+        """
+        return replace(self, exact=np.ones_like(self.exact), base_exact=self.base_pairs)
+
     def grown(self, margin: float) -> Spheres:
         """Return the robot enlarged on all sides by a margin [m]."""
         return replace(

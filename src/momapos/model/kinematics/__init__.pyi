@@ -48,6 +48,7 @@ from .newton_steps import newton_scratch as newton_scratch
 from .newton_steps import step_toward as step_toward
 from .statics import BASE as BASE
 from .statics import LoadArrays as LoadArrays
+from .statics import LoadScratch as LoadScratch
 from .statics import load_excess as load_excess
 from .statics import load_scratch as load_scratch
 from .statics import state_loads as state_loads

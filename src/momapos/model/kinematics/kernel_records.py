@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from momapos.core.compiled import B1, B2, F1, F2, F3, F4, I1, I2, Array
+from momapos.core.compiled import B1, B2, F1, F2, F3, F4, I1, I2, S2, Array
 
 Counts = Annotated[np.ndarray, Array(np.dtype("i4"), 3)]
 
@@ -177,6 +177,8 @@ class WorldArrays(NamedTuple):
     grid_start: I1
     grid_index: I1
     filled: Counts
+    blocks: S2
+    """Rows 6k to 6k + 5: lower, then negative upper corners of eight static boxes' bounds."""
 
 
 class TaskState(NamedTuple):

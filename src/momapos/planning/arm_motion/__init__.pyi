@@ -8,11 +8,11 @@ from .enclosure import enclosed_by as enclosed_by
 from .feasibility import Feasibility as Feasibility
 from .feasibility import collision_free_grasps as collision_free_grasps
 from .feasibility import near_home as near_home
-from .feasibility import with_payload as with_payload
 from .free_turn import fitted_bases as fitted_bases
 from .hand_clearance import arm_spheres as arm_spheres
 from .ik_layers import solve_layers as solve_layers
 from .nearness import boxes_near_base as boxes_near_base
 from .nearness import boxes_near_swept_volume as boxes_near_swept_volume
 from .nearness import near_boxes as near_boxes
+from .payload import with_payload as with_payload
 from .task_loads import TaskLoads as TaskLoads

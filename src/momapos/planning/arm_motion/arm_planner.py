@@ -1,4 +1,4 @@
-"""Plan free arm motions between two configurations: a straight line if it is free, else OMPL."""
+"""Plan free arm motions between two configurations: a straight line if it is free, or a search."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from momapos.model.collision import CheckMotion
+from momapos.model.collision import StraightMotions
 
 from .config import PlannerConfig
+from .ompl_planner import ompl_path
+from .rrt_connect import connect
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -20,23 +22,22 @@ RESOLUTION = 0.04
 PREFERRED_CLEARANCE = 0.005
 """Preferred clearance of a free motion to everything, including the robot itself: an arm deviates
 from its path by millimeters, and between the checked states it may come closer [m]."""
-BRIEF_CHECKS = 3000
-"""Maximum number of checks for a path between two grasps or home; most are easy or infeasible."""
-DEFAULT_PLANNER = "RRTConnect"
+BRIEF_SHARE = 0.25
+"""Share of the checks for a path between two grasps or home; most are easy or infeasible [-]."""
 _UNBOUNDED = np.pi
 """Half range, around the start, in which a joint without limits is sampled [rad]."""
 
 
 def brief_config(config: PlannerConfig) -> PlannerConfig:
-    """Limit the planner for a path between two grasps or home, see `BRIEF_CHECKS`."""
-    return replace(config, checks=min(BRIEF_CHECKS, config.checks))
+    """Limit the planner for a path between two grasps or home, see `BRIEF_SHARE`."""
+    return replace(config, checks=max(1, round(BRIEF_SHARE * config.budget)))
 
 
 class MotionCheckerFactory(Protocol):
     """Builds checks of motions."""
 
-    def __call__(self, *, extra_clearance: float) -> CheckMotion:
-        """Return the check for a clearance [m]."""
+    def __call__(self, *, extra_clearance: float, fine: bool) -> StraightMotions:
+        """Return the check for a clearance [m], see `build_motions`."""
         ...
 
 
@@ -56,7 +57,7 @@ def plan_motion(
     goal: Float[np.ndarray, " n"],
     lower: Float[np.ndarray, " n"],
     upper: Float[np.ndarray, " n"],
-    free: CheckMotion,
+    free: StraightMotions,
     *,
     config: PlannerConfig,
     seed: int,
@@ -66,7 +67,8 @@ def plan_motion(
     Args:
         start, goal: Configurations; joints without limits are not wrapped.
         lower, upper: Joint limits; infinite if there are none.
-        free: Checks straight motions, at `RESOLUTION` or finer.
+        free: Checks straight motions, at `RESOLUTION` or finer. Between the checked states a motion
+            may graze an obstacle.
         config: The planner and its maximum number of checks.
         seed: Same seed, same path.
 
@@ -79,11 +81,17 @@ def plan_motion(
         return np.stack([start, goal])
     low = np.where(np.isfinite(lower), lower, np.minimum(start, goal) - _UNBOUNDED)
     high = np.where(np.isfinite(upper), upper, np.maximum(start, goal) + _UNBOUNDED)
-    path = _ompl(np.clip(start, low, high), np.clip(goal, low, high), low, high, free, config, seed)
-    if path is None:
+    ends = np.clip(start, low, high), np.clip(goal, low, high)
+    if config.planner is None:
+        path, _ = connect(*ends, low, high, free.arrays, config.budget, seed)
+    else:
+        path = ompl_path(
+            *ends, low, high, free, planner=config.planner, checks=config.budget, step=RESOLUTION,
+            seed=seed,
+        )  # fmt: skip
+    if path is None or not len(path):
         return None
-    path = np.concatenate([start[None], path[1:-1], goal[None]])
-    return path if all(free(a, b) for a, b in pairwise(path)) else None
+    return np.concatenate([start[None], path[1:-1], goal[None]])
 
 
 def plan_with_clearance(
@@ -96,85 +104,13 @@ def plan_with_clearance(
     config: PlannerConfig,
     seed: int,
 ) -> Float[np.ndarray, "k n"] | None:
-    """Find a path with `PREFERRED_CLEARANCE`, or else one that is free, see `plan_motion`."""
-    for clearance in (PREFERRED_CLEARANCE, 0.0):
-        free = checker(extra_clearance=clearance)
+    """Find a path with `PREFERRED_CLEARANCE`, or else a free one past obstacles, see `plan_motion`.
+
+    Spheres judge the clearance. Where they leave no path, hulls decide what is free.
+    """
+    for clearance, fine in ((PREFERRED_CLEARANCE, False), (0.0, True)):
+        free = checker(extra_clearance=clearance, fine=fine)
         path = plan_motion(start, goal, lower, upper, free, config=config, seed=seed)
         if path is not None:
             return path
     return None
-
-
-class _Budget:
-    """Ends a search after a number of checks; a time limit would make results irreproducible."""
-
-    TURNS_PER_CHECK = 10
-    """A search also ends after this many turns per check, since a turn may check nothing [-]."""
-
-    def __init__(self, checks: int) -> None:
-        self.checks, self.turns = checks, self.TURNS_PER_CHECK * checks
-
-    def spent(self) -> bool:
-        """Count one turn of OMPL, and check whether the search ends."""
-        self.turns -= 1
-        return min(self.checks, self.turns) < 0
-
-
-def _ompl(
-    start: np.ndarray,
-    goal: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    free: CheckMotion,
-    config: PlannerConfig,
-    seed: int,
-) -> Float[np.ndarray, "k n"] | None:
-    from ompl import base as ob
-    from ompl import geometric as og
-    from ompl import util as ou
-
-    ou.setLogLevel(ou.LogLevel.LOG_NONE)
-    ou.RNG.setSeed(seed + 1)  # OMPL seeds from the clock if the seed is 0
-    n, budget = len(start), _Budget(config.checks)
-    space = ob.RealVectorStateSpace(n)
-    bounds = ob.RealVectorBounds(n)
-    for k in range(n):
-        bounds.setLow(k, float(low[k]))
-        bounds.setHigh(k, float(high[k]) + 1e-9)
-    space.setBounds(bounds)
-    setup = og.SimpleSetup(space)
-
-    def read(state: object) -> Float[np.ndarray, " n"]:
-        return np.array([state[k] for k in range(n)])  # type: ignore[index]
-
-    class Edges(ob.MotionValidator):  # type: ignore[misc]
-        """Checks all states of an edge in one call of the kernel."""
-
-        def checkMotion(self, a: object, b: object, *_: object) -> bool:
-            budget.checks -= 1
-            return free(read(a), read(b))
-
-    def valid(state: object) -> bool:
-        q = read(state)
-        return free(q, q)
-
-    setup.setStateValidityChecker(valid)
-    info = setup.getSpaceInformation()
-    edges = Edges(info)
-    info.setMotionValidator(edges)
-    info.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
-    ends = [space.allocState(), space.allocState()]
-    for state, q in zip(ends, (start, goal), strict=True):
-        for k in range(n):
-            state[k] = float(q[k])
-    setup.setStartAndGoalStates(ends[0], ends[1])
-    planner = config.planner or DEFAULT_PLANNER
-    setup.setPlanner(getattr(og, planner)(info))
-    solved = setup.solve(ob.PlannerTerminationCondition(lambda: budget.spent()))
-    if not solved or "Approximate" in solved.asString():
-        return None
-    if planner == "RRTConnect":
-        budget = _Budget(config.checks)
-        setup.simplifySolution(ob.PlannerTerminationCondition(lambda: budget.spent()))
-    path = setup.getSolutionPath()
-    return np.array([[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())])

@@ -10,20 +10,16 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core.geometry import apply, invert, pose_planar
+from momapos.core.geometry import pose_planar
 from momapos.model.collision import (
     FLOOR,
     FREE,
-    CheckMotion,
     CollisionWorld,
     Spheres,
-    box_spheres,
-    carry,
+    StraightMotions,
+    build_motions,
     check,
-    motion_checker,
-    place_segments,
 )
-from momapos.model.kinematics import chain_arrays
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion
@@ -39,7 +35,6 @@ from .arm_path import (
 )
 from .arm_planner import (
     RESOLUTION,
-    MotionCheckerFactory,
     brief_config,
     interpolate,
     plan_with_clearance,
@@ -47,6 +42,7 @@ from .arm_planner import (
 from .config import PlannerConfig
 from .free_turn import find_short_paths
 from .hand_clearance import hand_hits_along
+from .payload import payload_hits_at_home, with_payload
 from .task_loads import TaskLoads
 
 if TYPE_CHECKING:
@@ -115,7 +111,9 @@ class Feasibility:
         """
         order = np.argsort(-scores, axis=1, kind="stable")[:, :most]
         reached = np.minimum((scores > 0).sum(1), order.shape[1])
-        home = self._check(np.tile(self.robot.home, (len(bases), 1)), bases, self.robot.spheres)
+        home = self._check(
+            np.tile(self.robot.home, (len(bases), 1)), bases, self.robot.spheres.by_hulls
+        )
         best: list[tuple[int, ArmPath | None]] = [(-1, None)] * len(bases)
         undecided = home == FREE
         first, width = 0, 1
@@ -184,18 +182,18 @@ class Feasibility:
     ) -> tuple[Motion | None, PoseOutcome]:
         """Add the approach from home and run the exact check."""
         chain, hold = self.robot.chain, self.motion.grasp_step
-        spheres = self.robot.spheres
+        spheres = self.robot.spheres.by_hulls
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
         checker = partial(
-            motion_checker, self.world, chain, spheres, base, value=int(self.motion.value[0]),
+            build_motions, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        loads = partial(self._refused, carried=(grasp, 0) if self._carrying else None)
-        path = _within_limits(
-            self.robot.home, q[0], checker, loads, self.robot, self.planner, self.seed + grasp
-        )
+        path = self._path(
+            self.robot.home, q[0], checker, (grasp, 0) if self._carrying else None,
+            self.planner, self.seed + grasp,
+        )  # fmt: skip
         if path is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
@@ -229,26 +227,46 @@ class Feasibility:
             q: Arm state at the end.
             grasp: Index of the grasp, for rigid objects.
         """
-        motion, chain, spheres, last = self.motion, self.robot.chain, self.robot.spheres, -1
+        motion, chain, spheres, last = (
+            self.motion,
+            self.robot.chain,
+            self.robot.spheres.by_hulls,
+            -1,
+        )
         if motion.task.verb == "pick":
             T = motion.Ts_world_tool[grasp, last]
             spheres = with_payload(self.robot, motion, T, last)
         # A hand that pushed has not retracted from the part.
         pushes = motion.task.joint is not None and motion.release_step is None
         checker = partial(
-            motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
+            build_motions, self.world, chain, spheres, base, value=int(motion.value[last]),
             holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
         )  # fmt: skip
         carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
-        path = _within_limits(
-            q, self.robot.home, checker, partial(self._refused, carried=carried),
-            self.robot, brief_config(self.planner), self.seed + grasp,
-        )  # fmt: skip
+        config = brief_config(self.planner)
+        path = self._path(q, self.robot.home, checker, carried, config, self.seed + grasp)
         return None if path is None else chain.joint_values(interpolate(path)[1:])
 
-    @property
-    def _refused(self) -> Callable[..., Bool[np.ndarray, " s"]]:
-        return TaskLoads(self.robot, self.motion).refused
+    def _path(
+        self,
+        start: Float[np.ndarray, " n"],
+        goal: Float[np.ndarray, " n"],
+        checker: Callable[..., StraightMotions],
+        carried: tuple[int, int] | None,
+        config: PlannerConfig,
+        seed: int,
+    ) -> Float[np.ndarray, "k n"] | None:
+        """Plan a free arm motion whose states the motors and the base bear.
+
+        Loads rarely decide, so the search considers them only if its first path exceeds them.
+        """
+        loads, chain = TaskLoads(self.robot, self.motion), self.robot.chain
+        ends = start, goal, chain.lower, chain.upper
+        path = plan_with_clearance(*ends, checker, config=config, seed=seed)
+        if path is None or not loads.free(interpolate(path), carried).refused.any():
+            return path
+        bounded = partial(checker, load=loads.of_hand(carried))
+        return plan_with_clearance(*ends, bounded, config=config, seed=seed)
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
@@ -271,58 +289,10 @@ class Feasibility:
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
 
 
-def _within_limits(
-    start: Float[np.ndarray, " n"],
-    goal: Float[np.ndarray, " n"],
-    checker: MotionCheckerFactory,
-    refused: Callable[[Float[np.ndarray, "s n"]], Bool[np.ndarray, " s"]],
-    robot: Robot,
-    config: PlannerConfig,
-    seed: int,
-) -> Float[np.ndarray, "k n"] | None:
-    """Plan a free arm motion whose states the motors and the base bear; None if there is none."""
-
-    def bounded(*, extra_clearance: float) -> CheckMotion:
-        free = checker(extra_clearance=extra_clearance)
-        return lambda a, b: free(a, b) and not refused(interpolate(np.stack([a, b]))).any()
-
-    lower, upper = robot.chain.lower, robot.chain.upper
-    path = plan_with_clearance(start, goal, lower, upper, checker, config=config, seed=seed)
-    if path is None or not refused(interpolate(path)).any():
-        return path
-    return plan_with_clearance(start, goal, lower, upper, bounded, config=config, seed=seed)
-
-
 @cache
 def _threads() -> ThreadPoolExecutor:
     """Return a shared thread pool: starting a thread takes as long as several paths."""
     return ThreadPoolExecutor(_THREADS, "arm paths")
-
-
-def with_payload(
-    robot: Robot, motion: TaskMotion, T_world_tool: Float[np.ndarray, "4 4"], step: int
-) -> Spheres:
-    """Return the robot's spheres with the object in its hand.
-
-    Args:
-        robot: The robot.
-        motion: The task motion.
-        T_world_tool: Tool pose at a step at which the hand holds the object.
-        step: That step of the motion.
-    """
-    chain = robot.chain
-    center, radius = _object_spheres(motion, step)
-    in_tool = apply(invert(T_world_tool), center)
-    return carry(
-        robot.spheres, chain.last, chain.tool_offset + in_tool @ chain.tool_rotation.T, radius
-    )
-
-
-def _object_spheres(
-    motion: TaskMotion, step: int
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
-    """Return the moved object's spheres in the world at a step of the motion [m]."""
-    return box_spheres(motion.moving.at(int(motion.value[step])))
 
 
 def _farther(path: ArmPath, other: ArmPath) -> bool:
@@ -356,36 +326,6 @@ def collision_free_grasps(
             worst = names[np.bincount(touched[touched >= 0]).argmax()]
             obstacle = f"{worst} at home with {motion.task.object} in it"
     return free, obstacle
-
-
-def payload_hits_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
-    """Find what an object in the hand touches on the robot with its arm at home, for each grasp.
-
-    A placed object starts there, so such a grasp works at no base pose.
-
-    Returns:
-        An index of a group of the robot's spheres, the number of groups for the base, or -1.
-    """
-    chain, spheres = robot.chain, robot.spheres
-    center, radius = _object_spheres(motion, 0)
-    in_tool = np.linalg.inv(motion.Ts_world_tool[:, 0])
-    Ts = chain.tool_poses(robot.home[None])[0] @ in_tool
-    points = np.einsum("gij,kj->gki", Ts[:, :3, :3], center) + Ts[:, None, :3, 3]
-    touched = np.full(len(points), -1)
-    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
-    place_segments(robot.home, np.zeros(3), chain_arrays(chain), R, p)
-    for k, segment in enumerate(spheres.segment):
-        if segment == chain.last:
-            continue
-        rows = slice(spheres.start[k], spheres.start[k + 1])
-        links = spheres.center[rows] @ R[segment].T + p[segment]
-        gap = np.linalg.norm(points[:, :, None] - links, axis=-1) - radius[:, None]
-        touched[(gap < spheres.radius[rows]).any((1, 2))] = k
-    base = robot.base
-    local = np.abs(np.einsum("bij,gkbi->gkbj", base.rotation, points[:, :, None] - base.center))
-    apart = np.linalg.norm(np.maximum(local - base.half, 0.0), axis=-1)
-    touched[(apart < radius[:, None]).any((1, 2))] = len(spheres.segment)
-    return touched
 
 
 def near_home(

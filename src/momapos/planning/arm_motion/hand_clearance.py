@@ -211,7 +211,7 @@ def _hand_hits(
 @lru_cache(maxsize=64)
 def arm_spheres(robot: Robot) -> Spheres:
     """Return the robot's spheres for checks that skip the hand, except against the robot itself."""
-    spheres = robot.spheres
+    spheres = robot.spheres.by_hulls
     known = (spheres.segment == _last_segment(robot)) & (spheres.gripper != OTHER)
     return replace(spheres, gripper=np.where(known, KNOWN, spheres.gripper))
 

@@ -13,7 +13,7 @@ from momapos.model.robots import Robot
 from momapos.model.urdf import Boxes, MovingBoxes
 from momapos.planning.grasps import TaskMotion
 
-from .feasibility import with_payload
+from .payload import with_payload
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import apply, invert, rotation
+from momapos.model.collision import HandLoad
 from momapos.model.kinematics import LoadArrays
 from momapos.model.robots import Robot, RobotLoads, StateLoads, robot_loads
 from momapos.planning.grasps import TaskMotion
@@ -16,7 +17,7 @@ from momapos.planning.grasps import TaskMotion
 from .turning_arm import ArmModel, robot_of
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,17 +65,18 @@ class TaskLoads:
         """
         if carried is None:
             return self.limits.at(q)
+        hand = self.of_hand(carried)
+        T_base_tool = self.robot.chain.tool_poses(q)
+        points = T_base_tool[:, :3, :3] @ hand.in_tool + T_base_tool[:, :3, 3]
+        return self.limits.at(q, np.tile(hand.force, (len(q), 1)), points)
+
+    def of_hand(self, carried: tuple[int, int] | None) -> HandLoad:
+        """Return what the arm bears in a free motion, see `free`."""
+        if carried is None:
+            return HandLoad(self.limits.arrays, np.zeros(3), np.zeros(3))
         force, point = (x[carried] for x in self.motion.hand_loads)
         in_tool = apply(invert(self.motion.Ts_world_tool[carried]), point[None])[0]
-        T_base_tool = self.robot.chain.tool_poses(q)
-        points = T_base_tool[:, :3, :3] @ in_tool + T_base_tool[:, :3, 3]
-        return self.limits.at(q, np.tile(force, (len(q), 1)), points)
-
-    def refused(
-        self, q: Float[np.ndarray, "s n"], carried: tuple[int, int] | None
-    ) -> Bool[np.ndarray, " s"]:
-        """Find the states of a free motion that need too much, or tip the base over."""
-        return self.free(q, carried).refused
+        return HandLoad(self.limits.arrays, np.array(force), in_tool)
 
 
 def load_arrays(arm: ArmModel) -> LoadArrays:

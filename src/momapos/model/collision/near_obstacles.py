@@ -1,0 +1,114 @@
+"""Decide by hulls where spheres of an arm hit a box: spheres protrude by up to two centimeters.
+
+A link and a box are apart if a plane along a face of the box separates their hulls. Links beside
+an edge of a box may be apart without such a plane; for them the spheres' answer stands.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from momapos.core.compiled import kernel
+
+from .arm_collision import FINGER, KNOWN, PALM, box_gap
+from .collision_world import CELL
+from .hull_overlap import farthest_vertex, moved
+
+
+@kernel
+def hulls_hit(R, p, bounds, state, room):
+    """Return whether a link hits a box, at a configuration whose spheres may hit one.
+
+    Args:
+        R, p, bounds: From `place_arm`.
+        state: `TaskState`.
+        room: `CollisionArrays`.
+    """
+    spheres, world, margin = room
+    for g in range(len(spheres.segment)):
+        if spheres.gripper[g] != KNOWN and (
+            _hits_moving(R, p, bounds, g, state, spheres, world, margin)
+            or _hits_static(R, p, g, spheres, world, margin)
+        ):
+            return True
+    return False
+
+
+@kernel
+def _hits_moving(R, p, bounds, g, state, spheres, world, margin):
+    role = spheres.gripper[g]
+    if state.holding and role == FINGER:
+        return False
+    center, rotation = world.moving_center[state.value], world.moving_rotation[state.value]
+    half = world.moving_half[state.value]
+    bound = (bounds[g, 0], bounds[g, 1], bounds[g, 2])
+    for b in range(len(center)):
+        if state.holding and role == PALM and world.grasped[b]:
+            continue
+        if box_gap(bound, spheres.bound_radius[g] + margin, center, rotation, half, b) > 0.0:
+            continue
+        for s in range(spheres.start[g], spheres.start[g + 1]):
+            m = moved(R, p, spheres.segment[g], spheres.center[s])
+            if box_gap(m, spheres.radius[s] + margin, center, rotation, half, b) < 0.0:
+                if not _apart(R, p, spheres.hulls, g, center, rotation, half, b, margin):
+                    return True
+                break
+    return False
+
+
+@kernel
+def _hits_static(R, p, g, spheres, world, margin):
+    low, shape, known = world.grid_origin, world.grid_shape, -1
+    for s in range(spheres.start[g], spheres.start[g + 1]):
+        m = moved(R, p, spheres.segment[g], spheres.center[s])
+        i = int(np.floor((m[0] - low[0]) / CELL))
+        j = int(np.floor((m[1] - low[1]) / CELL))
+        k = int(np.floor((m[2] - low[2]) / CELL))
+        if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+            continue
+        cell, r = (i * shape[1] + j) * shape[2] + k, spheres.radius[s] + margin
+        for at in range(world.grid_start[cell], world.grid_start[cell + 1]):
+            b = world.grid_index[at]
+            if b == known or box_gap(m, r, world.center, world.rotation, world.half, b) >= 0.0:
+                continue
+            boxes = world.center, world.rotation, world.half
+            if not _apart(R, p, spheres.hulls, g, boxes[0], boxes[1], boxes[2], b, margin):
+                return True
+            known = b
+    return False
+
+
+@kernel
+def _apart(R, p, hulls, g, center, rotation, half, b, margin):
+    """Return whether planes along the faces of box b separate it from all hulls of a group."""
+    first, last = hulls.of_group[g], hulls.of_group[g + 1]
+    if first == last:
+        return False
+    gap = margin + hulls.margin
+    for h in range(first, last):
+        segment, separated = hulls.segment[h], False
+        c = moved(R, p, segment, hulls.center[h])
+        for k in range(3):
+            n = (rotation[b, 0, k], rotation[b, 1, k], rotation[b, 2, k])
+            side = _along(c, center, n, b)
+            sign = -1.0 if side > 0.0 else 1.0
+            if abs(side) <= half[b, k] + gap:
+                continue
+            v = farthest_vertex(R, segment, hulls, h, n, sign)
+            nearest = moved(R, p, segment, hulls.vertices[v])
+            if -sign * _along(nearest, center, n, b) >= half[b, k] + gap:
+                separated = True
+                break
+        if not separated:
+            return False
+    return True
+
+
+@kernel
+def _along(point, center, n, b):
+    """Return how far a point is from the center of box b along a direction."""
+    return (
+        (point[0] - center[b, 0]) * n[0]
+        + (point[1] - center[b, 1]) * n[1]
+        + (point[2] - center[b, 2]) * n[2]
+    )

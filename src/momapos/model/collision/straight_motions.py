@@ -1,0 +1,219 @@
+"""Check straight motions of an arm at one base pose: for collisions, and for what motors bear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from momapos.core.compiled import F1, LANES, entry, kernel
+from momapos.model.kinematics import (
+    ArmScratch,
+    Chain,
+    ChainArrays,
+    CollisionArrays,
+    LoadArrays,
+    LoadScratch,
+    TaskState,
+    chain_arrays,
+    load_excess,
+    load_scratch,
+    state_loads,
+)
+
+from .arm_collision import SELF, hit_self, place_arm, scratch_of
+from .collision_world import CollisionWorld, collision_arrays
+from .eight_states import HIT, EightStates, collisions, eight_states, set_states
+from .near_obstacles import hulls_hit
+from .spheres import Spheres
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+class HandLoad(NamedTuple):
+    """What the arm bears in a free motion."""
+
+    limits: LoadArrays
+    force: F1
+    """Force on what the hand holds, in the base frame [N]; zero for an empty hand."""
+    in_tool: F1
+    """Where it acts, in the tool frame [m]."""
+
+
+class MotionArrays(NamedTuple):
+    """`StraightMotions`."""
+
+    base: F1
+    state: TaskState
+    step: float
+    chain: ChainArrays
+    room: CollisionArrays
+    load: HandLoad
+    fine: bool
+
+
+class MotionScratch(NamedTuple):
+    """Scratch memory of `motion_hit`."""
+
+    q: F1
+    step: F1
+    arm: ArmScratch
+    loads: LoadScratch
+    point: F1
+    eight: EightStates
+
+
+@kernel
+def motion_scratch(motion, joints):
+    """Allocate the scratch memory of `motion_hit` for n joints."""
+    moved = len(motion.chain.slides)
+    return MotionScratch(
+        np.empty(joints),
+        np.empty(joints),
+        scratch_of(moved, motion.room.spheres),
+        load_scratch(moved, joints),
+        np.empty(3),
+        eight_states(moved, len(motion.room.spheres.segment), len(motion.room.world.blocks) // 6),
+    )
+
+
+@kernel
+def _overloaded(q, motion, scratch):
+    """Return whether a motor or the base does not bear a state."""
+    chain, load, R, p = motion.chain, motion.load, scratch.arm.R, scratch.arm.p
+    last, R0 = len(chain.slides), scratch.arm.R[0]
+    # The arm is placed in the world; the point is needed in the base frame.
+    for k in range(3):
+        scratch.point[k] = p[last, k] - p[0, k]
+        for i in range(3):
+            local = chain.tool_offset[i]
+            for j in range(3):
+                local += chain.tool_rotation[i, j] * load.in_tool[j]
+            scratch.point[k] += R[last, k, i] * local
+    x, y = scratch.point[0], scratch.point[1]
+    scratch.point[0] = R0[0, 0] * x + R0[1, 0] * y
+    scratch.point[1] = R0[0, 1] * x + R0[1, 1] * y
+    stability = state_loads(q, chain, load.limits, load.force, scratch.point, scratch.loads)
+    excess, _ = load_excess(scratch.loads.efforts, stability, load.limits)
+    return excess > 0.0
+
+
+@kernel
+def motion_hit(a, b, motion, known, scratch):
+    """Return whether the straight motion from a to b collides, or overloads the robot.
+
+    Args:
+        a, b: Configurations (n,).
+        motion: `MotionArrays`.
+        known: Whether a is known to be free.
+        scratch: From `motion_scratch`.
+    """
+    longest = 0.0
+    for k in range(len(a)):
+        longest = max(longest, abs(b[k] - a[k]))
+    steps = max(int(np.ceil(longest / motion.step - 1e-9)), 1)
+    # Rounds of eight states, evenly spaced, where each has every n-th one from the end: collisions
+    # are found early.
+    spare = 0 if known else 1
+    rounds = (steps + spare + LANES - 1) // LANES
+    steps = rounds * LANES - spare
+    for first in range(rounds):  # noqa: SIM110, numba has no generators here
+        if _round_hit(a, b, motion, steps, first, rounds, scratch):
+            return True
+    return False
+
+
+@kernel
+def _round_hit(a, b, motion, steps, first, rounds, scratch):
+    """Check eight states, every n-th one back from the end."""
+    q, step = scratch.q, scratch.step
+    for k in range(len(q)):
+        step[k] = (a[k] - b[k]) * (rounds / steps)
+    _interpolate(a, b, steps, first, q)
+    set_states(q, step, motion.chain, scratch.eight)
+    chain, room = motion.chain, motion.room
+    doubt, near = collisions(motion.base, motion.state, chain, room, motion.fine, scratch.eight)
+    if doubt == HIT:
+        return True
+    loaded = len(motion.load.limits.limit) > 0
+    for lane in range(LANES):
+        self_near, box_near = (doubt >> lane) & 1, (near >> lane) & 1
+        if not (loaded or self_near or box_near):
+            continue
+        _interpolate(a, b, steps, first + rounds * lane, q)
+        place_arm(q, motion.base, chain, room.spheres, scratch.arm)
+        R, p, bounds = scratch.arm
+        if box_near and hulls_hit(R, p, bounds, motion.state, room):
+            return True
+        if self_near and hit_self(R, p, bounds, room.spheres) == SELF:
+            return True
+        if loaded and _overloaded(q, motion, scratch):
+            return True
+    return False
+
+
+@kernel
+def _interpolate(a, b, steps, back, out):
+    """Write the state that is `back` steps before the end."""
+    t = back / steps
+    for k in range(len(out)):
+        out[k] = b[k] + (a[k] - b[k]) * t
+
+
+@entry
+def _motion_hit(a: F1, b: F1, motion: MotionArrays) -> bool:
+    """Return whether one motion collides; a = b checks a state."""
+    return motion_hit(a, b, motion, False, motion_scratch(motion, len(a)))
+
+
+@dataclass(frozen=True, eq=False)
+class StraightMotions:
+    """A check of straight motions of the arm between two configurations."""
+
+    arrays: MotionArrays
+
+    def __call__(self, a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:
+        """Return whether the straight motion is free, including its ends."""
+        return not _motion_hit(a, b, self.arrays)
+
+
+def build_motions(
+    world: CollisionWorld,
+    chain: Chain,
+    spheres: Spheres,
+    base: Float[np.ndarray, "3"],
+    *,
+    value: int,
+    holding: bool,
+    step: float,
+    load: HandLoad | None = None,
+    extra_clearance: float = 0.0,
+    fine: bool = False,
+) -> StraightMotions:
+    """Build the check of straight motions of an arm at one base pose.
+
+    Args:
+        world: The obstacles.
+        chain, spheres: The arm.
+        base: Base pose (x, y, yaw).
+        value: Index of the object's joint value.
+        holding: Whether the gripper may touch the grasped part.
+        step: Largest joint step between checked states [rad] or [m].
+        load: What the motors and the base have to bear; None if they bear anything.
+        extra_clearance: Clearance in addition to that of the world, also from itself [m].
+        fine: Whether hulls decide where spheres hit a box, which takes longer. Spheres protrude by
+            up to two centimeters.
+    """
+    if load is None:
+        none = np.zeros(0)
+        unlimited = LoadArrays(none, np.zeros((0, 3)), none, np.zeros((0, 2)), none, 0.0)
+        load = HandLoad(unlimited, np.zeros(3), np.zeros(3))
+    grown = spheres.grown(extra_clearance) if extra_clearance else spheres
+    return StraightMotions(
+        MotionArrays(
+            np.array(base, float), TaskState(value, holding), step, chain_arrays(chain),
+            collision_arrays(grown, world), load, fine,
+        )
+    )  # fmt: skip

@@ -1,0 +1,147 @@
+"""Motions that are checked eight states at once agree with the check of single states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+from tests.model.collision.exact_hulls import random_states
+from tests.model.collision.test_collision import world_of
+
+from momapos.core.compiled import LANES
+from momapos.model.collision.arm_collision import FREE
+from momapos.model.collision.collision_world import CollisionWorld, check
+from momapos.model.collision.spheres import Spheres, box_spheres, carry
+from momapos.model.collision.straight_motions import HandLoad, StraightMotions, build_motions
+from momapos.model.robots.load_limits import robot_loads
+from momapos.model.robots.robot import Robot
+from momapos.model.urdf.hulls import Boxes
+
+BASE = np.array([0.2, -0.1, 0.7])
+STEP = 0.1
+
+
+def states_between(
+    a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "m n"]:
+    """Return evenly spaced states, at most a step apart, a multiple of eight of them."""
+    count = LANES * int(np.ceil((max(1, np.ceil(np.abs(b - a).max() / STEP)) + 1) / LANES))
+    return a + (b - a) * np.linspace(0.0, 1.0, count)[:, None]
+
+
+def moves(robot: Robot, rng: np.random.Generator, count: int) -> list[np.ndarray]:
+    """Return pairs of configurations, a short way apart."""
+    ends = random_states(robot.chain, 2 * count, rng).reshape(count, 2, -1)
+    return [np.stack([a, a + 0.1 * (b - a)]) for a, b in ends]
+
+
+def free_states(
+    robot: Robot, world: CollisionWorld, spheres: Spheres, base: np.ndarray, q: np.ndarray,
+    value: int, *, holding: bool,
+) -> bool:  # fmt: skip
+    m = len(q)
+    codes = check(
+        world, robot.chain, spheres, q, np.tile(base, (m, 1)), np.full(m, value),
+        np.full(m, holding),
+    )  # fmt: skip
+    return bool((codes == FREE).all())
+
+
+@pytest.mark.parametrize(("value", "holding"), [(0, False), (2, True)])
+@pytest.mark.parametrize("hulls_decide", [False, True])
+def test_a_motion_is_free_if_all_its_states_are(
+    robot: Robot, value: int, *, holding: bool, hulls_decide: bool
+) -> None:
+    rng = np.random.default_rng(8)
+    world = world_of(robot, rng, static=5, moving=2, clearance=0.01)
+    spheres = robot.spheres.by_hulls if hulls_decide else robot.spheres
+    free = build_motions(world, robot.chain, spheres, BASE, value=value, holding=holding, step=STEP)
+    pairs = moves(robot, rng, 120)
+    found = [free(a, b) for a, b in pairs]
+    expected = [
+        free_states(robot, world, spheres, BASE, states_between(a, b), value, holding=holding)
+        for a, b in pairs
+    ]
+    assert found == expected
+    assert set(found) == {True, False}
+
+
+def test_a_base_far_from_the_origin_hits_the_same(robot: Robot) -> None:
+    """Single precision must not hide a collision."""
+    rng = np.random.default_rng(2)
+    world = world_of(robot, rng, static=5, moving=2, clearance=0.0)
+    shift = np.array([90.0, -70.0, 0.0])
+    there = replace(
+        world,
+        static=replace(world.static, center=world.static.center + shift),
+        moving=replace(world.moving, center=world.moving.center + shift),
+        grid_origin=world.grid_origin + shift,
+    )
+    checks = [
+        build_motions(w, robot.chain, robot.spheres, base, value=1, holding=False, step=STEP)
+        for w, base in ((world, BASE), (there, BASE + shift))
+    ]
+    both = np.array([[free(a, b) for free in checks] for a, b in moves(robot, rng, 100)])
+    assert not (both[:, 1] & ~both[:, 0]).any()
+    assert (both[:, 0] != both[:, 1]).mean() < 0.05
+    assert both.any()
+
+
+def test_clearance_counts_against_everything(robot: Robot) -> None:
+    rng = np.random.default_rng(5)
+    world = world_of(robot, rng, static=4, moving=0, clearance=0.0)
+    near, far = (
+        build_motions(
+            world, robot.chain, robot.spheres, BASE, value=0, holding=False, step=STEP,
+            extra_clearance=extra,
+        )
+        for extra in (0.0, 0.05)
+    )  # fmt: skip
+    verdicts = np.array([(near(a, b), far(a, b)) for a, b in moves(robot, rng, 300)])
+    assert not (verdicts[:, 1] & ~verdicts[:, 0]).any()
+    assert verdicts[:, 1].sum() < verdicts[:, 0].sum()
+
+
+def test_a_carried_object_may_touch_what_it_is_taken_from_but_not_the_arm(robot: Robot) -> None:
+    rng = np.random.default_rng(4)
+    thing = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
+    center, radius = box_spheres(thing)
+    in_segment = robot.chain.tool_offset + center @ robot.chain.tool_rotation.T
+    loaded = carry(robot.spheres.by_hulls, robot.chain.last, in_segment, radius)
+    world = world_of(robot, rng, static=4, moving=2, clearance=0.0)
+    free = build_motions(world, robot.chain, loaded, BASE, value=1, holding=True, step=STEP)
+    pairs = moves(robot, rng, 60)
+    found = [free(a, b) for a, b in pairs]
+    assert found == [
+        free_states(robot, world, loaded, BASE, states_between(a, b), 1, holding=True)
+        for a, b in pairs
+    ]
+    alone = build_motions(
+        world, robot.chain, robot.spheres.by_hulls, BASE, value=1, holding=True, step=STEP
+    )
+    assert sum(found) < sum(alone(a, b) for a, b in pairs)
+
+
+def test_motions_keep_to_what_the_motors_and_the_base_bear(robot: Robot) -> None:
+    """With a heavy object in the hand, exactly the motions without an overloaded state remain."""
+    rng = np.random.default_rng(6)
+    world = world_of(robot, rng, static=0, moving=0, clearance=0.0)
+    loads, force, in_tool = robot_loads(robot), np.array([0.0, 0.0, -150.0]), np.array([0, 0, 0.1])
+
+    def bears(q: np.ndarray) -> bool:
+        Ts = robot.chain.tool_poses(q)
+        points = Ts[:, :3, :3] @ in_tool + Ts[:, :3, 3]
+        return not loads.at(q, np.tile(force, (len(q), 1)), points).refused.any()
+
+    def motions(load: HandLoad | None) -> StraightMotions:
+        return build_motions(
+            world, robot.chain, robot.spheres, BASE, value=0, holding=False, step=STEP, load=load
+        )
+
+    pairs = moves(robot, rng, 80)
+    bounded, free = motions(HandLoad(loads.arrays, force, in_tool)), motions(None)
+    found = [bounded(a, b) for a, b in pairs]
+    assert found == [free(a, b) and bears(states_between(a, b)) for a, b in pairs]
+    assert sum(found) < sum(free(a, b) for a, b in pairs)
