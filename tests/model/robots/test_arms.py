@@ -15,9 +15,9 @@ from momapos.core.errors import MomaposError, RobotError, UnknownNameError
 from momapos.model.robots.arm_states import sample_states, touches
 from momapos.model.robots.derive import derive_robot
 from momapos.model.robots.examination import examine
+from momapos.model.robots.resting_states import Body, resting_states
 from momapos.model.robots.robot import Robot, load_arms, load_robot
 from momapos.model.robots.robot_names import find_named_robot, find_robot, library_file
-from momapos.model.robots.resting_states import Body, resting_states
 from momapos.model.robots.robot_writer import write_robot
 
 
