@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.model.collision import Spheres, build_spheres, choose_exact_pairs
-from momapos.model.kinematics import Chain, build_chain
+from momapos.model.kinematics import Chain, LoadArrays, build_chain
 from momapos.model.urdf import Articulated
 
 from .arm_states import inevitable_pairs, sample_states
 from .base_guess import base_links
 from .gripper_guess import listed, points_of
 from .joint_tree import ArmChain
+from .load_limits import load_arrays
 from .never_checked import nested_pairs, rigid_pairs, without
 from .resting_states import Body, RestingState, resting_states
 from .robot_text import ArmText
@@ -140,7 +141,7 @@ class _Search:
         seen: list[set[frozenset[str]]] = []
         for index, arm in enumerate(self.arms):
             report(index / len(self.arms), f"states of the arm {arm.name}")
-            chain, spheres = self._collision(arm, {})
+            chain, spheres, _ = self._collision(arm, {})
             q = self._samples(arm, chain, {})
             mine = inevitable_pairs(chain, spheres, q)
             mine |= nested_pairs(self.model, arm.chain, spheres)
@@ -173,7 +174,7 @@ class _Search:
         held: dict[str, float] = {}
         for other, home in zip(self.arms, before, strict=False):
             held |= _values(other, home)
-        chain, spheres = self._collision(arm, held)
+        chain, spheres, loads = self._collision(arm, held)
         never = set(pairs)
         unplaced = {link for other in waiting for link in self._own_links(other)}
         never |= {(a, b) for a in spheres.links for b in spheres.links if unplaced & {a, b}}
@@ -187,7 +188,7 @@ class _Search:
             k for k, name in enumerate(chain.names) if name in others or (low[k] and rising[k])
         ]
         found = resting_states(
-            chain, spheres, self._body, q,
+            chain, spheres, replace(self._body, loads=loads), q,
             torso=torso,
             held=[k for k, name in enumerate(chain.names) if name in held],
             count=CANDIDATES if waiting else 1,
@@ -216,11 +217,16 @@ class _Search:
             for link in self.model.moved_by(joint)
         }
 
-    def _collision(self, arm: ArmToRest, held: Mapping[str, float]) -> tuple[Chain, Spheres]:
+    def _collision(
+        self, arm: ArmToRest, held: Mapping[str, float]
+    ) -> tuple[Chain, Spheres, LoadArrays]:
+        """Return an arm, its collision model and its loads, with other arms at rest."""
         model = self.model.changed(held={**self.model.held, **held})
         text = arm.text
         chain, segments = build_chain(model, self.base_link, text.tool_link, text.joints)
-        return chain, build_spheres(model, segments, self.srdf.disabled, text.gripper_links)
+        loads, _ = load_arrays(model, self.base_link, chain, segments)
+        spheres = build_spheres(model, segments, self.srdf.disabled, text.gripper_links)
+        return chain, spheres, loads
 
     def _samples(
         self, arm: ArmToRest, chain: Chain, held: Mapping[str, float]

@@ -11,7 +11,15 @@ import numpy as np
 
 from momapos.core.compiled import F1, F2, entry
 from momapos.model.collision import Spheres, place_arm, scratch_of
-from momapos.model.kinematics import Chain, ChainArrays, SphereArrays, chain_arrays, one_turn
+from momapos.model.kinematics import (
+    Chain,
+    ChainArrays,
+    LoadArrays,
+    SphereArrays,
+    chain_arrays,
+    one_turn,
+    static_loads,
+)
 
 from .arm_states import touches
 
@@ -31,6 +39,9 @@ LIMIT_COST, LIMIT_DISTANCE = 0.1, 0.15
 [rad]."""
 CLEARANCE_COST, CLEARANCE = 0.1, 0.02
 """Cost of a home state with less clearance, as protrusion [m], and that clearance [m]."""
+OVERLOAD_COST = 1.0
+"""Cost of a home state that a motor cannot hold or that tips the base over, as protrusion [m]:
+more than any compactness, less than contact."""
 BLOCKED_COST = 3.0
 """Cost of a home state that blocks all heights of the torso, as protrusion [m]; larger than any
 arm's reach, so that a state that blocks none comes first wherever there is one."""
@@ -55,6 +66,8 @@ class Body:
     """Convex, anticlockwise [m]."""
     height: float
     """Highest point of what no turning joint of an arm moves [m]."""
+    loads: LoadArrays | None = None
+    """What the arm and the base bear; None to ignore it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +132,7 @@ def resting_states(
 
     Compact means within the footprint and not above the body. Only the links of the arm itself
     count, not the torso. Distance from joint limits, small angles and clearance reduce the cost a
-    little; most weight has that the torso can move while the arm rests.
+    little; more weight has that motors and wheels bear it, most that the torso can move meanwhile.
 
     Args:
         chain, spheres: The arm, and its collision model.
@@ -161,7 +174,7 @@ class _Ranking:
         above = np.maximum(top - self.body.height, 0.0)
         cost = np.maximum(protrusion, 0.0) + HEIGHT_COST * above + REACH_COST * reach
         cost += ANGLE_COST * wound + LIMIT_COST * _at_limits(self.chain, q)
-        cost += BLOCKED_COST * self._blocked(q)
+        cost += OVERLOAD_COST * self._overloaded(q) + BLOCKED_COST * self._blocked(q)
         order = np.argsort(cost, kind="stable")
         return q[order], cost[order]
 
@@ -198,6 +211,16 @@ class _Ranking:
         return np.asarray(
             _extents(q, chain_arrays(self.chain), self.spheres.arrays, first, normal, offset)
         )
+
+    def _overloaded(self, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
+        """Return 0 for states that the robot bears, 0.5 to 1 for others."""
+        if self.body.loads is None:
+            return np.zeros(len(q))
+        none = np.zeros((len(q), 3))
+        _, _, excess, _ = static_loads(
+            np.ascontiguousarray(q), chain_arrays(self.chain), self.body.loads, none, none
+        )
+        return np.where(excess > 0.0, 0.5 + 0.5 * np.clip(excess, 0.0, 1.0), 0.0)
 
     def _blocked(self, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
         """Return the share of torso heights at which each state is in contact."""

@@ -19,8 +19,9 @@ MAX_CONTACT_HEIGHT = 0.015
 """Maximum height of the lowest point of a wheel, since casters and meshes are imprecise [m]."""
 _FLAT = 0.005
 """Points of a shape that are this near its lowest one form its contact [m]."""
-MIN_AREA = 0.01
-"""Smallest area to stand on; less is an axle whose casters are not modeled as wheels [m^2]."""
+MIN_WIDTH = 0.1
+"""Least width of the area to stand on; less is an axle whose casters are not modeled [m]. The
+library robots stand on 0.23 to 0.55 m."""
 
 
 def support_outline(
@@ -36,7 +37,7 @@ def support_outline(
         links: The links that the arm does not move.
 
     Returns:
-        Corners, counterclockwise; None if nothing that reaches the floor spans an area.
+        Corners, counterclockwise; None if what reaches the floor is narrower than `MIN_WIDTH`.
     """
     poses = model.rest_poses
     T_base_root = invert(poses[base_link])
@@ -57,11 +58,12 @@ def support_outline(
 
 
 def _hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"] | None:
-    """Return the corners of the convex hull; None if it is too small to stand on."""
+    """Return the corners of the convex hull; None if it is too narrow to stand on."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    return points[hull.vertices] if hull.volume >= MIN_AREA else None
+    inside = -hull.equations[:, :2] @ points.T - hull.equations[:, 2:]
+    return points[hull.vertices] if inside.max(1).min() >= MIN_WIDTH else None
