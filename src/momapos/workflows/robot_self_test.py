@@ -14,8 +14,13 @@ from momapos.planning.grasps import make_task
 from momapos.planning.reachability import by_arm_length
 
 SCENE = "kitchen_small"
-DRAWERS = (("cabinet_right", "drawer_top_slide"), ("cabinet_left", "drawer_slide"))
-"""Drawers that are tried, the easiest first: handles at 0.77 and 0.74 m."""
+DRAWERS = (
+    ("cabinet_right", "drawer_top_slide", None),
+    ("cabinet_left", "drawer_slide", None),
+    ("cabinet_right", "drawer_top_slide", 0.2),
+)
+"""Drawers that are tried, with the value [m], None for 40 cm, which arms with fewer than six joints
+may not reach. Their handles are at 0.77 and 0.74 m."""
 TIMEOUT = 3.0
 """Processor time for the search of one drawer [s]; a library arm needs 0.3 to 0.6 s for all."""
 NAME = "drawer"
@@ -43,8 +48,8 @@ def self_test(arms: Sequence[Robot], *, cache: Cache | None = None) -> tuple[Rob
 def _drawer(robot: Robot, scene: Scene) -> RobotTest:
     """Return whether the arm opens one of the drawers, or why it does not."""
     found: RobotTest | None = None
-    for name, joint in DRAWERS:
-        task = make_task(scene, "open", name, joint)
+    for name, joint, to in DRAWERS:
+        task = make_task(scene, "open", name, joint, to)
         reach = by_arm_length(robot, "a self-test builds none")
         config = PipelineConfig(timeout=TIMEOUT)
         try:
@@ -55,11 +60,15 @@ def _drawer(robot: Robot, scene: Scene) -> RobotTest:
         except MomaposError as error:
             return RobotTest(NAME, robot.arm, False, str(error), f"see {robot.path.name}")
         if plan.feasible:
-            return RobotTest(NAME, robot.arm, True, f"opens {SCENE} {name}/{joint}")
+            return RobotTest(NAME, robot.arm, True, f"opens {SCENE} {name}/{joint}{_until(to)}")
         if found is None or found.passed is None:
             found = _unopened(robot, plan)
     assert found is not None
     return found
+
+
+def _until(to: float | None) -> str:
+    return "" if to is None else f" to {100 * to:.0f} cm"
 
 
 def _unopened(robot: Robot, plan: PlacementPlan) -> RobotTest:

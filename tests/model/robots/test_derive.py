@@ -448,7 +448,7 @@ def test_library_grippers_state_their_force_if_it_is_published() -> None:
         "segway_ur5e": 100.0, "tiago": 28.0, "tiago_dual": 28.0,
     }  # fmt: skip
     assumed = {robot.name: robot.assumed for robot in robots if robot.assumed}
-    assert set(assumed) == {"stretch"}
+    assert set(assumed) == {"hsr", "stretch"}
     assert all(len(texts) == 1 and "force" in texts[0] for texts in assumed.values())
 
 
