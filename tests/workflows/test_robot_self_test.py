@@ -104,6 +104,7 @@ def test_a_failed_test_is_the_first_line_and_the_file_is_written(
     first, *_ = capsys.readouterr().out.splitlines()
     assert first.startswith("FAILED: gripper: no finger with a collision shape moves")
     assert "set grips to suction or hook in robot.toml" in first
+    assert "--visual-hulls" in first
     assert path.with_suffix(".toml").exists()
     assert robot_check(path.with_suffix(".toml"), json=True) == 0
     tests = json.loads(capsys.readouterr().out)["self_test"]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from tests.urdf_parts import LIMIT, box, dual_armed, joint, link, mobile_manipul
 
 from momapos.model.collision.self_collision import contacts
 from momapos.model.robots import homes
+from momapos.model.robots.resting_states import RestingState, resting_states
 from momapos.model.robots.robot import Robot, load_arms, load_robot
 from momapos.model.robots.robot_writer import write_robot
 
@@ -99,6 +102,11 @@ def test_a_home_is_not_higher_than_needed_next_to_a_tall_torso(tmp_path: Path) -
     assert protrusion(robot) < 0.1
 
 
+def test_a_lift_rests_low(tmp_path: Path) -> None:
+    robot = load_robot(written(tmp_path, mobile_manipulator()))
+    assert robot.home[0] < 0.1, "the lift travels 0.3 m and carries a head"
+
+
 def free_at_every_height(robot: Robot) -> bool:
     """Return whether no hulls touch at home, whatever the heights of vertical slides."""
     slides = [i for i, n in enumerate(robot.arm_joints) if robot.model.joint(n).kind == "prismatic"]
@@ -134,13 +142,18 @@ def test_every_arm_is_free_at_home_at_every_height_of_the_lift(tmp_path: Path, t
 def test_an_arm_takes_another_home_where_the_first_leaves_no_place_for_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The test shows that the first candidates alone collide."""
-    text = stiff_arm(0.12)
-    for robot in load_arms(written(tmp_path, text)):
-        assert free_at_every_height(robot)
-    monkeypatch.setattr(homes, "CANDIDATES", 1)
-    (tmp_path / "first").mkdir()
-    assert not all(map(free_at_every_height, load_arms(written(tmp_path / "first", text))))
+    """The first candidate is made to reach across the stiff arm, whose states then all collide."""
+    across = np.array([0.1, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    def candidates(*args: Any, count: int = 1, **kwargs: Any) -> list[RestingState]:
+        found = resting_states(*args, count=count, **kwargs)
+        return [replace(found[0], q=across), *found] if count > 1 else found
+
+    monkeypatch.setattr(homes, "resting_states", candidates)
+    text = stiff_arm(0.5)
+    robots = {robot.arm: robot for robot in load_arms(written(tmp_path, text))}
+    assert not np.array_equal(robots["right"].home, across)
+    assert all(map(free_at_every_height, robots.values()))
 
 
 def test_links_of_two_arms_are_checked_although_they_touch_while_one_rests_at_zero(

@@ -171,12 +171,19 @@ class _Ranking:
         q = q[~touches(self.chain, self.spheres, q, floor=True)]
         protrusion, top, reach, *_ = self._extents(q).T
         wound = np.where(self.chain.prismatic, 0.0, abs(q)).max(1, initial=0.0)
-        above = np.maximum(top - self.body.height, 0.0)
+        above = np.maximum(top - self.body.height, self._rise(q))
         cost = np.maximum(protrusion, 0.0) + HEIGHT_COST * above + REACH_COST * reach
         cost += ANGLE_COST * wound + LIMIT_COST * _at_limits(self.chain, q)
         cost += OVERLOAD_COST * self._overloaded(q) + BLOCKED_COST * self._blocked(q)
         order = np.argsort(cost, kind="stable")
         return q[order], cost[order]
+
+    def _rise(self, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
+        """Return how far the torso is raised [m]: a head may rise with it."""
+        chain, torso = self.chain, list(self.torso)
+        up = np.where(chain.prismatic, chain.h[chain.leads, 2], 0.0)[torso]
+        ends = np.stack(one_turn(chain))[:, torso] * up
+        return np.asarray((q[:, torso] * up - ends.min(0)).sum(1))
 
     def tight(self, q: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
         """Mark the states with less clearance than `CLEARANCE`."""

@@ -86,7 +86,10 @@ def _gripper(robot: Robot) -> RobotTest:
     fingers = finger_links(robot)
     if not fingers:
         words = "no finger with a collision shape moves, so the tool holds nothing"
-        remedy = f"use a URDF with the gripper, or set grips to suction or hook in {file}"
+        remedy = (
+            f"use a URDF with the gripper, set grips to suction or hook in {file}, or let fingers "
+            "that are only drawn count: --visual-hulls, or visual_hulls = true in the file"
+        )
         return RobotTest("gripper", robot.arm, False, words, remedy)
     sides = opposed(robot, fingers)
     axes = np.stack([robot.closing_axis, robot.approach_axis])
