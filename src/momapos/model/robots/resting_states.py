@@ -197,7 +197,8 @@ class _Ranking:
     def apart(self, q: Float[np.ndarray, "m n"], count: int) -> list[RestingState]:
         """Return the first states that differ in where the arm is."""
         extents, blocked = self._extents(q), self._blocked(q)
-        left, found = np.arange(len(q)), []
+        left = np.arange(len(q))
+        found: list[RestingState] = []
         while len(left) and len(found) < count:
             best = int(left[0])
             found.append(
