@@ -145,9 +145,9 @@ def test_an_arm_takes_another_home_where_the_first_leaves_no_place_for_the_next(
     """The first candidate is made to reach across the stiff arm, whose states then all collide."""
     across = np.array([0.1, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
 
-    def candidates(*args: Any, count: int = 1, **kwargs: Any) -> list[RestingState]:
-        found = resting_states(*args, count=count, **kwargs)
-        return [replace(found[0], q=across), *found] if count > 1 else found
+    def candidates(*args: Any, **kwargs: Any) -> list[RestingState]:
+        found = resting_states(*args, **kwargs)
+        return found if kwargs["held"] else [replace(found[0], q=across), *found]
 
     monkeypatch.setattr(homes, "resting_states", candidates)
     text = stiff_arm(0.5)

@@ -18,7 +18,7 @@ from .gripper_guess import listed, points_of
 from .joint_tree import ArmChain
 from .load_limits import load_arrays
 from .never_checked import nested_pairs, rigid_pairs, without
-from .resting_states import Body, RestingState, resting_states
+from .resting_states import Body, RestingState, blocked_share, resting_states
 from .robot_text import ArmText
 from .srdf import Srdf
 
@@ -82,7 +82,7 @@ def find_homes(
     held = dict(model.held)
     for arm, home in zip(arms, found, strict=True):
         of_arm = f"{arm.name}: " if arm.name else ""
-        notes += [_note(of_arm, home)]
+        notes.append(_note(of_arm, home, shared=len(arms) > 1))
         if len(arms) > 1:
             held |= _values(arm, home)
     states = {arm.name: home.q for arm, home in zip(arms, found, strict=True)}
@@ -105,7 +105,7 @@ def _values(arm: ArmToRest, home: _Home) -> dict[str, float]:
     return dict(zip(arm.text.joints, map(float, home.q), strict=True))
 
 
-def _note(of_arm: str, home: _Home) -> str:
+def _note(of_arm: str, home: _Home, *, shared: bool) -> str:
     if home.state is None:
         return f"IMPORTANT: {of_arm}home: found no state free of self-collision; set home"
     state = home.state
@@ -114,12 +114,15 @@ def _note(of_arm: str, home: _Home) -> str:
         if state.protrusion > 0
         else "above the footprint"
     )
-    if state.blocked:
+    at = f"{100 * state.blocked:.0f} % of the torso's heights"
+    if state.blocked and shared:
         return (
-            f"IMPORTANT: {of_arm}home: {listed(state.q)} is in contact at "
-            f"{100 * state.blocked:.0f} % of the torso's heights; no better state was found"
+            f"IMPORTANT: {of_arm}home: {listed(state.q)} is in contact at {at}; no better "
+            "state was found"
         )
-    return f"{of_arm}home: {listed(state.q)} keeps the arm {where} and below {state.top:.2f} m"
+    touches = f"; in contact at {at}, if it moves alone" if state.blocked else ""
+    keeps = f"keeps the arm {where} and below {state.top:.2f} m"
+    return f"{of_arm}home: {listed(state.q)} {keeps}{touches}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +162,7 @@ class _Search:
     def rest(self, before: tuple[_Home, ...], pairs: Pairs) -> tuple[_Home, ...]:
         """Return homes of all arms, given those of the first ones: the least flawed found."""
         if len(before) == len(self.arms):
-            return before
+            return self._checked(before, pairs)
         best: tuple[_Home, ...] = ()
         for home in self._candidates(before, pairs):
             homes = self.rest((*before, home), pairs)
@@ -168,6 +171,25 @@ class _Search:
             if not _flaw(homes) or home.flaw:
                 break  # further candidates of this arm are worse themselves
         return best
+
+    def _checked(self, homes: tuple[_Home, ...], pairs: Pairs) -> tuple[_Home, ...]:
+        """Return the homes, each checked with all other arms at home.
+
+        An arm is spheres and the others are boxes, so that who is which decides close calls.
+        """
+        checked = list(homes[-1:])
+        for index, home in enumerate(homes[:-1]):
+            if home.state is not None:
+                others = [(a, h) for k, (a, h) in enumerate(zip(self.arms, homes, strict=True))
+                          if k != index]  # fmt: skip
+                held = {name: q for a, h in others for name, q in _values(a, h).items()}
+                chain, spheres, _ = self._collision(self.arms[index], held)
+                spheres = choose_exact_pairs(chain, without(spheres, set(pairs)))
+                torso = self._torso(self.arms[index], chain)
+                share = float(blocked_share(chain, spheres, home.q[None], torso)[0])
+                home = replace(home, state=replace(home.state, blocked=share))
+            checked.insert(index, home)
+        return tuple(checked)
 
     def _candidates(self, before: tuple[_Home, ...], pairs: Pairs) -> list[_Home]:
         arm, waiting = self.arms[len(before)], self.arms[len(before) + 1 :]
@@ -181,20 +203,21 @@ class _Search:
         never |= {(a, b) for a in spheres.links for b in spheres.base_links if unplaced & {a, b}}
         spheres = choose_exact_pairs(chain, without(spheres, never))
         q = self._samples(arm, chain, held)
-        others = {j for other in self.arms if other is not arm for j in other.text.joints}
-        rising = abs(chain.h[chain.leads, 2]) > 0.99  # vertical slides before the first turn
-        low = chain.leads < chain.first_turn
-        torso = [
-            k for k, name in enumerate(chain.names) if name in others or (low[k] and rising[k])
-        ]
         found = resting_states(
             chain, spheres, replace(self._body, loads=loads), q,
-            torso=torso,
+            torso=self._torso(arm, chain),
             held=[k for k, name in enumerate(chain.names) if name in held],
-            count=CANDIDATES if waiting else 1,
+            count=CANDIDATES if len(self.arms) > 1 else 1,
             rng=np.random.default_rng(self.seed),
         )  # fmt: skip
         return [_Home(state.q, state) for state in found] or [_Home(q[0], None)]
+
+    def _torso(self, arm: ArmToRest, chain: Chain) -> list[int]:
+        """Return the joints that arms share, and vertical slides below the first turn."""
+        others = {j for other in self.arms if other is not arm for j in other.text.joints}
+        rising = abs(chain.h[chain.leads, 2]) > 0.99
+        low = chain.leads < chain.first_turn
+        return [k for k, name in enumerate(chain.names) if name in others or (low[k] and rising[k])]
 
     @property
     def _body(self) -> Body:

@@ -174,7 +174,9 @@ class _Ranking:
         above = np.maximum(top - self.body.height, self._rise(q))
         cost = np.maximum(protrusion, 0.0) + HEIGHT_COST * above + REACH_COST * reach
         cost += ANGLE_COST * wound + LIMIT_COST * _at_limits(self.chain, q)
-        cost += OVERLOAD_COST * self._overloaded(q) + BLOCKED_COST * self._blocked(q)
+        cost += OVERLOAD_COST * self._overloaded(q) + BLOCKED_COST * blocked_share(
+            self.chain, self.spheres, q, self.torso
+        )
         order = np.argsort(cost, kind="stable")
         return q[order], cost[order]
 
@@ -196,7 +198,8 @@ class _Ranking:
 
     def apart(self, q: Float[np.ndarray, "m n"], count: int) -> list[RestingState]:
         """Return the first states that differ in where the arm is."""
-        extents, blocked = self._extents(q), self._blocked(q)
+        extents = self._extents(q)
+        blocked = blocked_share(self.chain, self.spheres, q, self.torso)
         left = np.arange(len(q))
         found: list[RestingState] = []
         while len(left) and len(found) < count:
@@ -230,18 +233,27 @@ class _Ranking:
         )
         return np.where(excess > 0.0, 0.5 + 0.5 * np.clip(excess, 0.0, 1.0), 0.0)
 
-    def _blocked(self, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
-        """Return the share of torso heights at which each state is in contact."""
-        if not len(self.torso) or not len(q):
-            return np.zeros(len(q))
-        lower, upper = one_turn(self.chain)
-        count = max(2, round(TORSO_VALUES ** (1 / len(self.torso))))
-        ends = [np.linspace(lower[i], upper[i], count) for i in self.torso]
-        values = np.array(list(product(*ends)))
-        moved = np.repeat(q[:, None], len(values), axis=1)
-        moved[:, :, list(self.torso)] = values
-        touching = touches(self.chain, self.spheres, moved.reshape(-1, q.shape[1]), floor=True)
-        return np.asarray(touching.reshape(len(q), -1).mean(1))
+
+def blocked_share(
+    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], torso: Sequence[int]
+) -> Float[np.ndarray, " m"]:
+    """Return the share of the torso's heights at which each state is in contact [-].
+
+    Args:
+        chain, spheres: The arm, and its collision model.
+        q: States.
+        torso: Indices of the joints that raise the arm; without any the states themselves count.
+    """
+    if not len(q):
+        return np.zeros(0)
+    lower, upper = one_turn(chain)
+    count = max(2, round(TORSO_VALUES ** (1 / len(torso)))) if torso else 1
+    ends = [np.linspace(lower[i], upper[i], count) for i in torso]
+    values = np.array(list(product(*ends)))
+    moved = np.repeat(q[:, None], len(values), axis=1)
+    moved[:, :, list(torso)] = values
+    touching = touches(chain, spheres, moved.reshape(-1, q.shape[1]), floor=True)
+    return np.asarray(touching.reshape(len(q), -1).mean(1))
 
 
 def _children(

@@ -94,6 +94,11 @@ def _gripper(robot: Robot) -> RobotTest:
     sides = opposed(robot, fingers)
     axes = np.stack([robot.closing_axis, robot.approach_axis])
     stroke = 0.0 if sides is None else widest(robot.model, robot.tool_link, sides, axes).opening
+    joints = [joint for joint in robot.model.joints.values() if joint.child in fingers]
+    roots = sum(joint.parent not in fingers for joint in joints)
+    if not stroke and roots > 2:
+        words = f"a hand of {roots} fingers; opening {robot.opening:g} m is not measured"
+        return RobotTest("gripper", robot.arm, None, words)
     gap = max(_gap_at_rest(robot, fingers), stroke)
     if gap <= 0.0:
         words = f"the gap between the fingers is unclear; opening {robot.opening:g} m is a guess"
