@@ -19,7 +19,7 @@ from momapos.model.robots.robot_names import library_file
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.arm_length import arm_length
+from momapos.planning.reachability.arm_length import by_arm_length
 from momapos.simulation.config import ExecutionConfig
 from momapos.simulation.dynamics import read_dynamics
 from momapos.simulation.simulated_hand import find_hand
@@ -50,19 +50,22 @@ def leaning(lean: float) -> str:
 
 
 @pytest.mark.parametrize(
-    ("name", "arm"),
+    ("name", "arm", "to"),
     [
-        pytest.param("mobile_panda", None, marks=pytest.mark.slow),
-        ("stretch", None),
-        pytest.param("tiago", None, marks=pytest.mark.slow),
-        pytest.param("tiago_dual", "left", marks=pytest.mark.slow),
-        pytest.param("tiago_dual", "right", marks=pytest.mark.slow),
+        pytest.param("hsr", None, 0.3, marks=pytest.mark.slow),  # its arm cannot pull 40 cm
+        pytest.param("mobile_panda", None, None, marks=pytest.mark.slow),
+        ("stretch", None, None),
+        pytest.param("tiago", None, None, marks=pytest.mark.slow),
+        pytest.param("tiago_dual", "left", None, marks=pytest.mark.slow),
+        pytest.param("tiago_dual", "right", None, marks=pytest.mark.slow),
     ],
 )
-def test_a_library_robot_opens_a_drawer_in_physics(name: str, arm: str | None) -> None:
+def test_a_library_robot_opens_a_drawer_in_physics(
+    name: str, arm: str | None, to: float | None
+) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot(name, arm=arm)
-    task = make_task(scene, "open", "cabinet_left", "drawer_slide")
-    reach = arm_length(robot, "none is needed for one drawer")
+    task = make_task(scene, "open", "cabinet_left", "drawer_slide", to)
+    reach = by_arm_length(robot, "none is needed for one drawer")
     plan = plan_base_placement(scene, robot, task, reach).plan
     assert plan.status == "solved"
     record = run_plan(plan, scene, robot, reach, tries=1)
@@ -84,7 +87,7 @@ def test_a_robot_with_one_moving_jaw_opens_a_drawer_in_physics(tmp_path: Path) -
     assert [finger.joint for finger in hand.fingers] == ["l_gripper_finger_joint"]
     assert hand.pads == {"l_gripper_finger_link": -1.0, "r_gripper_finger_link": 1.0}
     task = make_task(scene, "open", "cabinet_left", "drawer_slide")
-    reach = arm_length(robot, "none is needed for one drawer")
+    reach = by_arm_length(robot, "none is needed for one drawer")
     plan = plan_base_placement(scene, robot, task, reach).plan
     assert plan.status == "solved"
     record = run_plan(plan, scene, robot, reach, tries=1)

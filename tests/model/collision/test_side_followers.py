@@ -11,7 +11,8 @@ from tests.urdf_parts import box, joint, link, mobile_manipulator
 
 from momapos.core.errors import RobotError
 from momapos.core.geometry.transforms import apply, invert
-from momapos.model.collision.side_followers import with_swept_followers
+from momapos.model.collision.self_collision import contacts
+from momapos.model.collision.side_followers import never_touching, with_swept_followers
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.robots.robot_writer import write_robot
 from momapos.verification.plan_check import UrdfArm
@@ -68,6 +69,32 @@ def test_a_swept_follower_contains_it_in_every_state(
                     out = points @ normal.T - (a * normal).sum(1)
                     inside |= out.max(1) < 1e-3
                 assert inside.all()
+
+
+def with_hood(ratio: float) -> str:
+    """Return the mobile manipulator with a hood above its head, which follows the lift."""
+    follow = f'<mimic joint="lift" multiplier="{ratio}"/>'
+    parts = [
+        link("hood", box(0.3, 0.3, 0.05), "-0.15 0 1.275"),
+        joint("hood_joint", "prismatic", "base_link", "hood", "0 0 0", "0 0 1", WIDE + follow),
+    ]
+    return mobile_manipulator().replace("</robot>", "".join(parts) + "</robot>")
+
+
+@pytest.mark.parametrize(("ratio", "apart"), [(0.9, True), (1.2, True), (0.5, False)])
+def test_a_follower_is_not_in_the_way_of_what_its_leader_moves_below_it(
+    tmp_path: Path, ratio: float, apart: bool
+) -> None:
+    """The head rises by 30 cm and begins 7 cm below the hood."""
+    robot = robot_of(tmp_path, with_hood(ratio))
+    pairs = never_touching(robot.model, robot.segments)
+    assert (frozenset(("hood", "head_pan")) in pairs) is apart
+    assert frozenset(("hood", "torso")) in pairs, "the torso stays below in any case"
+    q = np.repeat(robot.home[None], 20, axis=0)
+    q[:, 0] = np.linspace(robot.chain.lower[0], robot.chain.upper[0], 20)
+    hits = contacts(robot.chain, robot.spheres, q)
+    touching = {frozenset(p) for p, h in zip(hits.pairs, hits.by_hulls.T, strict=True) if h.any()}
+    assert (frozenset(("hood", "head_pan")) in touching) is not apart
 
 
 @pytest.mark.parametrize(("kind", "parent", "leader", "ratio"), KINDS[:2])

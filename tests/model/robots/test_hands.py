@@ -119,6 +119,24 @@ def test_a_bare_flange_approaches_along_the_last_axis(tmp_path: Path, axis: str)
     assert robot.approach_axis @ robot.closing_axis == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("rpy", ["0 0 0", "0 1.5707963 0"])
+def test_a_frame_in_the_face_of_the_flange_has_the_arm_behind_it(tmp_path: Path, rpy: str) -> None:
+    """The last link's shape lies behind its joint, as a UR's wrist does."""
+    text = bare(mobile_manipulator(fingers=False, tool=False))
+    changes = {
+        link("arm_5", box(0.1 - 0.04, 0.06, 0.06), "0.05 0 0"):
+            link("arm_5", box(0.06, 0.06, 0.06), "-0.03 0 0"),
+        link("plate", box(0.06, 0.12, 0.05), "0.03 0 0"): link("plate"),
+        '<origin xyz="0.1 0 0"/></joint>': f'<origin xyz="0 0 0" rpy="{rpy}"/></joint>',
+    }  # fmt: skip
+    for old, new in changes.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    robot, _ = derived(tmp_path, text)
+    ahead = robot.model.rest_poses[robot.tool_link][:3, :3] @ robot.approach_axis
+    assert_allclose(ahead, [1, 0, 0], atol=1e-6)
+
+
 def test_a_turned_flange_frame_does_not_turn_the_approach(tmp_path: Path) -> None:
     text = bare(mobile_manipulator(fingers=False, tool=False))
     mount = '<origin xyz="0.1 0 0"/></joint>'
@@ -157,9 +175,10 @@ def test_drawn_fingers_are_offered_their_hulls(
     path = tmp_path / "robot.urdf"
     path.write_text(drawn_fingers())
     assert main(["robot", "check", str(path)]) == 0
-    first = capsys.readouterr().out.splitlines()[0]
-    assert first.startswith("IMPORTANT: grips")
-    assert "(left_finger, right_finger) are only drawn: with --visual-hulls" in first
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert first.startswith("FAILED: gripper")
+    assert second.startswith("IMPORTANT: grips")
+    assert "(left_finger, right_finger) are only drawn: with --visual-hulls" in second
     path.with_suffix(".toml").unlink()
     assert main(["robot", "check", str(path), "--visual-hulls"]) == 0
     robot = load_robot(path.with_suffix(".toml"))

@@ -28,7 +28,9 @@ from tests.real import DATA
 
 LIBRARY = Path(__file__).parents[3] / "src" / "momapos" / "model" / "robots" / "library"
 SCENE_IO = DATA.parent / "tools" / "scene_io.py"
-ROBOTS = ("fetch", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "stretch", "tiago")
+ROBOTS = (
+    "fetch", "hsr", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "stretch", "tiago",
+)  # fmt: skip
 
 COVERED = 0.010
 """Maximum distance of a manufacturer's mesh vertex from the shapes [m]."""
@@ -92,8 +94,15 @@ class Urdf:
         mimic = self.joints[joint].find("mimic")
         if mimic is None:
             return ""
-        assert (mimic.get("multiplier", "1"), mimic.get("offset", "0")) == ("1", "0")
         return mimic.get("joint", "")
+
+    def ratio(self, joint: str) -> float:
+        """Return how far a joint moves with the one that it follows."""
+        mimic = self.joints[joint].find("mimic")
+        if mimic is None:
+            return 1.0
+        assert mimic.get("offset", "0") == "0"
+        return float(mimic.get("multiplier", "1"))
 
     def parent(self, link: str) -> str:
         return self.above[link].find("parent").get("link")
@@ -190,7 +199,10 @@ class Robot:
 
     def state(self, q: Mapping[str, float]) -> dict[str, float]:
         """Return the values of all arm joints, including followers."""
-        return {name: q.get(name, q.get(self.urdf.leader(name), 0.0)) for name in self.arm}
+        return {
+            name: q.get(name, self.urdf.ratio(name) * q.get(self.urdf.leader(name), 0.0))
+            for name in self.arm
+        }
 
     def body(self, link: str) -> str:
         """Return the link that a link is fixed to, with wheels, casters and fingers at zero."""
@@ -423,6 +435,36 @@ def test_arms_match_the_installed_descriptions(
         assert limits_of(ours.urdf.joints[joint]) == limits_of(theirs.joints[joint])
 
 
+@pytest.mark.parametrize(
+    ("q", "position"),
+    [
+        ({}, (0.158, 0.078, 0.8255)),
+        ({"arm_lift_joint": 0.5}, (0.158, 0.078, 1.3255)),
+        ({"arm_flex_joint": -np.pi / 2}, (0.141 + 0.345 + 0.1405, 0.078, 0.34 - 0.017)),
+        ({"wrist_flex_joint": -np.pi / 2}, (0.146 + 0.1405, 0.078, 0.685 - 0.012)),
+        ({"arm_roll_joint": -np.pi / 2, "wrist_flex_joint": -np.pi / 2},
+         (0.146, 0.078 - 0.1405, 0.685 - 0.012)),
+    ],
+)  # fmt: skip
+def test_hsr_palm_positions_follow_from_the_published_link_lengths(
+    q: Mapping[str, float], position: tuple[float, float, float]
+) -> None:
+    """Link lengths as in Toyota's hsr_description, which no package index serves."""
+    robot = robot_named("hsr")
+    T = robot.urdf.pose("hand_palm_link", "base_link", robot.state(q))
+    assert np.abs(T[:3, 3] - position).max() < 1e-9
+
+
+def test_the_head_of_hsr_rises_half_as_far_as_its_shoulder() -> None:
+    robot = robot_named("hsr")
+    raised = robot.state({"arm_lift_joint": 0.6})
+    rise = [
+        (robot.urdf.pose(link, "base_link", raised) - robot.urdf.rest_pose(link))[2, 3]
+        for link in ("head_pan_link", "arm_flex_link")
+    ]
+    assert rise == pytest.approx([0.3, 0.6])
+
+
 @pytest.mark.parametrize("name", ["segway_ur5e", "husky_ur5e"])
 def test_ur5e_flange_poses_match_the_manufacturer(name: str) -> None:
     ours, theirs = robot_named(name), manufacturer(UR5E)
@@ -449,10 +491,10 @@ def test_rm63_hand_poses_match_the_manufacturers() -> None:
         assert_same_pose(ours.urdf.pose("gripper_base_link", "chassis_link", q), T)
 
 
-def test_manufacturers_mesh_vertices_are_inside_or_within_1_cm_of_the_shapes(
-    robot: Robot,
-) -> None:
-    for part in PARTS[robot.table["name"]]:
+@pytest.mark.parametrize("name", sorted(PARTS))
+def test_manufacturers_mesh_vertices_are_inside_or_within_1_cm_of_the_shapes(name: str) -> None:
+    robot = robot_named(name)
+    for part in PARTS[name]:
         theirs = manufacturer(part.urdf)
         for link in part.links:
             ours = part.ours or link

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from momapos.core.geometry import contains
 from momapos.core.units import GRAVITY
@@ -111,6 +112,21 @@ def test_wheels_outline_the_support_and_an_axle_does_not(robots: Robots) -> None
         axle = [link for link in links if link in ("left_wheel_link", "right_wheel_link")]
         if name == "segway_ur5e":
             assert support_outline(robot.model, robot.base_link, axle) is None
+
+
+def test_a_drive_unit_that_turns_supports_a_circle_within_its_wheels(robots: Robots) -> None:
+    """The base stands on it whatever the angle of the unit."""
+    robot = robots("hsr")
+    links = [link for link, segment in robot.segments.of_link.items() if segment == 0]
+    outline = support_outline(robot.model, robot.base_link, links)
+    assert outline is not None
+    wheels = np.array([[-0.11, -0.133], [-0.11, 0.133], [0.1495, 0.055], [0.1495, -0.055]])
+    for yaw in np.linspace(0, 2 * np.pi, 9):
+        c, s = np.cos(yaw), np.sin(yaw)
+        turned = wheels @ np.array([[c, s], [-s, c]])
+        hull = turned[ConvexHull(turned).vertices]
+        assert contains(hull, 0.999 * outline).all()
+    assert np.hypot(*outline.T).max() > 0.09
 
 
 def with_urdf(tmp_path: Path, *changes: tuple[str, str]) -> Robot:

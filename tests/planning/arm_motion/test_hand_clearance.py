@@ -73,7 +73,7 @@ def test_arm_and_hand_are_free_if_and_only_if_the_whole_robot_is(robot: Robot) -
     q = random_states(robot.chain, 2000, rng)
     bases = rng.uniform((-1.0, -1.0, -np.pi), (1.0, 1.0, np.pi), (len(q), 3))
     state = np.zeros(len(q), np.int64), np.ones(len(q), bool)
-    whole = check(world, robot.chain, robot.spheres, q, bases, *state)
+    whole = check(world, robot.chain, robot.spheres.by_hulls, q, bases, *state)
     arm = check(world, robot.chain, arm_spheres(robot), q, bases, *state)
     Ts = pose_planar(bases) @ robot.chain.tool_poses(q)
     hand = hits(robot, world, Ts, exact=False)

@@ -12,13 +12,13 @@ import pytest
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.robots.robot import load_robot
 from momapos.planning.reachability import ReachMap
-from momapos.planning.reachability.arm_length import arm_length
+from momapos.planning.reachability.arm_length import by_arm_length
 from momapos.planning.reachability.map_store import load_reach
 
 
 def test_no_pose_that_the_arm_reaches_scores_zero() -> None:
     robot, rng = load_robot("fetch"), np.random.default_rng(0)
-    scorer, chain = arm_length(robot, "a reason"), robot.chain
+    scorer, chain = by_arm_length(robot, "a reason"), robot.chain
     lower, upper = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
     bases = np.column_stack([rng.uniform(-2, 2, (300, 2)), rng.uniform(-3, 3, 300)])
     Ts = pose_planar(bases) @ chain.tool_poses(rng.uniform(lower, upper, (300, chain.size)))
@@ -30,7 +30,7 @@ def test_no_pose_that_the_arm_reaches_scores_zero() -> None:
 
 
 def test_the_worst_waypoint_counts() -> None:
-    scorer = arm_length(load_robot("husky_ur5e"), "a reason")
+    scorer = by_arm_length(load_robot("husky_ur5e"), "a reason")
     Ts = np.tile(np.eye(4), (1, 3, 1, 1))
     Ts[0, :, 0, 3], Ts[0, :, 2, 3] = [0.5, 0.9, 0.7], 0.8
     bases = np.array([[0.0, 0.0, 0.0]])

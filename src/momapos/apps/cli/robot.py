@@ -6,6 +6,7 @@ import json as json_format
 import shlex
 import shutil
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +23,7 @@ from .options import BoxArg, Flag, OptionalFile, PackagesArg, RobotArg, XacroArg
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from momapos.model.robots import Robot
+    from momapos.model.robots import Robot, RobotTest
 
 SOLVED = 0
 _ROW = "{:<14} {:>4} {:>6} {:>9} {:>12}  {:<12} {}"
@@ -132,9 +133,11 @@ def robot_check(
             raise RobotError(f"--package {name}={folder}: no such folder")
     from momapos.core import user_cache
     from momapos.model.robots import blocking, examine, load_arms
+    from momapos.workflows import self_test
 
     cache = user_cache()
     guesses: tuple[str, ...] = ()
+    tests: list[RobotTest] = []
     what = f"{file}: checking it, with its meshes,"
     with progress(f"robot check {file.name}") as report, within_bounds(what):
         if derives:
@@ -142,9 +145,17 @@ def robot_check(
 
             mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
             source = RobotSource(file, mount, packages, visual_hulls=visual_hulls)
-            file, derived = write_robot(source, out, args=args, cache=cache, report=report)
+
+            def inspect(arms: Sequence[Robot]) -> None:
+                report(0.9, "self-test")
+                tests.extend(self_test(arms, cache=cache))
+
+            file, derived = write_robot(
+                source, out, args=args, cache=cache, report=report, inspect=inspect
+            )
             guesses = derived.assumptions
         arms = load_arms(file, cache=cache)
+        tests = tests or list(self_test(arms, cache=cache))
         report(0.95, "searching for errors")
         doubts = [_of_arm(text, robot) for robot in arms for text in examine(robot)]
         shares = [_of_arm(text, robot) for robot in arms for text in blocking(robot)]
@@ -154,24 +165,28 @@ def robot_check(
         draw_robot(arms[0], plot, arms[1:])
     facts = {
         **describe(arms[0]), "written": bool(guesses), "assumptions": list(guesses),
+        "self_test": [asdict(test) for test in tests],
         "doubts": doubts, "self_collision": shares, "plot": None if plot is None else str(plot),
         "arms": {robot.arm: describe(robot) for robot in arms if robot.arm}, "next": _next(arms[0]),
     }  # fmt: skip
     if json:
         print(json_format.dumps(facts, indent=1))
         return SOLVED
-    _print_checked(arms, guesses, doubts, shares, plot)
+    _print_checked(arms, guesses, tests, doubts, shares, plot)
     return SOLVED
 
 
 def _print_checked(
     arms: Sequence[Robot],
     guesses: Sequence[str],
+    tests: Sequence[RobotTest],
     doubts: Sequence[str],
     shares: Sequence[str],
     plot: Path | None,
 ) -> None:
-    first = [text for text in guesses if text.startswith("IMPORTANT")]
+    failed = [f"FAILED: {_of_test(test)}; {test.remedy}" for test in tests if test.passed is False]
+    important = [text for text in guesses if text.startswith("IMPORTANT")]
+    first = [*failed, *important]
     if first:
         print("\n".join(first) + "\n")
     for robot in arms:
@@ -180,7 +195,9 @@ def _print_checked(
     print("\n".join(f"  note      {text}" for text in notes), end="\n" * bool(notes))
     if guesses:
         print(f"\nwritten to {arms[0].path}; please check these assumptions:")
-        print("\n".join(f"  - {text}" for text in guesses if text not in first))
+        print("\n".join(f"  - {text}" for text in guesses if text not in important))
+    print("\nself-test:")
+    print("\n".join(f"  {_mark(test)} {_of_test(test)}" for test in tests))
     if shares:
         print("\nlink pairs that collide in most arm configurations:")
         print("\n".join(f"  - {text}" for text in shares))
@@ -190,6 +207,15 @@ def _print_checked(
     if plot is not None:
         print(f"\nplot: {plot}")
     print(f"\nnext: {_next(arms[0])}")
+
+
+def _of_test(test: RobotTest) -> str:
+    arm = f"{test.arm}: " if test.arm else ""
+    return f"{arm}{test.name}: {test.words}"
+
+
+def _mark(test: RobotTest) -> str:
+    return {True: "passed  ", False: "failed  ", None: "open    "}[test.passed]
 
 
 def _next(robot: Robot) -> str:

@@ -9,12 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise, product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import RobotError
 from momapos.core.geometry import apply, invert
+from momapos.model.kinematics import Segments
 from momapos.model.urdf import Articulated, Geometry, Hull, Joint, Mesh, hull_around
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MAX_TURN = np.radians(5.0)
 """Turn between two positions whose common hull is taken; an arc leaves it by 0.1 % of its radius
@@ -50,6 +55,60 @@ def with_swept_followers(model: Articulated, followers: Sequence[str]) -> Articu
             ]
             links[link] = replace(links[link], collisions=tuple(shapes))
     return Articulated(replace(model.urdf, links=links), model.held, model.cache, model.closed)
+
+
+def never_touching(model: Articulated, segments: Segments) -> set[frozenset[str]]:
+    """Return pairs of a side follower and a link that its leader moves, which never touch.
+
+    Only the leader moves the two relative to each other, so that the shapes of all positions of
+    the follower are too large for this pair: a head that rises half as far as a shoulder below it
+    gives way to it.
+
+    Args:
+        model: The robot, not swept.
+        segments: The segment with which each link moves, and the side followers.
+    """
+    found = set()
+    for name in segments.side_followers:
+        joint = model.joint(name)
+        assert joint.mimic is not None
+        leader = model.joint(joint.mimic.joint)
+        if segments.of_link[joint.parent] != segments.of_link[leader.parent]:
+            continue  # another joint of the arm lies between the two
+        runs = _runs(model, [joint])
+        first = segments.of_link[leader.child]
+        partners = [link for link in model.links if segments.of_link[link] == first]
+        # Links below a further follower move differently.
+        others = [model.joint(other).child for other in segments.side_followers if other != name]
+        below = set(model.links_below(joint.child)).difference(*map(model.links_below, others))
+        found |= {
+            frozenset((link, partner))
+            for link, partner in product(sorted(below), partners)
+            if _apart(model, link, partner, runs)
+        }
+    return found
+
+
+def _apart(model: Articulated, link: str, partner: str, runs: list[list[dict[str, float]]]) -> bool:
+    """Return whether a plane separates all hulls of two links over each group of values."""
+    for states in runs:
+        poses = [model.link_poses(values) for values in states]
+        Ts = [invert(at[partner]) @ at[link] for at in poses]
+        for hull, other in product(model.hulls[link], model.hulls[partner]):
+            swept = np.concatenate([apply(T, hull.vertices) for T in Ts])
+            if not _separable(swept, other.vertices):
+                return False
+    return True
+
+
+def _separable(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"]) -> bool:
+    """Return whether a plane lies between two sets of points (a linear program)."""
+    from scipy.optimize import linprog
+
+    rows = np.vstack([np.column_stack([a, -np.ones(len(a))]),
+                      np.column_stack([-b, np.ones(len(b))])])  # fmt: skip
+    found = linprog(np.zeros(4), rows, -np.ones(len(rows)), bounds=(None, None))
+    return bool(found.status == 0)
 
 
 def _runs(model: Articulated, followers: Sequence[Joint]) -> list[list[dict[str, float]]]:

@@ -19,7 +19,7 @@ from momapos.model.urdf import Articulated, Boxes
 
 from .arm_collision import FINGER, OTHER, PALM
 from .link_hulls import LinkHulls, link_hulls
-from .side_followers import with_swept_followers
+from .side_followers import never_touching, with_swept_followers
 from .sphere_cover import ARM, BODY, GRIPPER, MARGIN, box_spheres, cover_shapes
 
 if TYPE_CHECKING:
@@ -109,6 +109,7 @@ def build_spheres(
         disabled: Pairs of links that are never checked (SRDF).
         gripper_links: Links that may touch the grasped part.
     """
+    disabled = never_touching(model, segments) | set(disabled)
     model = with_swept_followers(model, segments.side_followers)
     moving = [link for link in model.links if segments.of_link[link] > 0 and model.hulls[link]]
     bodies = _bodies(model, segments)

@@ -24,6 +24,8 @@ from .robot_names import MAP_JOINTS as MAP_JOINTS
 from .robot_names import find_named_robot as find_named_robot
 from .robot_names import library_file as library_file
 from .robot_names import library_names as library_names
+from .robot_tests import RobotTest as RobotTest
+from .robot_tests import examine_at_rest as examine_at_rest
 from .robot_writer import write_robot as write_robot
 from .srdf import MAX_SRDF_BYTES as MAX_SRDF_BYTES
 from .srdf import disable_lines as disable_lines

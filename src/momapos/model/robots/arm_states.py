@@ -1,9 +1,8 @@
-"""Sampled states of an arm: links in permanent contact, and a home state."""
+"""Sampled states of an arm: links in permanent contact."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,15 +16,12 @@ from momapos.model.collision import (
     hit_floor,
     hit_self,
     place_arm,
-    place_segments,
     scratch_of,
 )
 from momapos.model.kinematics import Chain, ChainArrays, SphereArrays, chain_arrays, one_turn
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float
 
 SAMPLES = 2000
 ALWAYS_SHARE = 0.95
@@ -36,19 +32,6 @@ contact at rest alone can come from an arm that is folded there."""
 NEIGHBOR_SHARE = 0.5
 """Share of states in contact above which neighbors in the arm are never checked [-]; a wrist that
 can hardly rotate has too coarse shapes."""
-ANGLE_COST = 0.05
-"""Cost of the most rotated joint of a home state, as reach per angle [m/rad]."""
-LIMIT_COST, LIMIT_DISTANCE = 0.1, 0.15
-"""Cost of a home state at a joint limit, as reach [m], and the distance over which it fades
-[rad]."""
-CLEARANCE_COST, CLEARANCE = 0.1, 0.02
-"""Cost of a home state with less clearance, as reach [m], and that clearance [m]."""
-BLOCKED_COST = 1.0
-"""Cost of a home state that blocks all values of the joints that arms share, as reach [m]."""
-SHARED_VALUES = 15
-"""Number of values of the shared joints that are checked [-]."""
-_MAX_CLEARANCE_CHECKS = 100
-"""Number of states whose clearance is checked [-]."""
 
 
 @entry
@@ -150,72 +133,3 @@ def self_collision_shares(
         if seen.any()
     ]
     return tuple(sorted(shares, key=lambda share: (-share.by_spheres, share.links)))
-
-
-def resting_state(
-    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], shared: Sequence[int] = ()
-) -> tuple[Float[np.ndarray, " n"], float] | None:
-    """Return the collision-free state with the arm closest to the base's center, for driving.
-
-    Only the links of the arm itself count, not the torso. Distance from joint limits, small angles
-    and clearance reduce the cost a little; most weight has that another arm can move the joints
-    both share while this arm is at home.
-
-    Args:
-        chain, spheres: The arm, and its collision model.
-        q: Candidate states.
-        shared: Indices of joints that other arms move, too, such as a torso's.
-
-    Returns:
-        The state, and the reach of the arm from the base's origin [m]; None without a
-        collision-free state.
-    """
-    free = np.flatnonzero(~touches(chain, spheres, q, floor=True))
-    if not len(free):
-        return None
-    own = _of_the_arm(chain, spheres)
-    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
-    reach = np.empty(len(free))
-    for row, i in enumerate(free):
-        place_segments(q[i], np.zeros(3), chain_arrays(chain), R, p)
-        segment = spheres.segment[own]
-        middle = np.einsum("gij,gj->gi", R[segment], spheres.bound_center[own]) + p[segment]
-        reach[row] = (np.hypot(middle[:, 0], middle[:, 1]) + spheres.bound_radius[own]).max()
-    wound = np.where(chain.prismatic, 0.0, abs(q[free])).max(1)
-    cost = reach + ANGLE_COST * wound + LIMIT_COST * _at_limits(chain, q[free])
-    if len(shared):
-        cost += BLOCKED_COST * _blocked(chain, spheres, q[free], shared)
-    thick = replace(
-        spheres, radius=spheres.radius + CLEARANCE, bound_radius=spheres.bound_radius + CLEARANCE
-    )
-    # Clearance is expensive, so only the best states are checked.
-    best = np.argsort(cost, kind="stable")[:_MAX_CLEARANCE_CHECKS]
-    cost[best] += CLEARANCE_COST * touches(chain, thick, q[free[best]], floor=True)
-    chosen = best[int(np.argmin(cost[best]))]
-    return q[free[chosen]], float(reach[chosen])
-
-
-def _blocked(
-    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], shared: Sequence[int]
-) -> Float[np.ndarray, " m"]:
-    """Return the share of shared joint values at which each state is in contact."""
-    lower, upper = one_turn(chain)
-    count = max(2, round(SHARED_VALUES ** (1 / len(shared))))
-    values = np.array(list(product(*(np.linspace(lower[i], upper[i], count) for i in shared))))
-    moved = np.repeat(q[:, None], len(values), axis=1)
-    moved[:, :, list(shared)] = values
-    touching = touches(chain, spheres, moved.reshape(-1, q.shape[1]), floor=True)
-    return np.asarray(touching.reshape(len(q), -1).mean(1))
-
-
-def _of_the_arm(chain: Chain, spheres: Spheres) -> Int[np.ndarray, " k"]:
-    """Return the sphere groups beyond the first revolute joint; all if there are none."""
-    first = chain.first_turn + 1
-    own = np.flatnonzero(spheres.segment >= first)
-    return own if len(own) else np.arange(len(spheres.segment))
-
-
-def _at_limits(chain: Chain, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
-    """Return how close a state's revolute joints are to a limit, 0 (far) to 1 (at it)."""
-    gap = np.where(chain.prismatic, np.inf, np.minimum(q - chain.lower, chain.upper - q))
-    return np.clip(1.0 - gap.min(1) / LIMIT_DISTANCE, 0.0, 1.0)

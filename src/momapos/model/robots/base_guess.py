@@ -82,6 +82,14 @@ def refuse_unknown_axle(model: Articulated, guess: DriveGuess | None) -> None:
         )
 
 
+def _without_shapes(model: Articulated) -> RobotError:
+    return RobotError(
+        f"{model.urdf.path}: no link below the arm has collision geometry; add the collision "
+        "geometry of the base or, if it is drawn, let the hulls of its drawings count with "
+        "--visual-hulls of momapos robot check"
+    )
+
+
 def lift_as_base(model: Articulated, joints: Sequence[str], notes: list[str]) -> tuple[str, ...]:
     """Return the arm's joints without a lift that carries all geometry of the base.
 
@@ -91,10 +99,7 @@ def lift_as_base(model: Articulated, joints: Sequence[str], notes: list[str]) ->
     while len(rest) > 1 and not len(points_of(model, model.urdf.root, base_links(model, rest[:1]))):
         joint = model.joint(rest[0])
         if joint.kind != "prismatic":
-            raise RobotError(
-                f"{model.urdf.path}: no link below the arm has collision geometry; add the "
-                "collision geometry of the base"
-            )
+            raise _without_shapes(model)
         notes.append(f"{joint.name} lifts all collision geometry: it stays at rest")
         rest.pop(0)
     return tuple(rest)
@@ -124,10 +129,7 @@ def find_base_link(
     for name in dict.fromkeys([*preferred, anchor, *rigid]):
         points = points_of(model, name, body)
         if not len(points):
-            raise RobotError(
-                f"{model.urdf.path}: no link below the arm has collision geometry; add the "
-                "collision geometry of the base"
-            )
+            raise _without_shapes(model)
         R = model.rest_poses[name][:3, :3]
         if R[:, 2] @ up < UPRIGHT_COSINE or abs(R[:, 0] @ ahead) < AHEAD_COSINE:
             wrong = "z does not point up" if R[:, 2] @ up < UPRIGHT_COSINE else "x is not ahead"

@@ -12,17 +12,13 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import Cache, RobotError
-from momapos.model.collision import Spheres, build_spheres, choose_exact_pairs
-from momapos.model.kinematics import Chain, build_chain
 from momapos.model.urdf import Articulated, Urdf
 
 from .amended_urdf import BOX, AddedFrame, Amendments, Mount
-from .arm_states import inevitable_pairs, resting_state, sample_states
 from .base_guess import (
     find_base_link,
     find_drive,
@@ -33,16 +29,14 @@ from .base_guess import (
 )
 from .drive_guess import drive_of
 from .fingers import find_force, jaws
-from .gripper_guess import find_grip, find_grips, find_tool, listed
+from .gripper_guess import find_grip, find_grips, find_tool
+from .homes import ArmToRest, find_homes
 from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_arms
-from .never_checked import NESTED, nested_pairs, rigid_pairs, without
+from .never_checked import NESTED
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
 from .running_gear import RunningGear, drawn_meshes, find_running_gear
 from .srdf import Srdf, find_srdf, srdf_next_to
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 MAX_LINKS = 500
 ReportProgress = Callable[[float, str], None]
@@ -143,13 +137,16 @@ def derive_robot(
     footprint = find_footprint(model, base_link, firsts, notes)
     boxed = source.mount is not None and source.mount.box is not None
     drive = find_drive(model, anchor, boxed, guess, notes)
-    pairs: dict[tuple[str, str], str] = {}
-    for index, name in enumerate(names):
-        report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")
-        arms[name], model, found = _with_home(
-            model, base_link, arms, name, srdf, np.random.default_rng(seed), notes
-        )
-        pairs |= found
+    waiting = [ArmToRest(name, arm.chain, arm.text) for name, arm in arms.items()]
+    homes = find_homes(
+        model, base_link, waiting, footprint, srdf, seed, notes,
+        lambda share, what: report(0.2 + 0.8 * share, what),
+    )  # fmt: skip
+    model, pairs = homes.model, homes.pairs
+    arms = {
+        name: replace(arm, text=replace(arm.text, home=homes.states[name]))
+        for name, arm in arms.items()
+    }
     ours = _our_srdf(pairs, srdf, urdf, out, notes)
     if source.mount is not None and BOX in model.links:
         notes.append(f"base: a driving box of {' x '.join(f'{v:g}' for v in _box(source))} m")
@@ -279,74 +276,6 @@ def _tool(
         chain.joints, tool_link, tuple(gripper), np.zeros(len(chain.joints)), grip, grips, force
     )
     return _Arm(chain, text, frame)
-
-
-def _with_home(
-    model: Articulated,
-    base_link: str,
-    arms: Mapping[str, _Arm],
-    name: str,
-    srdf: Srdf,
-    rng: np.random.Generator,
-    notes: list[str],
-) -> tuple[_Arm, Articulated, dict[tuple[str, str], str]]:
-    """Find the home state of an arm.
-
-    Returns:
-        The arm, the model with the arm at home, and pairs of links in permanent contact.
-    """
-    arm = arms[name]
-    text = arm.text
-    chain, segments = build_chain(model, base_link, text.tool_link, text.joints)
-    gripper = text.gripper_links
-    spheres = build_spheres(model, segments, srdf.disabled, gripper)
-    q = np.vstack([sample_states(chain, rng), *_named_states(chain, srdf)])
-    for index, joint in enumerate(text.joints):
-        if joint in model.held:  # shared with an arm that already has its home
-            q[:, index] = model.held[joint]
-    pairs = inevitable_pairs(chain, spheres, q) | nested_pairs(model, arm.chain, spheres)
-    pairs |= rigid_pairs(model, chain, spheres, srdf)
-    spheres = without(spheres, pairs)
-    mine: list[str] = []
-    others = {joint for key, other in arms.items() if key != name for joint in other.text.joints}
-    shared = [index for index, joint in enumerate(text.joints) if joint in others]
-    home = _home(chain, choose_exact_pairs(chain, spheres), q, shared, mine)
-    notes += [_of_arm(note, name) for note in mine]
-    held = dict(model.held)
-    if len(arms) > 1:
-        held |= dict(zip(text.joints, map(float, home), strict=True))
-    settled = replace(arm, text=replace(text, home=home))
-    return settled, _same_shapes(model.urdf, model, held), pairs
-
-
-def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:
-    """Return the arm states that an SRDF names, within the joint limits."""
-    found = []
-    for state in srdf.states:
-        if all(name in state for name in chain.names):
-            q = np.array([[state[name] for name in chain.names]])
-            if ((chain.lower <= q) & (q <= chain.upper)).all():
-                found.append(q)
-    return found
-
-
-def _home(
-    chain: Chain,
-    spheres: Spheres,
-    q: Float[np.ndarray, "m n"],
-    shared: Sequence[int],
-    notes: list[str],
-) -> Float[np.ndarray, " n"]:
-    found = resting_state(chain, spheres, q, shared)
-    if found is None:
-        notes.append("IMPORTANT: home: found no state free of self-collision; set home")
-        return q[0]
-    home, reach = found
-    notes.append(
-        f"home: the state out of {len(q)} that keeps the arm within {reach:.2f} m of the base's "
-        f"origin, {listed(home)}"
-    )
-    return home
 
 
 def _of_arm(note: str, name: str) -> str:

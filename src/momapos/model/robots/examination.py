@@ -59,8 +59,6 @@ def examine(robot: Robot, *, seed: int = 0) -> list[str]:
     out = outside(points_of(robot.model, robot.base_link, body), robot.footprint)
     if out > 0.02:
         doubts.append(f"the base protrudes {out:.2f} m from its footprint")
-    if touches(robot.chain, robot.spheres, robot.home[None], floor=True)[0]:
-        doubts.append("the arm touches the robot or the floor in its home state")
     doubts += _drive_doubts(robot)
     states = sample_states(robot.chain, np.random.default_rng(seed))
     share = touches(robot.chain, robot.spheres, states).mean()

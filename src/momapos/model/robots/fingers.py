@@ -45,6 +45,8 @@ class Stroke:
     """Maximum width of an object that fits [m]; 0 if the geometry does not show it."""
     rest: Mapping[str, float] = field(default_factory=dict)
     """Values of the finger joints at this opening [rad] or [m]."""
+    leaning: float = 0.0
+    """Widest plausible gap of the tips, however far the pads lean there [m]."""
 
 
 def jaws(
@@ -88,14 +90,15 @@ def widest(
         sides: Fingers of both sides, as from `jaws`.
         axes: Closing axis and approach axis.
     """
-    best = Stroke()
+    best, leaning = Stroke(), 0.0
     for names, states in _strokes(model, sides):
         gap, holds = _holding_gaps(model, tool, sides, names, states, axes)
         k = holds[int(np.argmax(gap[holds]))]
+        leaning = max(leaning, float(gap[gap < PLAUSIBLE_OPENINGS[1]].max(initial=0.0)))
         if best.opening < gap[k] and PLAUSIBLE_OPENINGS[0] < gap[k] < PLAUSIBLE_OPENINGS[1]:
             values = dict(zip(names, np.round(states[k], 4).tolist(), strict=True))
             best = Stroke(float(gap[k]), {} if _has_thumb(sides) else values)
-    return Stroke(round(best.opening, 3), best.rest)
+    return Stroke(round(best.opening, 3), best.rest, round(leaning, 3))
 
 
 def narrower(

@@ -13,7 +13,7 @@ import numpy as np
 from momapos.core.geometry import apply, invert, orthonormal
 from momapos.model.urdf import Articulated, Joint
 
-from .fingers import THUMB, TIP_LENGTH, jaws, widest
+from .fingers import MAX_PAD_ANGLE, THUMB, TIP_LENGTH, jaws, widest
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -38,6 +38,8 @@ MAX_TOOL_OFFSET = 0.03
 """Maximum distance of the tool link from the center between the fingers [m]."""
 MAX_RIM = 0.005
 """Depth of the rim of a suction cup, and distance of the tool link that counts as at it [m]."""
+MIN_LEANING = 0.01
+"""Further gap of leaning fingers that is reported [m]."""
 ASSUMED_OPENING = 0.08
 """Assumed opening of a gripper whose geometry does not show it [m]."""
 
@@ -165,6 +167,12 @@ def find_grip(
     stroke = widest(model, tool, jaws(model, tool, fingers, closing), axes)
     opening = stroke.opening
     words = "measured at the fingertips" if opening else "a guess: the gap is unclear"
+    if opening and stroke.leaning > opening + MIN_LEANING:
+        words += (
+            f"; they open to {stroke.leaning:g} m, but lean by more than "
+            f"{np.degrees(MAX_PAD_ANGLE):.0f} degrees there, so set opening if wider objects can "
+            "be held"
+        )
     notes.append(
         f"approach_axis {listed(approach)} points along the fingers, closing_axis "
         f"{listed(closing)} across them; opening {opening or ASSUMED_OPENING:g} m, {words}"
@@ -181,9 +189,10 @@ def _bare(model: Articulated, last: str, tool: str, notes: list[str]) -> Gripper
     joint = next(j for j in model.urdf.joints if j.child == last)
     axis = T[:3, :3] @ joint.axis
     points = points_of(model, tool, fixed_to(model, last))
-    # Outward is from the last joint to the tool, or to the hand's shapes, or from the joint before.
+    # Outward is from the last joint to the tool, or from the joint before, or to the hand's shapes:
+    # these lie behind a joint whose frame is in the flange's face.
     before = (T_tool_root @ model.rest_poses[joint.parent])[:3, 3]
-    ways = [-T[:3, 3], *([points.mean(0) - T[:3, 3]] if len(points) else []), T[:3, 3] - before]
+    ways = [-T[:3, 3], T[:3, 3] - before, *([points.mean(0) - T[:3, 3]] if len(points) else [])]
     along = next((way @ axis for way in ways if abs(way @ axis) > 0.01), 1.0)
     approach = _snap(axis * np.sign(along))
     closing = orthonormal(approach)

@@ -13,14 +13,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import apply, edge_normals
-from momapos.model.kinematics import BASE, LoadArrays, chain_arrays, static_loads
+from momapos.model.kinematics import (
+    BASE,
+    Chain,
+    LoadArrays,
+    Segments,
+    chain_arrays,
+    static_loads,
+)
 from momapos.model.records import MAX_EFFORT_SHARE, MIN_STABILITY, PoseOutcome, PoseStatus
+from momapos.model.urdf import Articulated
 
 from .robot import Robot
 from .wheel_contacts import support_outline
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
+
+_NO_EDGES = np.zeros((0, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,43 +114,43 @@ def robot_loads(robot: Robot) -> RobotLoads:
 @lru_cache(maxsize=64)
 def _robot_loads(robot: Robot) -> RobotLoads:
     chain, notes = robot.chain, []
-    mass, center = _segment_masses(robot)
-    limits = np.array([robot.model.joint(name).effort for name in chain.names])
-    unknown = [n for n, limit in zip(chain.names, limits, strict=True) if not np.isfinite(limit)]
+    arrays, why = load_arrays(robot.model, robot.base_link, chain, robot.segments)
+    limited = zip(chain.names, np.isfinite(arrays.limit), strict=True)
+    unknown = [name for name, known in limited if not known]
     if unknown:
         notes.append(f"no effort limit is known for {', '.join(unknown)}")
-    if not mass[1:].any():
+    if not arrays.mass[1:].any():
         notes.append("the arm's links have no masses, so only loads at the hand count")
-    links = [link for link, segment in robot.segments.of_link.items() if segment == 0]
-    support = support_outline(robot.model, robot.base_link, links)
-    arrays = LoadArrays(
-        mass, center, MAX_EFFORT_SHARE * limits, np.zeros((0, 2)), np.zeros(0), MIN_STABILITY
-    )
-    unmoving = RobotLoads(robot, arrays, tuple(notes))
-    if mass[0] <= 0:
-        return _without_stability(unmoving, "the base has no mass")
-    if support is None:
-        return _without_stability(unmoving, "no wheels are found on the floor")
-    normals = edge_normals(support)
-    offsets = (normals * support).sum(1)
-    standing = replace(unmoving, arrays=arrays._replace(normals=normals, offsets=offsets))
-    if standing.at(robot.home[None]).stability[0] < MIN_STABILITY:
+    loads = RobotLoads(robot, arrays, tuple(notes))
+    if not why and loads.at(robot.home[None]).stability[0] < MIN_STABILITY:
         why = "by the masses in its file the robot hardly stands at home"
-        return _without_stability(unmoving, why)
-    return standing
+        loads = replace(loads, arrays=arrays._replace(normals=_NO_EDGES, offsets=np.zeros(0)))
+    return replace(loads, notes=(*notes, f"stability does not count: {why}")) if why else loads
 
 
-def _without_stability(loads: RobotLoads, why: str) -> RobotLoads:
-    return replace(loads, notes=(*loads.notes, f"stability does not count: {why}"))
+def load_arrays(
+    model: Articulated, base_link: str, chain: Chain, segments: Segments
+) -> tuple[LoadArrays, str]:
+    """Return what an arm on a base bears, and "" or why it is unknown whether it tips over."""
+    mass, center = _segment_masses(model, segments, chain.last + 1)
+    limits = MAX_EFFORT_SHARE * np.array([model.joint(name).effort for name in chain.names])
+    links = [link for link, segment in segments.of_link.items() if segment == 0]
+    support = support_outline(model, base_link, links)
+    arrays = LoadArrays(mass, center, limits, _NO_EDGES, np.zeros(0), MIN_STABILITY)
+    if mass[0] <= 0:
+        return arrays, "the base has no mass"
+    if support is None:
+        return arrays, "its wheels do not span an area on the floor, so casters may be missing"
+    normals = edge_normals(support)
+    return arrays._replace(normals=normals, offsets=(normals * support).sum(1)), ""
 
 
 def _segment_masses(
-    robot: Robot,
+    model: Articulated, segments: Segments, count: int
 ) -> tuple[Float[np.ndarray, " m_plus_1"], Float[np.ndarray, "m_plus_1 3"]]:
     """Return mass and center of mass of each segment of the arm, the base first."""
-    segments, count = robot.segments, robot.chain.last + 1
     mass, moment = np.zeros(count), np.zeros((count, 3))
-    for link in robot.model.urdf.links.values():
+    for link in model.urdf.links.values():
         at = segments.of_link[link.name]
         mass[at] += link.mass
         center = apply(segments.T_segment_link[link.name], np.array([link.center]))

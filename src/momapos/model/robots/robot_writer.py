@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from momapos.core import Cache, RobotError, write_atomic
 
 from .derive import Derived, ReportProgress, RobotSource, derive_robot
-from .robot import load_arms
+from .robot import Robot, load_arms
 from .srdf import srdf_text
 from .xacro import expand_xacro, is_xacro
 
@@ -22,6 +22,7 @@ def write_robot(
     seed: int = 0,
     cache: Cache | None = None,
     report: ReportProgress = lambda _share, _what: None,
+    inspect: Callable[[Sequence[Robot]], None] = lambda _arms: None,
 ) -> tuple[Path, Derived]:
     """Derive a robot file from a URDF or xacro file and write it.
 
@@ -35,6 +36,7 @@ def write_robot(
         seed: Seed of the sampled arm states.
         cache: Stores expensive geometry.
         report: Receives the progress.
+        inspect: Receives the arms; if it raises, nothing is written.
 
     Returns:
         The robot file, and what was derived.
@@ -61,7 +63,7 @@ def write_robot(
         srdf = out.with_suffix(".srdf")
         _refuse_existing(srdf)
         files[srdf] = srdf_text(out.stem, derived.pairs)
-    _write({**files, out: derived.toml}, out, cache)
+    _write({**files, out: derived.toml}, out, cache, inspect)
     return out, derived
 
 
@@ -70,15 +72,20 @@ def _refuse_existing(path: Path) -> None:
         raise RobotError(f"{path}: exists already; remove it, or choose another file")
 
 
-def _write(files: Mapping[Path, str], out: Path, cache: Cache | None) -> None:
-    """Write files, the robot file last; remove all of them if it cannot be read back."""
+def _write(
+    files: Mapping[Path, str],
+    out: Path,
+    cache: Cache | None,
+    inspect: Callable[[Sequence[Robot]], None],
+) -> None:
+    """Write files, the robot file last; remove all if it cannot be read back and inspected."""
     written: list[Path] = []
     folders = [folder for folder in (out.parent, *out.parent.parents) if not folder.exists()]
     try:
         for path, text in files.items():
             write_atomic(path, text.encode())
             written.append(path)
-        load_arms(out, cache=cache)
+        inspect(load_arms(out, cache=cache))
     except BaseException as error:  # also on an interrupt
         for path in written:
             path.unlink(missing_ok=True)

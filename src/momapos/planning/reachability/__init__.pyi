@@ -1,5 +1,6 @@
 from .arm_axes import no_map as no_map
 from .arm_length import ArmLength as ArmLength
+from .arm_length import by_arm_length as by_arm_length
 from .construct import default_config as default_config
 from .evaluation import evaluate as evaluate
 from .map_store import build_true_map as build_true_map

@@ -52,7 +52,7 @@ class ArmLength:
         return out
 
 
-def arm_length(robot: Robot, why: str) -> ArmLength:
+def by_arm_length(robot: Robot, why: str) -> ArmLength:
     """Build the scorer of a robot by its arm's length, with the reason why it has no map."""
     chain, first = robot.chain, robot.chain.first_turn
     slides = chain.half_travel[:first, None] * np.abs(chain.h[:first])

@@ -29,7 +29,7 @@ from momapos.core import (
 from momapos.model.robots import MAX_REACH, Robot
 
 from .arm_axes import arm_frame, is_flooded, no_map
-from .arm_length import ArmLength, arm_length
+from .arm_length import ArmLength, by_arm_length
 from .calibrate import calibrated
 from .construct import build_map, default_config
 from .flood import FLOOD_VERSION
@@ -248,7 +248,7 @@ def load_reach(
             return load_reach_map(robot, cache_dir, progress, limit=limit)
         except MapBuildTimeoutError as error:
             why = str(error)
-    fallback = arm_length(robot, why)
+    fallback = by_arm_length(robot, why)
     log.warning("%s", fallback.note)
     return fallback
 

@@ -1,0 +1,148 @@
+"""Tests of a robot at rest: its home, its gripper by forward kinematics, and how it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.model.collision import contacts
+from momapos.model.records import MIN_STABILITY
+
+from .arm_states import touches
+from .base_guess import FLOOR_TOLERANCE, MAX_WHEEL_HEIGHT, base_links
+from .fingers import TIP_LENGTH, widest
+from .fingertips import finger_links, opposed
+from .gripper_guess import points_of
+from .load_limits import robot_loads
+from .robot import Grip, Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MAX_OPENING_ERROR = 0.01
+"""Largest distance by which `opening` may exceed what the fingers open [m]: tips that bow or lean
+are hulls here."""
+
+
+@dataclass(frozen=True)
+class RobotTest:
+    """A test of one arm of a robot."""
+
+    name: str
+    arm: str
+    """"" if the robot has only one."""
+    passed: bool | None
+    """None if the test came to no result."""
+    words: str
+    """What was found."""
+    remedy: str = ""
+    """What to correct if the test failed."""
+
+
+def examine_at_rest(robot: Robot) -> tuple[RobotTest, RobotTest, RobotTest]:
+    """Test whether home is free of contact, the gripper opens, and the robot stands upright."""
+    return _home(robot), _gripper(robot), _upright(robot)
+
+
+def _home(robot: Robot) -> RobotTest:
+    q = robot.home[None]
+    found = contacts(robot.chain, robot.spheres, q)
+    pairs = [p for p, hit in zip(found.pairs, found.by_hulls[0], strict=True) if hit]
+    file = robot.path.name
+    low = float(_arm_points(robot)[:, 2].min(initial=np.inf))
+    if pairs:
+        more = f" and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        words = f"{pairs[0][0]} touches {pairs[0][1]}{more}"
+        remedy = f"change home in {file}, or disable the pair in its SRDF if it touches by design"
+        return RobotTest("home", robot.arm, False, words, remedy)
+    if low < 0.0:
+        words = f"the arm is {-low:.2f} m below the floor"
+        return RobotTest("home", robot.arm, False, words, f"change home in {file}")
+    if touches(robot.chain, robot.spheres, q, floor=True)[0]:
+        words = (
+            "the arm is free of contact, but nearer to the robot or the floor than planning allows"
+        )
+        return RobotTest("home", robot.arm, False, words, f"change home in {file}")
+    return RobotTest("home", robot.arm, True, "free of contact")
+
+
+def _arm_points(robot: Robot) -> Float[np.ndarray, "n 3"]:
+    """Return the hull vertices of what the arm moves, at home, in the base frame [m]."""
+    moved = {link for joint in robot.arm_joints for link in robot.model.moved_by(joint)}
+    values = dict(zip(robot.arm_joints, map(float, robot.home), strict=True))
+    model = robot.model.changed(held={**robot.model.held, **values})
+    return points_of(model, robot.base_link, sorted(moved))
+
+
+def _gripper(robot: Robot) -> RobotTest:
+    """Compare the opening with the distance of the fingertips in the robot's own kinematics."""
+    file = robot.path.name
+    if robot.grips is not Grip.FINGERS:
+        return RobotTest(
+            "gripper", robot.arm, True, f"holds with {robot.grips}, no fingers to open"
+        )
+    fingers = finger_links(robot)
+    if not fingers:
+        words = "no finger with a collision shape moves, so the tool holds nothing"
+        remedy = (
+            f"use a URDF with the gripper, set grips to suction or hook in {file}, or let fingers "
+            "that are only drawn count: --visual-hulls, or visual_hulls = true in the file"
+        )
+        return RobotTest("gripper", robot.arm, False, words, remedy)
+    sides = opposed(robot, fingers)
+    axes = np.stack([robot.closing_axis, robot.approach_axis])
+    stroke = 0.0 if sides is None else widest(robot.model, robot.tool_link, sides, axes).opening
+    joints = [joint for joint in robot.model.joints.values() if joint.child in fingers]
+    roots = sum(joint.parent not in fingers for joint in joints)
+    if not stroke and roots > 2:
+        words = f"a hand of {roots} fingers; opening {robot.opening:g} m is not measured"
+        return RobotTest("gripper", robot.arm, None, words)
+    gap = max(_gap_at_rest(robot, fingers), stroke)
+    if gap <= 0.0:
+        words = f"the gap between the fingers is unclear; opening {robot.opening:g} m is a guess"
+        return RobotTest("gripper", robot.arm, None, words)
+    words = f"the fingertips open to {gap:.3f} m, opening is {robot.opening:g} m"
+    if robot.opening > gap + MAX_OPENING_ERROR:
+        remedy = f"correct opening, closing_axis or the fingers in [rest] of {file}"
+        return RobotTest("gripper", robot.arm, False, words, remedy)
+    return RobotTest("gripper", robot.arm, True, words)
+
+
+def _gap_at_rest(robot: Robot, fingers: set[str]) -> float:
+    """Return the distance between the tips on either side of the tool frame [m]; 0 if unclear."""
+    sides: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for link in fingers:
+        points = points_of(robot.model, robot.tool_link, [link])
+        if len(points):
+            sides[int(points.mean(0) @ robot.closing_axis > 0)].append(points)
+    if not all(sides):
+        return 0.0
+    inner = []
+    for points, sign in zip(map(np.concatenate, sides), (-1.0, 1.0), strict=True):
+        ahead = points @ robot.approach_axis
+        tips = points[ahead > ahead.max() - TIP_LENGTH]
+        inner.append(float((sign * (tips @ robot.closing_axis)).min()))
+    return max(sum(inner), 0.0)
+
+
+def _upright(robot: Robot) -> RobotTest:
+    """Check that the base reaches the floor and not below it, and that the robot stands at home."""
+    file = robot.path.name
+    points = points_of(robot.model, robot.base_link, base_links(robot.model, robot.arm_joints[:1]))
+    if not len(points):
+        words = "the base has no collision geometry"
+        return RobotTest("upright", robot.arm, None, words)
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    above = MAX_WHEEL_HEIGHT if robot.base_link == "base_footprint" else FLOOR_TOLERANCE
+    if not -FLOOR_TOLERANCE <= low <= above:
+        words = f"the base spans z = {low:.2f} to {high:.2f} m of {robot.base_link}"
+        remedy = f"base_link in {file} must lie on the floor, with z up"
+        return RobotTest("upright", robot.arm, False, words, remedy)
+    stability = float(robot_loads(robot).at(robot.home[None]).stability[0])
+    if not np.isfinite(stability):
+        why = next((n for n in robot_loads(robot).notes if n.startswith("stability")), "")
+        return RobotTest("upright", robot.arm, True, f"on the floor with z up; {why}".rstrip("; "))
+    words = f"on the floor with z up, {100 * stability:.0f} cm from tipping over at home"
+    return RobotTest("upright", robot.arm, stability >= MIN_STABILITY, words)

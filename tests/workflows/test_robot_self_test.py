@@ -1,0 +1,142 @@
+"""The self-test of a robot finds a home in contact, a wrong opening and a wrong base link."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.urdf_parts import dual_armed, mobile_manipulator
+
+from momapos.apps.cli.robot import robot_check
+from momapos.model.robots.robot import Robot, load_arms, load_robot
+from momapos.model.robots.robot_tests import RobotTest, examine_at_rest
+from momapos.model.robots.robot_writer import write_robot
+from momapos.workflows.robot_self_test import self_test
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator())
+    return write_robot(path)[0]
+
+
+def changed(file: Path, pattern: str, new: str) -> Robot:
+    text, count = re.subn(pattern, new, file.read_text(), flags=re.M)
+    assert count >= 1
+    file.write_text(text)
+    return load_robot(file)
+
+
+def failed(tests: Sequence[RobotTest]) -> list[str]:
+    return [test.name for test in tests if test.passed is False]
+
+
+def test_a_robot_of_boxes_passes_and_opens_a_drawer(file: Path) -> None:
+    tests = self_test(load_arms(file))
+    assert [(test.name, test.passed) for test in tests] == [
+        ("home", True), ("gripper", True), ("upright", True), ("drawer", True),
+    ]  # fmt: skip
+    assert "opens kitchen_small" in tests[-1].words
+
+
+def test_each_arm_has_tests_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(dual_armed())
+    tests = [test for robot in load_arms(write_robot(path)[0]) for test in examine_at_rest(robot)]
+    assert {test.arm for test in tests} == {"left", "right"}
+    assert failed(tests) == []
+
+
+def test_a_home_in_contact_fails_and_names_the_links(file: Path) -> None:
+    robot = changed(file, r"^home = .*", "home = [0.0, 0.0, 0.0, 2.4, 0.0, 2.4, 0.0]")
+    home = examine_at_rest(robot)[0]
+    assert home.passed is False
+    assert re.search(r"arm_\d|palm|torso", home.words)
+    assert "change home in robot.toml" in home.remedy
+    drawer = self_test([robot])[-1]
+    assert (drawer.name, drawer.passed) == ("drawer", None), "it is not tried then"
+
+
+def test_a_home_below_the_floor_fails(file: Path) -> None:
+    robot = changed(file, r"^home = .*", "home = [0.0, 0.0, 1.6, 0.0, 0.0, 0.0, 0.0]")
+    assert failed(examine_at_rest(robot)) == ["home"]
+    assert re.search("below the floor|touches", examine_at_rest(robot)[0].words)
+
+
+@pytest.mark.parametrize(("opening", "ok"), [("0.09", True), ("0.05", True), ("0.15", False)])
+def test_an_opening_beyond_the_travel_of_the_fingers_fails(
+    file: Path, opening: str, ok: bool
+) -> None:
+    robot = changed(file, r"^opening = .*", f"opening = {opening}")
+    test = examine_at_rest(robot)[1]
+    assert test.passed is ok
+    assert "the fingertips open to 0.090 m" in test.words
+
+
+def test_a_closing_axis_along_the_fingers_fails(file: Path) -> None:
+    robot = changed(file, r"^closing_axis = .*", "closing_axis = [0, 0, 1]")
+    assert examine_at_rest(robot)[1].passed is not True
+
+
+@pytest.mark.parametrize("height", [0.2, -0.1])
+def test_a_base_link_off_the_floor_fails(tmp_path: Path, height: float) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator(base_z=height))
+    derived = write_robot(path)[0]
+    assert failed(examine_at_rest(load_robot(derived))) == []
+    robot = changed(derived, r"^base_link = .*", 'base_link = "base_link"')
+    upright = examine_at_rest(robot)[2]
+    assert upright.passed is False
+    assert "base_link in robot.toml must lie on the floor" in upright.remedy
+
+
+def test_a_failed_test_is_the_first_line_and_the_file_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator(fingers=False))
+    assert robot_check(path) == 0
+    first, *_ = capsys.readouterr().out.splitlines()
+    assert first.startswith("FAILED: gripper: no finger with a collision shape moves")
+    assert "set grips to suction or hook in robot.toml" in first
+    assert "--visual-hulls" in first
+    assert path.with_suffix(".toml").exists()
+    assert robot_check(path.with_suffix(".toml"), json=True) == 0
+    tests = json.loads(capsys.readouterr().out)["self_test"]
+    assert {test["name"]: test["passed"] for test in tests} == {
+        "home": True, "gripper": False, "upright": True, "drawer": None,
+    }  # fmt: skip
+
+
+def test_nothing_is_written_if_the_self_test_is_interrupted(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator())
+
+    def interrupted(_arms: Sequence[Robot]) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_robot(path, inspect=interrupted)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_drawer_that_a_weak_arm_cannot_open_gives_the_reason(tmp_path: Path) -> None:
+    """The arm's lift joints bear a tenth of what the arm weighs."""
+    path = tmp_path / "robot.urdf"
+    text = re.sub(
+        r'(<link name="arm_\d">)',
+        r'\1<inertial><mass value="4"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0"'
+        r' iyz="0"/></inertial>',
+        mobile_manipulator(),
+    )
+    path.write_text(text)
+    robot = load_robot(write_robot(path)[0])
+    drawer = self_test([robot])[-1]
+    assert drawer.passed is not True
+    assert "needs" in drawer.words
+    assert np.isfinite(robot.home).all()
