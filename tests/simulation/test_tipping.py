@@ -82,3 +82,27 @@ def test_a_robot_without_masses_of_its_base_is_not_judged(
     assert done.success
     assert done.execution is not None
     assert done.execution.stability is None
+
+
+def test_a_base_that_is_pulled_off_the_floor_tips_over_and_its_record_stays_finite(
+    drawer: PlacementPlan, robots: Robots
+) -> None:
+    """Its wheels bear nothing, so no zero moment point exists."""
+    seen: list[tuple[bool, float | None]] = []
+
+    def lift(world: Simulation, _: float, stage: Stage) -> None:
+        if stage is Stage.GRIP and not seen:
+            tipping = Tipping(world, 0.01)
+            tipping.update()
+            gravity = world.model.opt.gravity.copy()
+            world.model.opt.gravity[:] = -gravity  # everything pulls up
+            for _ in range(100):
+                tipping.update()
+            world.model.opt.gravity[:] = gravity
+            seen.append((tipping.tips, tipping.stability))
+
+    run(drawer, robots("segway_ur5e"), watch=lift, tries=1)
+    ((tips, stability),) = seen
+    assert tips
+    assert stability is not None
+    assert -1.0 <= stability < 0.0

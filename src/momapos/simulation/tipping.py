@@ -24,6 +24,9 @@ MAX_TILT = math.radians(1.0)
 """Tilt at which a base counts as tipped over [rad]: a wheel 40 cm from the edge is 7 mm up."""
 LEANING_TILT = MAX_TILT / 5
 """Tilt at which the arm stops to pull [rad]."""
+LIFTED = -1.0
+"""Stability of a base that is pulled off the floor, and the least that counts: a light load on the
+floor puts the zero moment point anywhere [m]."""
 SMOOTHING_TIME = 0.1
 """Time constant of the filter of the recorded stability, which leaves impacts out [s]."""
 
@@ -62,15 +65,21 @@ class Tipping:
         support = self._world.support
         if support is None:
             return
-        point = self._zero_moment_point()
-        distance = float(edge_distances(point[None], support)[0])
-        margin = distance if contains(support, point[None])[0] else -distance
+        margin = self._margin(support)
         before = margin if self._smooth is None else self._smooth
         share = self._step / (SMOOTHING_TIME + self._step)
         self._smooth = before + share * (margin - before)
         least = self._smooth if self.stability is None else self.stability
         self.stability = min(least, self._smooth)
         self._turn(margin)
+
+    def _margin(self, support: Float[np.ndarray, "k 2"]) -> float:
+        """Return how far inside the wheels' outline the zero moment point is [m]."""
+        point = self._zero_moment_point()
+        if point is None:
+            return LIFTED
+        distance = float(edge_distances(point[None], support)[0])
+        return distance if contains(support, point[None])[0] else max(-distance, LIFTED)
 
     def _turn(self, margin: float) -> None:
         """Integrate the turn about the edge, on which the weight acts with a lever."""
@@ -83,8 +92,8 @@ class Tipping:
         if self._tilt <= 0.0:
             self._tilt = self._rate = 0.0
 
-    def _zero_moment_point(self) -> Float[np.ndarray, "2"]:
-        """Return where the floor's reaction acts [m], in the frame of the base."""
+    def _zero_moment_point(self) -> Float[np.ndarray, "2"] | None:
+        """Return where the floor reacts [m], in the frame of the base; None where it does not."""
         model, data = self._world.model, self._world.data
         # The engine integrates damping implicitly, so that its own accelerations are not the real.
         kept, change = data.qacc.copy(), data.qvel - self._velocity
@@ -95,7 +104,7 @@ class Tipping:
         center = data.subtree_com[model.body_rootid[self._body]]
         moment = torque + np.cross(center, force)
         if force[2] <= 0.0:
-            return np.full(2, np.inf)
+            return None
         point = np.array([[-moment[1], moment[0]]]) / force[2]
         T = data.xmat[self._body].reshape(3, 3)
         pose = np.array([*data.xpos[self._body][:2], np.arctan2(T[1, 0], T[0, 0])])
