@@ -1,6 +1,6 @@
 """Decide by hulls where spheres of an arm hit a box: spheres protrude by up to two centimeters.
 
-A link and a box are apart if a plane along a face of the box separates their hulls. Links beside
+A link and a box are apart if a plane along a face of the box separates their hulls. Links next to
 an edge of a box may be apart without such a plane; for them the spheres' answer stands.
 """
 

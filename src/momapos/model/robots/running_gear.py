@@ -251,7 +251,7 @@ class _Finder:
         return self._steered(Wheel(joint.name, joint.child, center, axle), joint)
 
     def _turns_upright(self, joint: Joint) -> bool:
-        return joint.kind != "prismatic" and abs(self._axis(joint)[2]) > 1 - LEVEL_COSINE
+        return bool(joint.kind != "prismatic" and abs(self._axis(joint)[2]) > 1 - LEVEL_COSINE)
 
     def _steered(self, wheel: Wheel, turn: Joint) -> Wheel:
         """Return a wheel with the joint that steers it."""
