@@ -58,17 +58,17 @@ _types(lanes.store_lanes, signature(types.none, _rows, types.int64, _vector))
 
 @lower_builtin(operator.add, _vector, _vector)
 def _add(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-    return builder.fadd(*args, flags=("contract",))
+    return builder.fadd(*args)
 
 
 @lower_builtin(operator.sub, _vector, _vector)
 def _sub(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-    return builder.fsub(*args, flags=("contract",))
+    return builder.fsub(*args)
 
 
 @lower_builtin(operator.mul, _vector, _vector)
 def _mul(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-    return builder.fmul(*args, flags=("contract",))
+    return builder.fmul(*args)
 
 
 @lower_builtin(lanes.highest, _vector)
