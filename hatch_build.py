@@ -18,7 +18,10 @@ runpy.run_module("momapos.core.compiled.pack", run_name="__main__")
 
 
 class KernelPack(BuildHookInterface):
-    """Puts `kernels.zip` beside `momapos/core/compiled/code_store.py`; without it kernels compile at run."""
+    """Puts `kernels.zip` next to `momapos/core/compiled/code_store.py`.
+
+    Without it kernels compile when they are first used.
+    """
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the pack in a process of its own, as numba reads the processor's name once."""
