@@ -109,8 +109,8 @@ def test_clearance_counts_against_everything(robot: Robot) -> None:
 
 def test_a_carried_object_may_touch_what_it_is_taken_from_but_not_the_arm(robot: Robot) -> None:
     rng = np.random.default_rng(4)
-    thing = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
-    center, radius = box_spheres(thing)
+    held = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
+    center, radius = box_spheres(held)
     in_segment = robot.chain.tool_offset + center @ robot.chain.tool_rotation.T
     loaded = carry(robot.spheres.by_hulls, robot.chain.last, in_segment, radius)
     world = world_of(robot, rng, static=4, moving=2, clearance=0.0)

@@ -191,6 +191,18 @@ def any_filled(c, r, low, shape, filled):
 
 
 @kernel
+def bucket_at(m, world):
+    """Return the bucket that holds a point, or -1 outside the grid."""
+    low, shape = world.grid_origin, world.grid_shape
+    i = int(np.floor((m[0] - low[0]) / CELL))
+    j = int(np.floor((m[1] - low[1]) / CELL))
+    k = int(np.floor((m[2] - low[2]) / CELL))
+    if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+        return -1
+    return (i * shape[1] + j) * shape[2] + k
+
+
+@kernel
 def _hit_static(R, p, bounds, spheres, world, margin):
     center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius = spheres.segment, spheres.bound_radius
@@ -203,12 +215,9 @@ def _hit_static(R, p, bounds, spheres, world, margin):
             continue
         for s in range(start[g], start[g + 1]):
             m = moved(R, p, segment[g], center[s])
-            i = int(np.floor((m[0] - low[0]) / CELL))
-            j = int(np.floor((m[1] - low[1]) / CELL))
-            k = int(np.floor((m[2] - low[2]) / CELL))
-            if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+            cell = bucket_at(m, world)
+            if cell < 0:
                 continue
-            cell = (i * shape[1] + j) * shape[2] + k
             for at in range(grid_start[cell], grid_start[cell + 1]):
                 b = grid_index[at]
                 r = radius[s] + margin

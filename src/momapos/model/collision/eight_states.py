@@ -1,8 +1,8 @@
 """Collision kernels of eight states of an arm at once, in single precision.
 
-They find the first collision among states along a motion much sooner than one state after another.
-`arm_collision` defines what a collision is. Spheres grow by `ROUNDING`, so that nothing is missed,
-and where hulls may decide, the kernels of single states do.
+They check the states of a motion several times as fast as the kernels of single states.
+`arm_collision` defines what a collision is. Spheres grow by `ROUNDING`, so that no collision is
+missed. Where only hulls tell, the caller asks the kernels of single states.
 """
 
 from __future__ import annotations
@@ -238,13 +238,10 @@ def _moving_hits(state, spheres, world, margin, fine, states):
         for b in range(len(center)):
             if state.holding and role == PALM and world.grasped[b]:
                 continue
-            if _near_box(bound, far, center, rotation, half, b) == 0:
-                continue
-            for s in range(spheres.start[g], spheres.start[g + 1]):
-                c = _moved(states.poses, spheres.segment[g], spheres.center, s)
-                hit |= _near_box(c, spheres.radius[s] + margin, center, rotation, half, b)
-                if hit != 0 and not fine:
-                    return hit
+            boxes = center, rotation, half
+            hit |= _group_hits(g, bound, far, b, boxes, spheres, margin, fine, states)
+            if hit != 0 and not fine:
+                return hit
     return hit
 
 
@@ -252,6 +249,7 @@ def _moving_hits(state, spheres, world, margin, fine, states):
 def _static_hits(spheres, world, margin, fine, states):
     """Return in which lanes a static box is hit; some of them unless `fine`."""
     count, hit = _near_blocks(spheres, world, margin, states), 0
+    boxes = world.center, world.rotation, world.half
     # The hand, which is hit most, comes last.
     for g in range(len(spheres.segment) - 1, -1, -1):
         if count == 0 or spheres.gripper[g] == KNOWN:
@@ -264,7 +262,7 @@ def _static_hits(spheres, world, margin, fine, states):
             b = block * LANES
             while bits != 0:
                 if bits & 1:
-                    hit |= _group_hits(g, bound, far, b, spheres, world, margin, fine, states)
+                    hit |= _group_hits(g, bound, far, b, boxes, spheres, margin, fine, states)
                     if hit != 0 and not fine:
                         return hit
                 bits, b = bits >> 1, b + 1
@@ -310,9 +308,9 @@ def _overlapping(blocks, block, low, high):
 
 
 @kernel
-def _group_hits(g, bound, far, b, spheres, world, margin, fine, states):
-    """Return in which lanes a group of spheres hits static box b; some of them unless `fine`."""
-    center, rotation, half, hit = world.center, world.rotation, world.half, 0
+def _group_hits(g, bound, far, b, boxes, spheres, margin, fine, states):
+    """Return in which lanes a group of spheres hits box b; some of them unless `fine`."""
+    (center, rotation, half), hit = boxes, 0
     if _near_box(bound, far, center, rotation, half, b) == 0:
         return hit
     for s in range(spheres.start[g], spheres.start[g + 1]):

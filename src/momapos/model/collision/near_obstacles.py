@@ -6,12 +6,10 @@ an edge of a box may be apart without such a plane; for them the spheres' answer
 
 from __future__ import annotations
 
-import numpy as np
-
 from momapos.core.compiled import kernel
 
 from .arm_collision import FINGER, KNOWN, PALM, box_gap
-from .collision_world import CELL
+from .collision_world import bucket_at
 from .hull_overlap import farthest_vertex, moved
 
 
@@ -58,15 +56,12 @@ def _hits_moving(R, p, bounds, g, state, spheres, world, margin):
 
 @kernel
 def _hits_static(R, p, g, spheres, world, margin):
-    low, shape, known = world.grid_origin, world.grid_shape, -1
+    known = -1
     for s in range(spheres.start[g], spheres.start[g + 1]):
         m = moved(R, p, spheres.segment[g], spheres.center[s])
-        i = int(np.floor((m[0] - low[0]) / CELL))
-        j = int(np.floor((m[1] - low[1]) / CELL))
-        k = int(np.floor((m[2] - low[2]) / CELL))
-        if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+        cell, r = bucket_at(m, world), spheres.radius[s] + margin
+        if cell < 0:
             continue
-        cell, r = (i * shape[1] + j) * shape[2] + k, spheres.radius[s] + margin
         for at in range(world.grid_start[cell], world.grid_start[cell + 1]):
             b = world.grid_index[at]
             if b == known or box_gap(m, r, world.center, world.rotation, world.half, b) >= 0.0:

@@ -6,7 +6,7 @@ import numpy as np
 
 from momapos.core.compiled import F2, entry, kernel
 
-from .outline_gaps import gap, select
+from .outline_gaps import gap, nearness, select
 from .reeds_shepp import (
     MAX_CURVES,
     MAX_PIECES,
@@ -41,7 +41,7 @@ def arc(a, length, curvature, surroundings, weights, scratch):
         if done >= moved:
             return cost
         step = min(g - need / 2, moved - done)
-        cost += step * rate * (1 + weights.proximity * max(0.0, 1 - g / preferred) ** 2)
+        cost += step * rate * nearness(g, preferred, weights)
         done += step
 
 

@@ -190,8 +190,14 @@ def leg(a, b, turn, surroundings, weights, scratch):
         if done >= moved:
             return cost
         step = min(g - need / 2, moved - done)
-        cost += step * rate * (1 + weights.proximity * max(0.0, 1 - g / preferred) ** 2)
+        cost += step * rate * nearness(g, preferred, weights)
         done += step
+
+
+@kernel
+def nearness(gap_there, preferred, weights):
+    """Return the factor of the cost of a motion at a distance from obstacles [-]."""
+    return 1 + weights.proximity * max(0.0, 1 - gap_there / preferred) ** 2
 
 
 @kernel
