@@ -184,24 +184,27 @@ def test_a_forked_child_runs_loaded_code_and_loads_more(tmp_path: Path) -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
-def test_a_child_forked_while_a_thread_compiles_can_load_code() -> None:
+def test_a_fork_waits_for_a_thread_that_compiles_and_its_child_can_load_code() -> None:
     held, done = threading.Event(), threading.Event()
+    order: list[str] = []
 
     def hold() -> None:
         with stores.store._lock:
             held.set()
             done.wait()
+            order.append("compiled")
 
     thread = threading.Thread(target=hold)
     thread.start()
     held.wait()
+    threading.Timer(0.1, done.set).start()
     child = os.fork()
     if child == 0:
         os._exit(0 if stores.store._lock.acquire(timeout=5) else 1)
-    status = os.waitpid(child, 0)[1]
-    done.set()
+    order.append("forked")
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     thread.join()
-    assert os.waitstatus_to_exitcode(status) == 0
+    assert order == ["compiled", "forked"]
 
 
 def test_a_kernel_counts_references_only_of_its_own_arrays() -> None:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import llvmlite
 import llvmlite.binding as llvm
 
+from momapos.core import forking as forking  # renews the locks of cached properties
 from momapos.core.cache import Cache, content_key, default_cache_dir
 
 from .kernel_source import KernelSource
@@ -179,9 +180,13 @@ store = Store(default_cache_dir())
 """The store of this process."""
 
 
+def _before_fork() -> None:
+    """Wait until no thread compiles or links, so that a child has whole code and a free LLVM."""
+    store._lock.acquire()
+
+
 def _after_fork() -> None:
-    """Replace the lock in a forked child, which has no copy of the thread that may hold it."""
-    store._lock = threading.RLock()
+    store._lock.release()
 
 
-os.register_at_fork(after_in_child=_after_fork)
+os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -293,6 +294,9 @@ class Feasibility:
 def _threads() -> ThreadPoolExecutor:
     """Return a shared thread pool: starting a thread takes as long as several paths."""
     return ThreadPoolExecutor(_THREADS, "arm paths")
+
+
+os.register_at_fork(after_in_child=_threads.cache_clear)  # a forked child has no threads
 
 
 def _farther(path: ArmPath, other: ArmPath) -> bool:
