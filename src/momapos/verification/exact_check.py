@@ -31,6 +31,7 @@ from .report import DEFAULT, Check, Limits, Report, at_most
 from .robot_collision_model import RobotDescription, robot_collision_model
 from .robot_efforts import robot_efforts
 from .sweep import all_pairs, deepest
+from .time_checks import time_checks
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -220,6 +221,7 @@ class PlanVerifier:
         yield from latch_checks(part, motion, limits)
         yield from paths.joint_checks(robot, motion, limits)
         yield from paths.home_checks(motion, limits)
+        yield from time_checks(robot, motion, limits)
         yield from paths.tool_checks(Ts_planned, motion, limits)
         yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
         yield paths.reach_check(part, self.task.verb, motion, Ts_planned, limits)

@@ -14,6 +14,7 @@ from momapos.model.urdf import Articulated, read_urdf
 
 from .exact_check import PlanVerifier
 from .report import DEFAULT, Limits, Report, verdict
+from .trust_notes import trust_notes
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,14 @@ def verify_files(
     srdf = None
     if plan.robot_srdf is not None:
         srdf = find_file("robot.srdf", plan.robot_srdf, folders, plan_path)
-    verifier = PlanVerifier(scene, _arm(plan, urdf, srdf, cache), plan.task, limits)
+    if srdf is None and urdf.with_suffix(".srdf").is_file():
+        srdf = urdf.with_suffix(".srdf")
+    robot = _arm(plan, urdf, srdf, cache)
+    verifier = PlanVerifier(scene, robot, plan.task, limits)
     report = verifier.check(plan.base_pose, plan.motion)
     drive = verifier.drive_checks(plan) if len(plan.motion.approach) else ()
-    checks, notes = [*report.checks, *drive], [*scene.warnings, *report.notes, *assumed]
+    trusted = trust_notes(scene, robot, srdf)
+    checks, notes = [*report.checks, *drive], [*scene.warnings, *report.notes, *trusted, *assumed]
     if (assumed or plan.status == "assumed") and not allow_assumed:
         checks.insert(0, verdict("status is solved", False, "; ".join(assumed) or "assumed"))
     return Report(tuple(checks), tuple(notes), report.gripper_depth)
@@ -126,7 +131,7 @@ def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = None) 
 
 
 def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None, cache: Cache | None) -> UrdfArm:
-    disabled = read_srdf(srdf or urdf.with_suffix(".srdf"))
+    disabled = frozenset() if srdf is None else read_srdf(srdf)
     record = read_urdf(urdf, cache=cache, visuals=False, actuated=True)
     model = Articulated(record, plan.robot_rest, cache)
     return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

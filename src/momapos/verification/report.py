@@ -38,6 +38,9 @@ class Limits:
     """Gap between two consecutive phases, such as approach and manipulation [rad] or [m]."""
     joint: float = 1e-4
     """Excess over a joint limit [rad] or [m]."""
+    speed: float = 1.01
+    """Share of a joint's limits of speed and acceleration that the plan's times may need; 1 % for
+    splines, which swing past their states between them [-]."""
     effort: float = MAX_EFFORT_SHARE
     """Share of a joint's effort limit that a state may need at rest [-]."""
     stability: float = MIN_STABILITY
@@ -54,7 +57,7 @@ class Limits:
         refuse_below(self, 1e-4, "step")
         refuse_below(self, 0, "deeper", "fk_position", "fk_rotation", "slip_position")
         refuse_below(self, 0, "slip_rotation", "reach", "goal", "jump", "join", "joint")
-        refuse_below(self, 0, "floor_edge", "effort")
+        refuse_below(self, 0, "floor_edge", "effort", "speed")
         refuse_below(self, 1, "states", "poses")
 
 

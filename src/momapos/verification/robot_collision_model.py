@@ -44,6 +44,10 @@ class RobotCollisionModel:
     joints: tuple[str, ...]
     lower: Float[np.ndarray, " n"]
     upper: Float[np.ndarray, " n"]
+    speed: Float[np.ndarray, " n"]
+    """Largest joint speeds, infinite where the file names none [rad/s] or [m/s]."""
+    acceleration: Float[np.ndarray, " n"]
+    """Largest joint accelerations, infinite where the file names none [rad/s^2] or [m/s^2]."""
     T_base_root: Float[np.ndarray, "4 4"]
     """Pose of the root link in the base link's frame."""
     tool_body: int
@@ -107,12 +111,16 @@ def _robot_collision_model(
     T_root_base = _link_pose(bodies, base_link)
     moved = of_bodies(shapes, moving)
     base = np.setdiff1d(np.arange(len(shapes)), moved)
-    pairs = _self_pairs(bodies, shapes, moved, disabled)
+    pairs = self_pairs(bodies, shapes, moved)
+    named = [frozenset((shapes.names[i], shapes.names[j])) in disabled for i, j in pairs]
+    pairs = pairs[~np.array(named, bool)]
     return RobotCollisionModel(
         bodies=bodies,
         joints=arm_joints,
         lower=np.array([joint.lower for joint in joints]),
         upper=np.array([joint.upper for joint in joints]),
+        speed=np.array([joint.velocity for joint in joints]),
+        acceleration=np.array([joint.acceleration for joint in joints]),
         T_base_root=invert(T_root_base),
         tool_body=bodies.of_link[tool_link],
         T_body_tool=bodies.T_body_link[tool_link],
@@ -140,22 +148,16 @@ def _among(
     return np.stack([np.searchsorted(first, pairs[:, 0]), np.searchsorted(second, pairs[:, 1])], 1)
 
 
-def _self_pairs(
-    bodies: LinkBodies,
-    shapes: Shapes,
-    moved: Int[np.ndarray, " a"],
-    disabled: frozenset[frozenset[str]],
+def self_pairs(
+    bodies: LinkBodies, shapes: Shapes, moved: Int[np.ndarray, " a"]
 ) -> Int[np.ndarray, "p 2"]:
-    """Return the pairs of the robot's shapes that may not overlap.
+    """Return the pairs of the robot's shapes that may not overlap, unless its SRDF says so.
 
-    Excluded are pairs of one body, of two bodies connected by a joint, and those that the robot's
-    SRDF disables. Pairs that touch with all joints at rest are not excluded: an arm may be folded
+    Excluded are pairs of one body and of two bodies connected by a joint. Pairs that touch with all joints at rest are not excluded: an arm may be folded
     into itself there.
     """
     pairs = all_pairs(len(shapes), len(shapes))
     pairs = pairs[pairs[:, 0] < pairs[:, 1]]
     of, parent = shapes.body[pairs], np.array(bodies.parent)[shapes.body[pairs]]
     joined = (of[:, 0] == of[:, 1]) | (parent[:, 0] == of[:, 1]) | (parent[:, 1] == of[:, 0])
-    pairs = pairs[~joined & np.isin(pairs, moved).any(1)]
-    named = [frozenset((shapes.names[i], shapes.names[j])) in disabled for i, j in pairs]
-    return np.asarray(pairs[~np.array(named, bool)])
+    return np.asarray(pairs[~joined & np.isin(pairs, moved).any(1)])

@@ -93,7 +93,7 @@ def open_plan(
     from momapos.core import user_cache
     from momapos.model.plan_files import check_unchanged, read_plan
     from momapos.model.scene import as_planned
-    from momapos.verification import find_file, read_scene
+    from momapos.verification import check_plan_numbers, find_file, read_scene
 
     content = read_plan(plan)
     if content.status == "assumed" and not allow_assumed:
@@ -112,7 +112,9 @@ def open_plan(
         rooms[scene_file] = read_scene(scene_file, scene_root, cache=user_cache())
         print_warnings(rooms[scene_file].warnings)
     scene = as_planned(rooms[scene_file], content)
-    return content, scene, _robot(content, plan, urdf, robot)
+    machine = _robot(content, plan, urdf, robot)
+    check_plan_numbers(content, scene, machine, str(plan))
+    return content, scene, machine
 
 
 def open_run(
