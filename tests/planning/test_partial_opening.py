@@ -7,6 +7,7 @@ import json
 import math
 from contextlib import redirect_stdout
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +26,6 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.planning import partial_opening
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
@@ -168,18 +168,31 @@ def test_no_value_that_is_solved_directly_is_beyond_the_largest_one_found(
 @pytest.mark.slow
 @pytest.mark.parametrize("robot_name", ["fetch", "segway_ur5e", "ranger_rm63", "tiago"])
 def test_with_enough_time_nothing_is_solved_beyond_the_stated_opening(
-    kitchen: Scene, robot_name: str, monkeypatch: pytest.MonkeyPatch
+    kitchen: Scene, robot_name: str
 ) -> None:
-    monkeypatch.setattr(partial_opening, "TIMEOUT", 300.0)
     robot = load_robot(robot_name)
     task = make_task(kitchen, "open", "dishwasher", "door_hinge")
     answer = plan_base_placement(kitchen, robot, task)
     if answer.plan.status == "solved":
         return
-    stated = add_max_opening(answer.plan, kitchen, robot, load_reach_map(robot)).feasible_to or 0.0
+    reach, config = load_reach_map(robot), PipelineConfig(timeout=600.0)
+    found = add_max_opening(answer.plan, kitchen, robot, reach, config=config)
+    stated = found.feasible_to or 0.0
     for ahead in (1.0, 2.0, 3.0, 6.0):
         farther = replace(task, to=stated + math.radians(ahead))
         assert plan_base_placement(kitchen, robot, farther).plan.status == "infeasible"
+
+
+def test_the_time_limit_ends_the_search_for_a_smaller_value_and_a_note_says_so(
+    kitchen: Scene, fetch: Robot, refused: PlacementPlan
+) -> None:
+    bare, times = replace(refused, feasible_to=None, feasible_from=None, notes=()), count()
+    late = add_max_opening(
+        bare, kitchen, fetch, load_reach_map(fetch), clock=lambda: 1e6 * next(times)
+    )
+    assert late.feasible_to is None
+    assert late.notes[0].startswith("the time limit ended the search for a smaller value")
+    assert not refused.notes
 
 
 def test_the_stated_base_pose_opens_to_the_stated_value(

@@ -23,6 +23,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion.carried_motion import adapt_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, placement_tolerance, plan_base_placement
+from momapos.planning.placement.problem import Search
 from momapos.planning.replan_nearby import Depth, NearbyReplanner
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
@@ -195,6 +196,30 @@ def test_an_exception_of_the_clock_ends_the_work(answer: PlacementResult) -> Non
     with pytest.raises(TimeoutError):
         with_tolerance(answer, clock=clock)
     assert reads <= 12  # the stopwatch reads the clock as it stops
+
+
+def test_the_time_limit_ends_the_measurement_and_a_note_says_so(answer: PlacementResult) -> None:
+    reads = 0
+
+    def clock() -> float:
+        nonlocal reads
+        reads += 1
+        return 1e9 if reads > 6 else 0.0
+
+    late = with_tolerance(answer, clock=clock).plan
+    assert late.tolerance is None
+    assert late.notes[-1].startswith("the time limit ended the measurement of the tolerance")
+    assert reads <= 10
+
+
+def test_a_base_pose_accepted_because_time_is_up_is_marked(answer: PlacementResult) -> None:
+    _, base, motion = motion_of(answer)
+    found = Search(timed_out=True, fallback=(base, motion, 1.0))
+    found.accept_fallback()
+    assert found.ended_early
+    complete = Search(fallback=(base, motion, 1.0))
+    complete.accept_fallback()
+    assert not complete.ended_early
 
 
 def test_without_a_motion_there_is_no_tolerance() -> None:

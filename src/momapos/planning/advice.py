@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Clock
+from momapos.core import Clock, Stopwatch
 from momapos.model.records import ANYWHERE, RULED_OUT, ReachScorer
 from momapos.model.robots import Robot
 from momapos.model.scene import SceneObject
@@ -19,6 +19,7 @@ from momapos.planning.grasps import hand_path
 from .moved_objects import smallest_move
 from .query import PlacementQuery
 from .result import PlacementResult
+from .time_limit import ADVICE, cut_short, time_left, with_note
 from .trials import Trials
 from .wider_regions import relaxed_restriction
 
@@ -34,8 +35,6 @@ MAX_OBJECTS = 8
 """Maximum number of objects that are removed for a trial, one at a time [-]."""
 MAX_JOINTS = 6
 """Maximum number of joints that are put at another end for a trial, one at a time [-]."""
-MIN_TIME = 1.0
-"""Time for the trials even after a quick refusal [s]."""
 SAME_VALUE = 0.01
 """A joint that would move less is there already [rad] or [m]."""
 _FIXED = ("wall", "floor", "ceiling", "window")
@@ -55,7 +54,7 @@ def with_advice(
     The changes, in this order: a wider restriction of the base pose; a door or drawer of
     furniture that is hit at its other end; one of the objects near the part moved, as little as
     trials show, or else removed; another robot. Each trial is a search by samples, whose plan
-    passes the exact check. All together take as long as the answer itself did, at least `MIN_TIME`.
+    passes the exact check. Their number is limited, and the time limit of the answer includes them.
 
     Args:
         answer: The answer; returned unchanged unless it is infeasible and has its query.
@@ -65,11 +64,16 @@ def with_advice(
     query = answer.query
     if query is None or answer.plan.status != "infeasible":
         return answer
-    limit = max(MIN_TIME, answer.plan.timing.get("total", 0.0))
-    change = next(_changes(answer, query, others, Trials(clock, clock() + limit)), None)
+    watch = Stopwatch(clock)
+    trials = Trials(clock, clock() + time_left(answer.plan, query.config.timeout))
+    with watch.stage(ADVICE):
+        change = next(_changes(answer, query, others, trials), None)
+    answer = replace(
+        answer, plan=replace(answer.plan, timing={**answer.plan.timing, **watch.seconds})
+    )
     base = None if change is None else change[1].plan.base_pose
     if change is None or base is None:
-        return answer
+        return answer if not trials.late else with_note(answer, cut_short("the trials for advice"))
     x, y, yaw = base
     advice = f"feasible {change[0]}, from ({x:.3f}, {y:.3f}, {np.degrees(yaw):.1f} deg)"
     return replace(answer, plan=replace(answer.plan, advice=advice))

@@ -17,6 +17,7 @@ from .config import PipelineConfig
 from .max_opening import farthest_answer, last_of_all, values_before, values_per_waypoint
 from .query import PlacementQuery
 from .result import PlacementResult
+from .time_limit import cut_short, with_note
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -48,8 +49,11 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
         left = max(config.timeout - watch.total, MIN_TIMEOUT)
         best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
     known = replace(best.plan.task, farthest=sure and best.plan.feasible)
-    timing = watch.timing
-    return replace(best, plan=replace(best.plan, task=known, timing=timing))
+    best = replace(best, plan=replace(best.plan, task=known, timing=watch.timing))
+    late = watch.total > config.timeout - MIN_TIMEOUT
+    if late and best.plan.feasible and not sure:
+        return with_note(best, cut_short("the search for the largest value"))
+    return best
 
 
 def find_max_opening(

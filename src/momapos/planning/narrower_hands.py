@@ -22,6 +22,7 @@ from momapos.planning.grasps import TaskMotion, held_thickness
 from .query import PlacementQuery
 from .result import PlacementResult
 from .task_setup import PreparedTask, prepare
+from .time_limit import cut_short, with_note
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -54,8 +55,11 @@ def with_narrower_hand(
     for other in narrower_hands(query, answer.prepared):
         found = plan(other)
         if not found.plan.feasible:
-            undecided = found.plan.status == "timeout" and answer.plan.status == "infeasible"
-            return found if undecided else answer
+            if found.plan.status != "timeout":
+                return answer
+            if answer.plan.status == "infeasible":
+                return found
+            return with_note(answer, cut_short("the search with a wider hand"))
         answer = replace(found, query=replace(other, keep_grasps=query.keep_grasps))
     return answer
 

@@ -16,13 +16,12 @@ from momapos.verification import meets_floor_at
 
 from .config import PipelineConfig
 from .max_opening import values_per_waypoint
-from .max_opening_plan import find_max_opening, values_short_of
+from .max_opening_plan import MIN_TIMEOUT, find_max_opening, values_short_of
 from .plan import plan_to_value
 from .query import PlacementQuery
+from .time_limit import FARTHEST, cut_short, time_left
 
 DEFAULT = PipelineConfig()
-TIMEOUT = 60.0
-"""Limit of processor time [s]: on a busy machine, too, one seed gives one answer."""
 
 
 def add_max_opening(
@@ -32,12 +31,13 @@ def add_max_opening(
     reach: ReachScorer,
     *,
     config: PipelineConfig = DEFAULT,
-    clock: Clock = time.process_time,
+    clock: Clock = time.perf_counter,
 ) -> PlacementPlan:
     """Add to an infeasible plan how far the part can be moved, and from which base pose.
 
     The value is in whole degrees or centimeters, and a plan to it exists. It is sure where the part
-    itself is blocked at the next value.
+    itself is blocked at the next value. The time limit of the plan includes this search; a note
+    says if it ended the search.
 
     Args:
         plan: The plan; returned unchanged unless it is infeasible and its task moves a joint.
@@ -57,7 +57,14 @@ def add_max_opening(
     )
     waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
     values = values_short_of(query)
-    best, sure = find_max_opening(query, plan_to_value, values, within=waypoint, timeout=TIMEOUT)
+    limit = time_left(plan, config.timeout)
+    best, sure = find_max_opening(query, plan_to_value, values, within=waypoint, timeout=limit)
+    late = watch.total > limit - MIN_TIMEOUT
+    plan = replace(
+        plan,
+        timing={**plan.timing, FARTHEST: watch.total},
+        notes=(*plan.notes, *([cut_short("the search for a smaller value")] if late else [])),
+    )
     if best is None:
         return plan
     # The values end where the part meets the floor, or before the goal, which is infeasible.

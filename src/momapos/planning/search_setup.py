@@ -24,6 +24,7 @@ from .result import PlacementResult, plan_of
 from .robust import RobustChecks
 from .sliding_grasp import SlidingHook, sliding_hooks
 from .task_setup import PreparedTask, cost_map, prepare, start_pose
+from .time_limit import cut_short, with_note
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -113,7 +114,8 @@ class SearchSetup:
         plan = plan_of(self.query, self.prepared, found, start, self.drives.path(found.base))
         if self.robust is not None and plan.motion is not None:
             plan = replace(plan, tolerance=self.robust.tolerance)
-        return PlacementResult(plan, self.prepared, found, start, self.query)
+        answer = PlacementResult(plan, self.prepared, found, start, self.query)
+        return with_note(answer, cut_short("the search")) if found.ended_early else answer
 
 
 def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> SearchSetup:

@@ -18,6 +18,7 @@ from .query import PlacementQuery
 from .replan_nearby import Depth, NearbyReplanner
 from .result import PlacementResult
 from .robust import unit_offsets
+from .time_limit import cut_short, time_left, with_note
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -95,6 +96,9 @@ def with_tolerance(
 ) -> PlacementResult:
     """Return an answer with the tolerance in its plan, and the time that this took.
 
+    The time limit of the answer includes it; if it ends the measurement, the plan has no tolerance
+    and a note says so.
+
     Args:
         answer: An answer; returned unchanged if it has no motion, or has its tolerance already.
         samples: Number of poses in a disc [-].
@@ -104,12 +108,27 @@ def with_tolerance(
     plan, query = answer.plan, answer.query
     if plan.tolerance is not None or plan.motion is None or query is None:
         return answer
+    end = clock() + time_left(plan, query.config.timeout)
+
+    def until_end() -> float:
+        if (now := clock()) > end:
+            raise _LateError
+        return now
+
     watch, base = Stopwatch(clock), np.array(plan.base_pose, float)
-    query = replace(query, task=plan.task, watch=watch)
+    query = replace(query, task=plan.task, watch=Stopwatch(until_end))
     with watch.stage("tolerance"):
-        found = measured_tolerance(query, base, plan.motion, samples=samples)
+        try:
+            found = measured_tolerance(query, base, plan.motion, samples=samples)
+        except _LateError:
+            found = None
     timing = {**plan.timing, "tolerance": watch.timing["tolerance"]}
-    return replace(answer, plan=replace(plan, tolerance=found, timing=timing))
+    answer = replace(answer, plan=replace(plan, tolerance=found, timing=timing))
+    return answer if found else with_note(answer, cut_short("the measurement of the tolerance"))
+
+
+class _LateError(Exception):
+    """The time limit ends the measurement."""
 
 
 def largest_radius(unit: Float[np.ndarray, "n 3"], failure: Failure) -> float:

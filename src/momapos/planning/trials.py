@@ -1,4 +1,4 @@
-"""Try variants of an infeasible query within a time limit."""
+"""Try variants of an infeasible query: a number of them, within a time limit."""
 
 from __future__ import annotations
 
@@ -9,35 +9,47 @@ from momapos.core import Clock, MomaposError, Stopwatch
 from momapos.model.scene import Scene
 from momapos.verification import PlanVerifier
 
-from .max_opening_plan import by_samples
+from .max_opening_plan import MIN_TIMEOUT, by_samples
 from .plan import plan_to_value
 from .query import PlacementQuery
 from .result import PlacementResult
 
+MAX_TRIALS = 10
+"""Maximum number of searches [-]. Not a time, so that a busy machine gives the same advice; of 8
+infeasible tasks in two kitchens, 5 become feasible in trials 5 to 10 and 3 in none of 16."""
 
-@dataclass(frozen=True)
+
+@dataclass
 class Trials:
-    """Searches by samples, whose plans pass the exact check, until a time."""
+    """Searches by samples, whose plans pass the exact check."""
 
     clock: Clock
     end: float
     """When the time is up, by the clock [s]."""
+    left: int = MAX_TRIALS
+    """Number of further searches [-]."""
 
     @property
-    def over(self) -> bool:
+    def late(self) -> bool:
         """Return whether the time is up."""
         return self.clock() >= self.end
 
+    @property
+    def over(self) -> bool:
+        """Return whether no search is left."""
+        return self.left <= 0 or self.late
+
     def solve(self, query: PlacementQuery, *, count: int | None = None) -> PlacementResult | None:
-        """Return a solved answer; None if none was found in time, or if the query is invalid.
+        """Return a solved answer; None if none was found, or if the query is invalid.
 
         Args:
             query: The variant.
             count: Number of samples; by default that of the configuration.
         """
-        left = self.end - self.clock()
-        if left <= 0.0:
+        if self.over:
             return None
+        self.left -= 1
+        left = max(self.end - self.clock(), MIN_TIMEOUT)
         config = by_samples(query.config)
         place = config.place if count is None else replace(config.place, count=count)
         config = replace(config, place=place, timeout=left)
@@ -52,7 +64,7 @@ class Trials:
     def keeps(self, answer: PlacementResult, scene: Scene) -> bool:
         """Return whether a plan is valid in another scene, unless the time is up."""
         plan = answer.plan
-        if self.over or plan.base_pose is None or plan.motion is None:
+        if self.late or plan.base_pose is None or plan.motion is None:
             return False
         verifier = PlanVerifier(scene, answer.prepared.robot, plan.task)
         arm = verifier.check(plan.base_pose, plan.motion)

@@ -153,8 +153,8 @@ def self_pairs(
 ) -> Int[np.ndarray, "p 2"]:
     """Return the pairs of the robot's shapes that may not overlap, unless its SRDF says so.
 
-    Excluded are pairs of one body and of two bodies connected by a joint. Pairs that touch with all joints at rest are not excluded: an arm may be folded
-    into itself there.
+    Excluded are pairs of one body and of two bodies connected by a joint. Pairs that touch with all
+    joints at rest are not excluded: an arm may be folded into itself there.
     """
     pairs = all_pairs(len(shapes), len(shapes))
     pairs = pairs[pairs[:, 0] < pairs[:, 1]]

@@ -281,7 +281,7 @@ def _largest_opening(result: PlacementResult) -> float | None:
     if query is None or not whole or query.config.place.method not in OURS:
         return plan.feasible_to
     return add_max_opening(
-        plan, query.scene, query.robot, query.reach, config=query.config
+        plan, query.scene, query.robot, query.reach, config=query.config, clock=query.watch.clock
     ).feasible_to
 
 

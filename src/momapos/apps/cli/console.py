@@ -289,12 +289,17 @@ def _span(answer: PlacementResult) -> str:
     return f"{_value(answer, q[0])} to {_value(answer, q[-1])}"
 
 
+AFTER = ("largest value", "advice")
+"""Steps after the search, whose times its total does not contain."""
+
+
 def _times(timing: object) -> str:
     stages = dict(timing)  # type: ignore[call-overload]
     total = stages.pop("total", 0.0)
     stages.pop("tolerance", None)  # printed with the tolerance
+    after = [f", {name} {1000 * stages.pop(name):.0f} ms" for name in AFTER if name in stages]
     parts = [f"{name} {1000 * value:.0f}" for name, value in stages.items() if value >= 0.0005]
-    return f"{1000 * total:.0f} ms ({', '.join(parts)})"
+    return f"{1000 * total:.0f} ms ({', '.join(parts)}){''.join(after)}"
 
 
 def _rejections(answer: PlacementResult) -> list[str]:

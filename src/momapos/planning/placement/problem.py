@@ -76,6 +76,8 @@ class Search:
     robustness: float | None = None
     """Share of the neighbors of `base` that work; None if it was not measured."""
     timed_out: bool = False
+    ended_early: bool = False
+    """Whether the time limit ended the search, and its best base pose so far was accepted."""
     blocked_in: bool = False
     """Whether the robot cannot drive on from `base` after the task."""
     fallback: tuple[Float[np.ndarray, "3"], Motion, float] | None = None
@@ -90,6 +92,7 @@ class Search:
         """Accept a base pose that blocks the robot in, if no other was found."""
         if self.motion is None and self.fallback is not None:
             self.base, self.motion, self.cost = self.fallback
+            self.ended_early |= self.timed_out
             self.blocked_in, self.timed_out = True, False
 
     @property

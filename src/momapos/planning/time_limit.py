@@ -1,0 +1,35 @@
+"""Share the time limit of an answer with what follows the search, and say what it ended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from momapos.model.records import PlacementPlan
+
+from .result import PlacementResult
+
+MIN_LEFT = 1.0
+"""What follows the search gets this time even if the search took all of it [s]."""
+FARTHEST, ADVICE = "largest value", "advice"
+"""Names of the times of steps after the search, which its total does not contain."""
+
+
+def time_left(plan: PlacementPlan, timeout: float) -> float:
+    """Return the time for what follows the search of a plan [s].
+
+    Args:
+        plan: The plan, with the time that its search took.
+        timeout: Time limit of the whole answer [s].
+    """
+    spent = sum(plan.timing.get(step, 0.0) for step in ("total", FARTHEST, ADVICE))
+    return max(MIN_LEFT, timeout - spent)
+
+
+def cut_short(what: str) -> str:
+    """Return the note that the time limit ended something."""
+    return f"the time limit ended {what}; with more time the answer may differ"
+
+
+def with_note(answer: PlacementResult, note: str) -> PlacementResult:
+    """Return an answer with a further note in its plan."""
+    return replace(answer, plan=replace(answer.plan, notes=(*answer.notes, note)))
