@@ -13,7 +13,6 @@ from .cache import Cache as Cache
 from .cache import content_key as content_key
 from .cache import default_cache_dir as default_cache_dir
 from .cache import user_cache as user_cache
-from .cache import write_atomic as write_atomic
 from .equality import compare_by_content as compare_by_content
 from .errors import FileFormatError as FileFormatError
 from .errors import InputError as InputError
@@ -33,8 +32,13 @@ from .files import parse_xml as parse_xml
 from .files import read_bytes_bounded as read_bytes_bounded
 from .files import read_text_bounded as read_text_bounded
 from .files import read_xml as read_xml
+from .forking import fork_safe_lock as fork_safe_lock
 from .stopwatch import Clock as Clock
 from .stopwatch import Stopwatch as Stopwatch
+from .temporary import incomplete as incomplete
+from .temporary import remove_if_incomplete as remove_if_incomplete
+from .temporary import temporary_folder as temporary_folder
+from .temporary import write_atomic as write_atomic
 from .torch_files import load_tensors as load_tensors
 from .units import ANGLES as ANGLES
 from .units import GRAVITY as GRAVITY

@@ -6,18 +6,17 @@ never used, and several processes may share a folder.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import logging
 import os
 import re
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from .errors import FileFormatError
 from .files import read_bytes_bounded
+from .temporary import write_atomic
 
 log = logging.getLogger(__name__)
 MAX_ENTRY_BYTES = 500_000_000
@@ -55,27 +54,6 @@ def content_key(*parts: object) -> str:
         digest.update(f"{kind} {len(data)}\n".encode())
         digest.update(data)
     return digest.hexdigest()[:32]
-
-
-def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file atomically, creating its folder: readers see the old or the new content."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.")
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        # mkstemp grants only the owner access; use the permissions of the user's other files.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
 
 
 class Cache:

@@ -8,6 +8,18 @@ import threading
 from functools import cached_property
 
 
+def fork_safe_lock() -> threading.Lock:
+    """Return a lock for which a fork waits, so that it is free in the child.
+
+    The holder must not wait for another such lock, nor fork.
+    """
+    lock = threading.Lock()
+    os.register_at_fork(
+        before=lock.acquire, after_in_parent=lock.release, after_in_child=lock.release
+    )
+    return lock
+
+
 def renew_property_locks() -> None:
     """Replace the locks of all cached properties of momapos.
 

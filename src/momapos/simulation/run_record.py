@@ -286,7 +286,7 @@ def read_run(path: Path) -> RunRecord:
     Raises:
         FileFormatError: The file is not a valid run record of this version.
     """
-    content = read_bytes_bounded(path, MAX_BYTES)
+    content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
     try:
         head = msgspec.json.decode(content, type=_RunHead)
         if (head.format, head.version) != (FORMAT, VERSION):

@@ -13,7 +13,6 @@ import json
 import re
 import shutil
 import socket
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -25,6 +24,7 @@ from momapos.core import (
     InputError,
     check_outputs,
     read_bytes_bounded,
+    temporary_folder,
     version_of,
     write_atomic,
 )
@@ -195,8 +195,7 @@ def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...], settings:
     kind = SUITES[name]
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with tempfile.TemporaryDirectory(prefix=".suite_", dir=folder) as temporary:
-            new = Path(temporary)
+        with temporary_folder(folder, "suite") as new:
             tasks = tuple(kind.build(seed, robots, new))
             names = sorted({task.scene for task in tasks})
             scenes = {scene: scene_digest(scene_path(new, scene)) for scene in names}

@@ -10,7 +10,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan
-from momapos.core import FileFormatError, InputError, read_bytes_bounded, user_cache
+from momapos.core import (
+    FileFormatError,
+    InputError,
+    read_bytes_bounded,
+    temporary_folder,
+    user_cache,
+)
 from momapos.core.geometry import apply, compose, local_points, wrap_angle
 from momapos.model.records import Scan, Task
 from momapos.model.scene import Scene, load_scene
@@ -149,8 +154,8 @@ def _make(home: Path, truth: Scene, frames: int, seed: int) -> None:
     scan = Scan(truth.name, tuple(images.frames()))
     try:
         home.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{home.name}_", dir=home.parent) as temporary:
-            new = Path(temporary) / "new"
+        with temporary_folder(home.parent, home.name) as temporary:
+            new = temporary / "new"
             new.mkdir()
             record = _modeled(scan, new / SCENE, tools, frames)
             (new / RECORD).write_text(json.dumps(to_plain(record), indent=1) + "\n")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from momapos.apps.export import write_scene
-from momapos.core import InputError, SceneError
+from momapos.core import InputError, SceneError, temporary_folder
 from momapos.model.robots import expand_xacro, is_xacro
 from momapos.model.scene import Scene, copied, load_scene, model_files, save_scene
 from momapos.model.scene.formats import (
@@ -74,8 +74,8 @@ def _convert_xacro(
     """Convert an expanded xacro file; copies its files, since the expansion is temporary."""
     text, _ = expand_xacro(path, {}, {})
     try:
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            urdf = Path(folder) / path.with_suffix("").with_suffix(".urdf").name
+        with temporary_folder(path.parent, path.stem) as folder:
+            urdf = folder / path.with_suffix("").with_suffix(".urdf").name
             urdf.write_text(text)
             return convert(urdf, out, copy=True, root=root, without=without)
     except OSError as error:

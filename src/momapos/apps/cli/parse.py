@@ -6,8 +6,10 @@ import contextlib
 import functools
 import inspect
 import io
+import os
 import re
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 from momapos.core import InputError
@@ -37,14 +39,17 @@ def parse(command: Callable[..., int], args: Sequence[str], prog: str) -> Callab
     def call(*values: Any, **options: Any) -> Callable[[], int]:
         return lambda: command(*values, **options)
 
-    printed = io.StringIO()
+    printed, plain = io.StringIO(), io.StringIO()
+    # tyro colors help on a terminal, and does not know https://no-color.org.
+    shown = contextlib.redirect_stdout(plain) if os.environ.get("NO_COLOR") else nullcontext()
     try:
-        with contextlib.redirect_stderr(printed):
+        with contextlib.redirect_stderr(printed), shown:
             ready: Callable[[], int] = tyro.cli(
                 call, args=args, prog=prog, config=(tyro.conf.FlagCreatePairsOff,)
             )
     except SystemExit as leaving:
         if leaving.code in (0, None):
+            print(plain.getvalue(), end="")
             raise
         raise InputError(f"{in_one_line(printed.getvalue())}; see {prog} --help") from None
     return ready

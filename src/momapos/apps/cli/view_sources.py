@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from momapos.core import MomaposError, open_regular
+from momapos.core import MomaposError, open_regular, temporary_folder
 
 from .loading import print_warnings
 
@@ -68,8 +68,8 @@ def opened_source(
     elif kind != "scan":
         yield _opened(Path(source), kind, scene_root, robot)
     else:
-        with tempfile.TemporaryDirectory(prefix="momapos-scan-") as folder:
-            yield _scan(Path(source), Path(folder))
+        with temporary_folder(Path(tempfile.gettempdir()), "momapos-scan") as folder:
+            yield _scan(Path(source), folder)
 
 
 def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) -> Opened:

@@ -7,7 +7,6 @@ Topics: /tf (frames of the robot and of the moved object), /joint_states, /robot
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from momapos.core import InputError, require
+from momapos.core import InputError, require, temporary_folder
 from momapos.core.geometry import invert, pose_planar
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
@@ -118,8 +117,8 @@ def write_recording(
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(ROBOT_TRAJECTORY, "moveit_msgs/msg/RobotTrajectory"))
     try:
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".momapos-") as near:
-            draft = Path(near) / folder.name
+        with temporary_folder(folder.parent, folder.name) as near:
+            draft = near / folder.name
             with Writer(draft, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
                 _fill(_Bag(store, writer, frame), timeline, scene, robot)
             os.rename(draft, folder)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from momapos.core import InputError, SceneError, require
+from momapos.core import InputError, SceneError, require, temporary_folder
 from momapos.core.geometry import UprightBox, pose, upright_frame
 from momapos.model.records import Frame
 from momapos.model.scene import Scene, SceneObject
@@ -183,23 +181,19 @@ def write_scan(
     with require("scan"):
         import PIL.Image  # noqa: F401 - fails before anything is rendered
     refuse_used(folder)
-    partial: Path | None = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        np.savetxt(partial / "camera-intrinsics.txt", scan.intrinsics)
-        (partial / "truth.json").write_text(json.dumps(truth(scan), indent=1) + "\n")
-        with _pool() as pool:
-            jobs = range(len(scan.Ts_scan_camera))
-            for done, _ in enumerate(pool.map(lambda k: _write(scan.frame(k), partial), jobs), 1):
-                report(done / len(jobs))
-        partial.chmod(0o755)
-        os.replace(partial, folder)
+        with temporary_folder(folder.parent, folder.name) as partial:
+            np.savetxt(partial / "camera-intrinsics.txt", scan.intrinsics)
+            (partial / "truth.json").write_text(json.dumps(truth(scan), indent=1) + "\n")
+            with _pool() as pool:
+                jobs = range(len(scan.Ts_scan_camera))
+                written = pool.map(lambda k: _write(scan.frame(k), partial), jobs)
+                for done, _ in enumerate(written, 1):
+                    report(done / len(jobs))
+            os.replace(partial, folder)
     except OSError as error:
         raise SceneError(f"{folder}: cannot be written ({error.strerror})") from error
-    finally:
-        if partial is not None:
-            shutil.rmtree(partial, ignore_errors=True)
 
 
 def _write(frame: Frame, folder: Path) -> None:

@@ -104,7 +104,7 @@ def _mesh(path: Path | Mesh) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
         return [(mesh_triangles(path), None)]
     data = mesh_bytes(path)
     if path.suffix.lower() == ".obj":
-        found = _obj(path, data.decode(errors="replace"))
+        found = _obj(path, data.decode("utf-8-sig", errors="replace"))
     else:
         mesh = parse_mesh(path, data)
         try:
@@ -156,7 +156,7 @@ def _mtl(folder: Path, name: str) -> dict[str, Paint]:
     paints: dict[str, Paint] = {}
     textured: set[str] = set()
     current = ""
-    for line in file.read_text(errors="replace").splitlines():
+    for line in file.read_text("utf-8-sig", errors="replace").splitlines():
         head, _, rest = line.strip().partition(" ")
         if head == "newmtl":
             current = rest.strip()

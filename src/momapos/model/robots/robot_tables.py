@@ -32,7 +32,7 @@ def read_table(path: Path) -> TomlTable:
     """
     data = read_bytes_bounded(path, MAX_TOML_BYTES)
     try:
-        return TomlTable(tomllib.loads(data.decode()), path)
+        return TomlTable(tomllib.loads(data.decode("utf-8-sig")), path)
     except (ValueError, RecursionError) as error:  # includes invalid UTF-8 and too many digits
         raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 

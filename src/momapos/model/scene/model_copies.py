@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from momapos.core import SceneError, read_bytes_bounded
+from momapos.core import (
+    SceneError,
+    incomplete,
+    read_bytes_bounded,
+    remove_if_incomplete,
+    temporary_folder,
+)
 from momapos.model.urdf import MAX_MESH_BYTES, Articulated, Geometry, mesh_points
 
 from .scene import Scene
@@ -95,30 +100,42 @@ def copied(scene: Scene, out: Path, root: Path | None = None) -> Iterator[Scene]
     Raises:
         SceneError: The folder exists, or a mesh must not be copied; then nothing is written.
     """
-    target = out.resolve().parent / f"{out.stem}_files"
-    if os.path.lexists(target):
-        raise SceneError(f"{target}: exists already; remove it or write to another file")
+    target = files_folder(out)
     models = list({id(item.model): item.model for item in scene.objects}.values())
     alone = [model.urdf.path for model in models] == [scene.path]  # a URDF, not a scene file
     within = root if root is not None or alone else Path("/")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=target.parent) as temporary:
-            new = Path(temporary) / "new"
+    with ExitStack() as stack:
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            new = stack.enter_context(temporary_folder(target.parent, out.stem)) / "new"
             new.mkdir()
             copies = copy_files(models, new, within)
+            stack.enter_context(incomplete(new, target))
             if copies:
                 new.rename(target)
-    except OSError as error:
-        raise SceneError(f"{target}: cannot be written ({error.strerror})") from error
-    places = {file: target / copy.relative_to(new) for file, copy in copies.items()}
-    moved = {id(model): _moved(model, places) for model in models}
-    objects = (replace(item, model=moved[id(item.model)]) for item in scene.objects)
-    try:
-        yield replace(scene, objects=tuple(objects))
-    except BaseException:
-        shutil.rmtree(target, ignore_errors=True)
-        raise
+        except OSError as error:
+            raise SceneError(f"{target}: cannot be written ({error.strerror})") from error
+        places = {file: target / copy.relative_to(new) for file, copy in copies.items()}
+        moved = {id(model): _moved(model, places) for model in models}
+        objects = (replace(item, model=moved[id(item.model)]) for item in scene.objects)
+        try:
+            yield replace(scene, objects=tuple(objects))
+        except BaseException:
+            shutil.rmtree(target, ignore_errors=True)
+            raise
+
+
+def files_folder(out: Path) -> Path:
+    """Return the folder for the files of a new scene file; remove it if it is left incomplete.
+
+    Raises:
+        SceneError: It exists.
+    """
+    target = out.resolve().parent / f"{out.stem}_files"
+    remove_if_incomplete(target)
+    if os.path.lexists(target):
+        raise SceneError(f"{target}: exists already; remove it or write to another file")
+    return target
 
 
 def _moved(model: Articulated, places: Mapping[Path, Path]) -> Articulated:

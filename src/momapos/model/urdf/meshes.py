@@ -15,6 +15,7 @@ import struct
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import UrdfError, read_bytes_bounded
+from momapos.core import UrdfError, fork_safe_lock, read_bytes_bounded
 
 from .collada import meters_per_unit
 from .urdf_records import Mesh
@@ -76,7 +77,7 @@ def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
     if path.suffix.lower() != ".obj":
         return np.array(parse_mesh(path, data).vertices, float)
     # Read vertices only: materials and textures are neither needed nor trusted.
-    lines = data.decode(errors="replace").splitlines()
+    lines = data.decode("utf-8-sig", errors="replace").splitlines()
     try:
         rows = [[*map(float, x.split()[1:4])] for x in lines if x.startswith("v ")]
         return np.array(rows, float).reshape(-1, 3)
@@ -108,7 +109,7 @@ def _obj_faces(path: Path, count: int) -> Int[np.ndarray, "t 3"]:
     """Return the triangles of an OBJ file as vertex indices; negative ones count backwards."""
     seen, faces = 0, []
     try:
-        for line in mesh_bytes(path).decode(errors="replace").splitlines():
+        for line in mesh_bytes(path).decode("utf-8-sig", errors="replace").splitlines():
             if line.startswith("v "):
                 seen += 1
             elif line.startswith("f "):
@@ -205,20 +206,27 @@ def _reason(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
+_reading = ContextVar("_reading", default=False)
+"""Whether this thread reads a mesh."""
+_LOGGERS = tuple(map(logging.getLogger, ("trimesh", "trimesh.util", "collada")))
+for _logger in _LOGGERS:  # a filter, as the readers may log for a program around momapos, too
+    _logger.addFilter(lambda _record: not _reading.get())
+_warnings_lock = fork_safe_lock()
+
+
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Suppress the readers' own warnings about damaged files."""
-    loggers = [logging.getLogger(name) for name in ("trimesh", "collada")]
-    before = [logger.disabled for logger in loggers]
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        try:
-            for logger in loggers:
-                logger.disabled = True
+    """Suppress the readers' own messages about damaged files, in this thread.
+
+    One thread at a time: `catch_warnings` restores the filters of the whole process.
+    """
+    before = _reading.set(True)
+    try:
+        with _warnings_lock, warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
             yield
-        finally:
-            for logger, was in zip(loggers, before, strict=True):
-                logger.disabled = was
+    finally:
+        _reading.reset(before)
 
 
 def _check_size(parts: int, points: int) -> None:

@@ -310,7 +310,7 @@ def _matrix(file: Path) -> Float[np.ndarray, "3 3"]:
 def _numbers(file: Path) -> Float[np.ndarray, "n n"]:
     data = read_bytes_bounded(file, MAX_TEXT_BYTES)
     try:
-        values = np.array(data.decode("ascii").split(), float)
+        values = np.array(data.removeprefix(b"\xef\xbb\xbf").decode("ascii").split(), float)
     except ValueError as error:
         raise FileFormatError(f"{file}: must have only numbers") from error
     if len(values) not in (9, 16):

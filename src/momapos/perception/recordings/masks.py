@@ -255,4 +255,4 @@ def _point_lines(path: Path, width: int, cloud_size: int) -> bytes:
 
 
 def _text(path: Path, limit: int) -> str:
-    return read_bytes_bounded(path, limit).decode("utf-8", errors="replace")
+    return read_bytes_bounded(path, limit).decode("utf-8-sig", errors="replace")

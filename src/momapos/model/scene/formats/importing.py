@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,8 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from momapos.core import MomaposError, SceneError
+from momapos.core import MomaposError, SceneError, incomplete, temporary_folder
 from momapos.model.scene.bestman import category_of
+from momapos.model.scene.model_copies import files_folder
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import VERSION, load_scene
 from momapos.model.scene.scene_names import FORMAT
@@ -44,24 +44,22 @@ def write_room(room: ImportedRoom, source: Path, out: Path) -> Scene:
         SceneError: The folder exists or cannot be written to, or the room makes no valid scene;
             then nothing is written.
     """
-    target = out.resolve().parent / f"{out.stem}_files"
-    if os.path.lexists(target):
-        raise SceneError(f"{target}: exists already; remove it or write to another file")
+    target = files_folder(out)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=target.parent) as temporary:
-            new = Path(temporary)
+        with temporary_folder(target.parent, out.stem) as new:
             (new / target.name).mkdir()
             file = new / out.name
             file.write_text(_write_files(room, new / target.name), encoding="utf-8")
             with _naming(source, new):
                 load_scene(file)
-            (new / target.name).rename(target)
-            try:
-                file.replace(out)
-            except OSError:
-                shutil.rmtree(target)
-                raise
+            with incomplete(new / target.name, target):
+                (new / target.name).rename(target)
+                try:
+                    file.replace(out)
+                except OSError:
+                    shutil.rmtree(target)
+                    raise
     except OSError as error:
         raise SceneError(f"{out}: cannot be written ({error.strerror})") from error
     return load_scene(out)

@@ -51,12 +51,25 @@ def read_room(path: Path, root: Path) -> ImportedRoom:
 
     try:
         _check_layers(path, root.resolve())
-        stage = Usd.Stage.Open(str(path.resolve()))
+        return _Reader(path, Usd.Stage.Open(str(path.resolve()))).room()
     except Tf.ErrorException as error:
-        match = _USD_MESSAGE.search(str(error))  # without the place in USD's own source
-        why = str(error) if match is None else match[1]
+        text = _text(error)
+        match = _USD_MESSAGE.search(text)  # without the place in USD's own source
+        why = text if match is None else match[1]
         raise FileFormatError(f"{path}: USD rejects it: {why}") from error
-    return _Reader(path, stage).room()
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: a name or a text in it is not UTF-8") from error
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        # USD keeps values of unknown types, also where its schemas say which type they have.
+        raise FileFormatError(f"{path}: a value is not of its schema's type ({error})") from error
+
+
+def _text(error: Exception) -> str:
+    """Return the message of a USD error, which quotes bytes of the file that may be no UTF-8."""
+    try:
+        return str(error)
+    except UnicodeDecodeError as bad:
+        return bad.object.decode("utf-8", errors="replace")
 
 
 def _check_layers(path: Path, root: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from momapos.core import InputError
+from momapos.core import InputError, temporary_folder
 from momapos.model.records import Confidence, Hypothesis
 from momapos.model.scene.confidence import confidence_to_json
 from momapos.model.scene.hypotheses import hypotheses_to_json
@@ -66,8 +65,8 @@ def write_kitchen(
         raise InputError(f"{folder} is not a folder of URDF files: it contains {foreign[0]}")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as temporary:
-            new = Path(temporary) / "new"
+        with temporary_folder(out.parent, out.stem) as temporary:
+            new = temporary / "new"
             new.mkdir()
             for piece in pieces:
                 if not is_single_box(piece):
@@ -85,7 +84,7 @@ def write_kitchen(
                     own = next((piece for piece in pieces if piece.name == entry["name"]), None)
                     found = confidence_of(*sure[entry["name"]], own)
                     entry["confidence"] = confidence_to_json(found)
-            scene = Path(temporary) / "scene.json"
+            scene = temporary / "scene.json"
             text = scene_text(name, entries, floor, start)
             scene.write_text(text, encoding="utf-8")
             _swap_in(new, folder, scene, out)
