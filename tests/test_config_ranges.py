@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from momapos.core.errors import InputError
 from momapos.perception.fusion.tsdf import FusionConfig
 from momapos.perception.reconstruction.model_config import ModelConfig
 from momapos.perception.records import ScanConfig
+from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import ResistanceConfig
 from momapos.planning.navigation.driving import DriveConfig
 from momapos.planning.navigation.dynamic_window import WindowConfig
@@ -75,3 +79,27 @@ def test_nan_is_refused(kind: type, field: str) -> None:
 def test_numbers_of_numpy_are_numbers() -> None:
     assert NoiseConfig(heading=np.radians(2.0)).heading == math.radians(2.0)
     assert ModelConfig(turn=np.float64(1.0)).turn == 1.0
+
+
+COUNTED = (PipelineConfig(), ReachConfig(), DriveConfig(), Limits(), ExecutionConfig())
+"""Configurations whose counts have bounds."""
+
+
+def _counts(config: Any) -> Iterator[tuple[type, str]]:
+    """Yield all fields for whole numbers, also of nested configurations."""
+    hints = get_type_hints(type(config))
+    for item in fields(config):
+        if is_dataclass(getattr(config, item.name)):
+            yield from _counts(getattr(config, item.name))
+        elif int in (hints[item.name], *get_args(hints[item.name])):
+            yield type(config), item.name
+
+
+@pytest.mark.parametrize("huge", [10**9, 10**20])
+def test_every_count_has_an_upper_bound(huge: int) -> None:
+    found = [one for config in COUNTED for one in _counts(config)]
+    assert len(found) > 20
+    for kind, name in found:
+        words = f"{name} must be .*{huge}"
+        with pytest.raises(InputError, match=words):
+            print(kind, kind(**{name: huge}))

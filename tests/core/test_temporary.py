@@ -8,6 +8,7 @@ import stat
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -134,7 +135,7 @@ def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         patch.setattr(temporary.os, "write", refuse)
         with pytest.raises(OSError, match="disk full"):
             write_atomic(tmp_path / "a.json", b"{}")
-    with pytest.raises(ZeroDivisionError), temporary_folder(tmp_path, "room") as folder:
+    with suppress(ZeroDivisionError), temporary_folder(tmp_path, "room") as folder:
         (folder / "a").write_text("")
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []

@@ -5,6 +5,7 @@ from .arguments import expect_callable as expect_callable
 from .arguments import finite_array as finite_array
 from .arguments import finite_number as finite_number
 from .arguments import one_of as one_of
+from .arguments import refuse_above as refuse_above
 from .arguments import refuse_below as refuse_below
 from .arguments import shown as shown
 from .arguments import type_words as type_words

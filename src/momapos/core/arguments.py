@@ -174,6 +174,19 @@ def refuse_below(config: object, least: float, *names: str) -> None:
             raise InputError(f"{field} must be at least {least:g}, not {value:g}")
 
 
+def refuse_above(config: object, most: int, *names: str) -> None:
+    """Check upper bounds of counts of a configuration; None is allowed.
+
+    Raises:
+        InputError: A field is larger.
+    """
+    for name in names:
+        value = getattr(config, name)
+        if value is not None and value > most:
+            field = f"{type(config).__name__}.{name}"
+            raise InputError(f"{field} must be at most {most}, not {value}")
+
+
 def type_words(kind: Any) -> str:
     """Return the values that an annotation allows, in words."""
     origin, args = get_origin(kind), get_args(kind)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from momapos.core import InputError, refuse_below
+from momapos.core import InputError, refuse_above, refuse_below
 from momapos.planning.arm_motion import PlannerConfig
 from momapos.planning.grasps import MotionConfig
 from momapos.planning.importance import ImportanceConfig, ScorerName, WeightsName
 from momapos.planning.placement import PlaceConfig
+
+MAX_SAMPLES, MAX_BATCHES, MAX_GROUP = 100_000, 12, 1_000
+"""Bounds of the counts of the paper's method [-]."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,9 @@ class PaperConfig:
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "samples", "batches", "group")
+        refuse_above(self, MAX_SAMPLES, "samples")
+        refuse_above(self, MAX_BATCHES, "batches")
+        refuse_above(self, MAX_GROUP, "group")
         refuse_below(self, 0, "k_distance", "k_potential")
         if not self.heights:
             raise InputError("PaperConfig.heights must hold at least one number")

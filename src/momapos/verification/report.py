@@ -6,8 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from momapos.core import finite_number, refuse_below
+from momapos.core import finite_number, refuse_above, refuse_below
 from momapos.model.records import MAX_EFFORT_SHARE, MIN_STABILITY
+
+MAX_STATES, MAX_POSES = 1_000_000, 100_000_000
+"""Bounds of what one check may hold in memory; the latter takes 13 GB [-]."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,8 @@ class Limits:
         refuse_below(self, 0, "slip_rotation", "reach", "goal", "jump", "join", "joint")
         refuse_below(self, 0, "floor_edge", "effort", "speed")
         refuse_below(self, 1, "states", "poses")
+        refuse_above(self, MAX_STATES, "states")
+        refuse_above(self, MAX_POSES, "poses")
 
 
 DEFAULT: Limits = Limits()

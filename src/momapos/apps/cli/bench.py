@@ -28,7 +28,7 @@ from momapos.core import InputError, MomaposError, check_outputs
 from .console import busy, progress
 from .options import Flag, OptionalFile, OptionalFolder, Text, check_seed, optional
 
-MAX_COUNT = 1000
+MAX_COUNT, MAX_TASKS = 1_000, 1_000_000
 """Maximum number of images in a scan, and of disturbed base poses [-]."""
 
 if TYPE_CHECKING:
@@ -89,14 +89,13 @@ def bench_run(
     # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
     refuse_unknown(suite, robots)
-    _at_least("--workers", workers, 1)
-    _at_least("--limit", limit, 0)
+    _within("--workers", workers, 1, MAX_COUNT)
+    _within("--limit", limit, 0, MAX_TASKS)
     for name, value in (("--timeout", timeout), ("--task-limit", task_limit)):
         if not 0 < value < math.inf:
             raise InputError(f"{name} must be a time above 0 s, not {value:g}")
     for name, count in (("--scan", scan), ("--disturbances", disturbances)):
-        if not 0 <= count <= MAX_COUNT:
-            raise InputError(f"{name} must be between 0 and {MAX_COUNT}, not {count}")
+        _within(name, count, 0, MAX_COUNT)
     protocols = protocols_of(suite, commit, grasps)
     if scan:
         _check_scannable(suite)
@@ -170,7 +169,7 @@ def bench_report(
         json: Print one JSON object with all rows instead of tables.
     """
     check_outputs([html, parquet])
-    _at_least("--maps", maps, 0)
+    _within("--maps", maps, 0, MAX_COUNT)
     from momapos.apps.bench import all_rows, in_order, read_folder
 
     found = read_folder(folder)
@@ -242,9 +241,9 @@ def _check_scannable(suite: str) -> None:
     default_tools()
 
 
-def _at_least(name: str, value: int, least: int) -> None:
-    if value < least:
-        raise InputError(f"{name} must be at least {least}, not {value}")
+def _within(name: str, value: int, least: int, most: int) -> None:
+    if not least <= value <= most:
+        raise InputError(f"{name} must be between {least} and {most}, not {value}")
 
 
 @contextmanager

@@ -114,6 +114,11 @@ def _run(args: list[str]) -> int:
     name, rest = args[0], args[1:]
     if name == COMPLETION:
         return _print_completion(rest)
+    if name == "--complete-names":
+        from .names import names_for
+
+        print(*names_for(rest or [""]), sep="\n")
+        return 0
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS, "momapos")
     if name == "place" and "then" in rest and HELP_ALL not in rest:
@@ -169,7 +174,13 @@ def _print_completion(shell: list[str]) -> int:
         for sub, function in functions.items():
             group.command(name=sub)(_load(function))
         app.command(group, name=name)
-    app.cli(prog="momapos", args=[COMPLETION, *shell], config=(FlagCreatePairsOff,))
+    try:
+        app.cli(prog="momapos", args=[COMPLETION, *shell], config=(FlagCreatePairsOff,))
+    finally:  # tyro exits after printing
+        if shell == ["bash"]:
+            from .names import BASH
+
+            print(BASH)
     return 0
 
 

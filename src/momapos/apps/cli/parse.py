@@ -68,7 +68,7 @@ def in_one_line(printed: str) -> str:
             parts[-1] = f"{parts[-1]} {words}".strip()
         elif parts[-1]:
             parts.append("")
-    what = parts[0].rstrip(".")
+    what = re.sub(r"'None', |, 'None'(?=\))", "", parts[0].rstrip("."))  # an option left out
     meant = [
         flag for part in parts if part.startswith("Perhaps you meant") for flag in _flags(part)
     ]

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from momapos.model.scene import Scene
     from momapos.simulation import Execution, RunRecord, RunTrace
 
+MAX_TRIES = 1_000
+"""Bound of --tries [-]."""
 MAX_COLLISIONS = 5
 """Printed collisions of a run [-]."""
 
@@ -88,8 +90,8 @@ def run(
     # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
     files = _check_files(plan, world, out, out_scene, record)
-    if tries is not None and tries < 1:
-        raise InputError(f"--tries must be at least 1, not {tries}")
+    if tries is not None and not 1 <= tries <= MAX_TRIES:
+        raise InputError(f"--tries must be between 1 and {MAX_TRIES}, not {tries}")
     if world is None and world_at is not None:
         raise InputError("--world-at needs --world")
     begin = None if start is None else parse_pose(start, "--start")

@@ -33,6 +33,8 @@ from .validation import (
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+MAX_FILES = 2_000_000
+"""Maximum number of files in the folder of a scan [-]."""
 MAX_FRAMES_LISTED = 100_000
 MAX_TEXT_BYTES = 10_000
 MILLIMETERS = 1000.0
@@ -317,6 +319,26 @@ def _numbers(file: Path) -> Float[np.ndarray, "n n"]:
         raise FileFormatError(f"{file}: must be a 3 x 3 or 4 x 4 matrix, not {len(values)} numbers")
     side = 3 if len(values) == 9 else 4
     return values.reshape(side, side)
+
+
+def refuse_links_out(root: Path) -> None:
+    """Refuse a scan's folder with a symbolic link to a place outside of it.
+
+    Raises:
+        FileFormatError: There is one, or the folder has too many files.
+    """
+    inside, count = root.resolve(), 0
+    for folder, folders, files in os.walk(root):
+        count += len(folders) + len(files)
+        if count > MAX_FILES:
+            raise FileFormatError(f"{root}: has more than {MAX_FILES} files; it is no single scan")
+        for name in (*folders, *files):
+            path = os.path.join(folder, name)
+            if os.path.islink(path) and not Path(path).resolve().is_relative_to(inside):
+                raise FileFormatError(
+                    f"{path}: is a symbolic link out of the scan's folder; copy what it names into "
+                    f"{root}"
+                )
 
 
 def list_names(folder: Path) -> list[str]:

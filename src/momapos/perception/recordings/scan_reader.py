@@ -19,7 +19,7 @@ from momapos.model.records import Scan
 from .bags import BagTopics, read_bag
 from .clouds import read_cloud
 from .image_folders import find_walk
-from .layouts import MILLIMETERS, find_layout, list_names, read_frames
+from .layouts import MILLIMETERS, find_layout, list_names, read_frames, refuse_links_out
 from .pose_check import MAX_DRIFT, check_poses
 
 ACCEPTED = (
@@ -89,6 +89,7 @@ def read_scan(
 def _read_folder(
     path: Path, max_frames: int, depth_scale: float | None, topics: BagTopics | None
 ) -> Scan:
+    refuse_links_out(path)
     name = path.resolve().name
     layout = find_walk(path) or find_layout(path)
     if layout is None:

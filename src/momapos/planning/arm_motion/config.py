@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, Optional
 
-from momapos.core import refuse_below
+from momapos.core import refuse_above, refuse_below
 
 OWN_CHECKS, OMPL_CHECKS = 40_000, 7_000
 """Maximum number of motions checked, of ours and of OMPL's planners. Ours take a tenth of the time,
 and a search without a path ends within 0.15 s [-]."""
+MAX_CHECKS = 100_000_000
+"""Bound of the number of checked motions; so many take minutes [-]."""
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 
 
@@ -27,6 +29,7 @@ class PlannerConfig:
     def __post_init__(self) -> None:
         if self.checks is not None:
             refuse_below(self, 1, "checks")
+        refuse_above(self, MAX_CHECKS, "checks")
 
     @property
     def budget(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, Optional
 
-from momapos.core import InputError, refuse_below
+from momapos.core import InputError, refuse_above, refuse_below
 from momapos.model.scene import ResistanceConfig
 
 GraspFamily = Literal["pinch", "hook", "push", "suction"]
@@ -56,11 +56,14 @@ class GraspConfig:
         refuse_below(self, 0.01, "pregrasp")
         if self.count is not None:
             refuse_below(self, 1, "count")
+        refuse_above(self, MAX_GRASPS, "count")
         for name in ("families", "turns", "tilts"):
             if not getattr(self, name):
                 raise InputError(f"{name} must hold at least one value")
 
 
+MAX_GRASPS, MAX_WAYPOINTS = 100_000, 2_000
+"""Bounds of the counts; 2,000 waypoints with their steps are half the states of a plan [-]."""
 SUBSTEPS = 4
 """Number of steps per waypoint; all are checked [-]."""
 
@@ -85,3 +88,4 @@ class MotionConfig:
         refuse_below(self, 0.001, "waypoint_slide")
         if self.waypoints is not None:
             refuse_below(self, 2, "waypoints")
+        refuse_above(self, MAX_WAYPOINTS, "waypoints")

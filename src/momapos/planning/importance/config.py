@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, Optional
 
-from momapos.core import InputError, check_fields
+from momapos.core import InputError, check_fields, refuse_above
 
 MAX_COUNT = 10_000
 """Upper bound of every count, so that a typing error does not run for hours [-]."""
@@ -35,6 +35,7 @@ class GraphConfig:
             raise InputError("GraphConfig.contact and floor must be finite and above 0 m")
         if not ((self.neighbors is None or self.neighbors >= 0) and self.near >= 0):
             raise InputError("GraphConfig.neighbors and near must be at least 0")
+        refuse_above(self, MAX_COUNT, "neighbors")
 
 
 @dataclass(frozen=True)

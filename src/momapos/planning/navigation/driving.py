@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Clock, SceneError, refuse_below
+from momapos.core import Clock, SceneError, refuse_above, refuse_below
 from momapos.core.geometry import wrap_angle
 
 from .base_motion import clip_velocity, integrate
@@ -61,6 +61,9 @@ CONTROL_STEP = 0.06
 SETTLE_TIME = 1.0
 """Time that the base stands at first, to localize itself [s]."""
 
+MAX_REPLANS = 1_000
+"""Bound of the number of replanned paths of one drive [-]."""
+
 
 @dataclass(frozen=True)
 class DriveConfig:
@@ -81,6 +84,7 @@ class DriveConfig:
     def __post_init__(self) -> None:
         refuse_below(self, 0.001, "tolerance", "timeout")
         refuse_below(self, 0, "patience", "replans")
+        refuse_above(self, MAX_REPLANS, "replans")
 
 
 def drive(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from momapos.core import InputError, refuse_below
+from momapos.core import InputError, refuse_above, refuse_below
 
 Method = Literal[
     "ours", "exhaustive",
@@ -14,6 +14,10 @@ Method = Literal[
 ]  # fmt: skip
 OURS: tuple[Method, ...] = ("ours", "exhaustive")
 """Methods of the pipeline, which end with a grid. The others are baselines without one."""
+
+
+MAX_SAMPLES, MAX_STEPS, MAX_ROUNDS = 100_000, 1_000, 6
+"""Bounds of the counts; each round has twice as many samples as the one before [-]."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,9 @@ class PlaceConfig:
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "count", "grasps", "together")
+        refuse_above(self, MAX_SAMPLES, "count", "grasps")
+        refuse_above(self, MAX_STEPS, "together", "improve", "looks")
+        refuse_above(self, MAX_ROUNDS, "rounds")
         refuse_below(self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin")
         refuse_below(self, 0, "margin_turn", "sweep_room", "robust_radius", "robust_turn")
         refuse_below(self, 0, "weight_driving", "weight_clearance")

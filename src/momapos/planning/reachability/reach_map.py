@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import finite_number, refuse_below
+from momapos.core import finite_number, refuse_above, refuse_below
 
 from .floor_scores import FloorGrid, floor_scores
 from .grid import OUTSIDE, GridFrame, MapArrays, Point, min_line_scores, pack_shape, score_lines
@@ -23,6 +23,10 @@ MAX_VALUES = 100_000_000
 """Largest number of values of a map [-]; building it takes several bytes per value."""
 _TURNS = np.arange(YAWS) / YAWS
 _YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS], -1)
+
+
+MAX_GRID, MAX_STATES = 1_000, 100_000_000
+"""Bounds of the counts [-]."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class ReachConfig:
         refuse_below(self, 0.005, "cell")
         refuse_below(self, 3, "directions")
         refuse_below(self, 1, "azimuths", "samples", "heights", "spins", "states")
+        refuse_above(self, MAX_GRID, "directions", "azimuths", "samples", "heights", "spins")
+        refuse_above(self, MAX_STATES, "states")
         finite_number("ReachConfig.threshold", self.threshold)
 
 

@@ -1,0 +1,100 @@
+"""Complete the names of scenes, robots, objects and suites in a shell."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from momapos.core import MomaposError, read_xml
+from momapos.model.robots import library_names
+from momapos.model.scene import builtin_names, find_scene
+
+COMPLETE_NAMES = "--complete-names"
+"""Hidden option of `momapos`: print the names that can stand at the end of a command line."""
+MAX_BYTES = 5_000_000
+"""Largest file that is read while a user types [bytes]."""
+_SCENE, _ROBOT, _OBJECT, _PART, _SUITE = "scene", "robot", "object", "part", "suite"
+_POSITIONS = {
+    ("place", "open"): (_SCENE, _PART), ("place", "close"): (_SCENE, _PART),
+    ("place", "pick"): (_SCENE, _OBJECT), ("place", "place"): (_SCENE, _OBJECT),
+    ("rank",): (_SCENE, _PART), ("view",): (_SCENE,), ("scene", "show"): (_SCENE,),
+    ("scene", "check"): (_SCENE,), ("scene", "convert"): (_SCENE,), ("scene", "scan"): (_SCENE,),
+    ("robot", "show"): (_ROBOT,), ("robot", "check"): (_ROBOT,), ("robot", "export"): (_ROBOT,),
+    ("reach", "build"): (_ROBOT,), ("reach", "eval"): (_ROBOT,), ("bench", "run"): (_SUITE,),
+}  # fmt: skip
+"""What the arguments without an option name, by command."""
+_OPTIONS = {"--robot": _ROBOT, "--robots": _ROBOT, "--world": _SCENE, "--joint": _PART}
+BASH = f"""
+# Names of scenes, robots, objects and suites, which tyro does not know.
+_momapos_names() {{
+  _tyro_momapos "$@"
+  local cur="${{COMP_WORDS[COMP_CWORD]}}"
+  COMPREPLY+=($(compgen -W "$(momapos {COMPLETE_NAMES} "${{COMP_WORDS[@]:1:COMP_CWORD-1}}" \
+2>/dev/null)" -- "$cur"))
+}}
+complete -o default -F _momapos_names momapos
+"""
+"""What follows tyro's script for bash."""
+
+
+def names_for(words: Sequence[str]) -> list[str]:
+    """Return the names that can follow the words of a command line, without `momapos`."""
+    words = list(words)
+    size = 2 if tuple(words[:2]) in _POSITIONS else 1
+    positions = _POSITIONS.get(tuple(words[:size]))
+    if positions is None:
+        return []
+    given = _positional(words[size:])
+    if words[-1] in _OPTIONS:
+        return _names(_OPTIONS[words[-1]], given)
+    if words[-1].startswith("--"):
+        return []
+    if "then" in words:  # a tour: the tasks after the first name no scene
+        after = words[len(words) - words[::-1].index("then") :]
+        if len(after) != 1:
+            return []
+        return _names(_PART if after[0] in ("open", "close") else _OBJECT, given)
+    return _names(positions[len(given)], given) if len(given) < len(positions) else []
+
+
+def _positional(words: Sequence[str]) -> list[str]:
+    """Return the arguments that belong to no option; an option takes at most one word."""
+    return [
+        word
+        for before, word in zip(["", *words], words, strict=False)
+        if not word.startswith("--") and not before.startswith("--")
+    ]
+
+
+def _names(kind: str, given: Sequence[str]) -> list[str]:
+    if kind == _SCENE:
+        return list(builtin_names())
+    if kind == _ROBOT:
+        return list(library_names())
+    if kind == _SUITE:
+        from momapos.apps.bench import SUITES
+
+        return list(SUITES)
+    return _objects(given[0], parts=kind == _PART) if given else []
+
+
+def _objects(scene: str, *, parts: bool) -> list[str]:
+    """Return the objects of a momapos scene, with their joints if requested."""
+    try:
+        path = find_scene(scene)
+        if path.stat().st_size > MAX_BYTES:
+            return []
+        entries = json.loads(path.read_text(encoding="utf-8-sig"))["objects"]
+        return [name for entry in entries for name in _entry_names(entry, path.parent, parts)]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, MomaposError):
+        return []  # the command itself says what is wrong with the file
+
+
+def _entry_names(entry: dict[str, str], folder: Path, parts: bool) -> list[str]:
+    name = entry["name"]
+    if not parts or "urdf" not in entry:
+        return [] if parts else [name]
+    joints = read_xml(folder / entry["urdf"], MAX_BYTES).iter("joint")
+    moving = [j.get("name") for j in joints if j.get("type") not in (None, "fixed")]
+    return [name, *(f"{name}/{joint}" for joint in moving)] if moving else []

@@ -1,0 +1,110 @@
+"""Shells complete names; help has no colors and messages no choices that are none."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from momapos.apps.cli.main import main
+from momapos.apps.cli.names import names_for
+from momapos.model.robots.robot_names import library_names
+from momapos.model.scene.scene_names import builtin_names
+
+START = "from momapos.apps.cli.main import entry; entry()"
+
+
+@pytest.mark.parametrize(
+    ("line", "some"),
+    [
+        ("place open", builtin_names()),
+        ("scene show", builtin_names()),
+        ("rank", builtin_names()),
+        ("place open kitchen_small", ("fridge", "fridge/door_hinge")),
+        ("place open --robot fetch kitchen_small", ("fridge/door_hinge",)),
+        ("place pick kitchen_small", ("apple", "bottle")),
+        ("place open kitchen_small fridge then pick", ("apple",)),
+        ("place open kitchen_small fridge then close", ("fridge/door_hinge",)),
+        ("place open kitchen_small fridge --robot", library_names()),
+        ("robot check", library_names()),
+        ("bench run", ("smoke",)),
+    ],
+)
+def test_names_fit_their_place_in_the_line(line: str, some: tuple[str, ...]) -> None:
+    assert set(some) <= set(names_for(line.split()))
+
+
+@pytest.mark.parametrize(
+    "line", ["run", "place", "", "place open kitchen_small fridge", "place open gone.json", "x y"]
+)
+def test_elsewhere_there_are_no_names(line: str) -> None:
+    assert names_for(line.split() or [""]) == []
+
+
+def test_objects_of_a_file_of_ones_own_are_completed(tmp_path: Path) -> None:
+    scene = tmp_path / "room.json"
+    objects = [{"name": "box", "box": [1, 1, 1]}, {"name": "chest", "urdf": "chest.urdf"}]
+    scene.write_text("\ufeff" + json.dumps({"format": "momapos-scene", "objects": objects}))
+    (tmp_path / "chest.urdf").write_text(
+        '<robot name="c"><joint name="tray" type="prismatic"/>'
+        '<joint name="j" type="fixed"/></robot>'
+    )
+    assert names_for(["place", "pick", str(scene)]) == ["box", "chest"]
+    assert names_for(["place", "open", str(scene)]) == ["chest", "chest/tray"]
+    scene.write_text("[1, 2")
+    assert names_for(["place", "open", str(scene)]) == []
+
+
+def test_bash_completes_the_name_of_a_robot(tmp_path: Path) -> None:
+    program = tmp_path / "momapos"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{START}" "$@"\n')
+    program.chmod(0o755)
+    script = tmp_path / "complete.bash"
+    lines = [
+        'eval "$(momapos --tyro-print-completion bash)"',
+        "COMP_WORDS=(momapos place open kitchen_small fridge --robot fet); COMP_CWORD=6",
+        '_momapos_names momapos fet --robot; echo "${COMPREPLY[@]}"',
+    ]
+    script.write_text("\n".join(lines))
+    path = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": ":".join(sys.path)}
+    done = subprocess.run(
+        ["bash", str(script)], capture_output=True, text=True, check=True, env=path
+    )
+    assert "fetch" in done.stdout.split()
+
+
+@pytest.mark.parametrize(("variable", "colored"), [("1", False), ("", True)])
+def test_help_has_no_colors_if_the_user_wants_none(variable: str, colored: bool) -> None:
+    master, slave = pty.openpty()
+    call = [sys.executable, "-c", START, "verify", "--help"]
+    child = subprocess.Popen(
+        call, stdout=slave, stderr=slave, close_fds=True,
+        env={**os.environ, "NO_COLOR": variable, "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(slave)
+    shown = b""
+    while True:
+        try:
+            part = os.read(master, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not part:
+            break
+        shown += part
+    os.close(master)
+    assert child.wait() == 0
+    assert b"scene-root" in shown
+    assert (b"\x1b[" in shown) is colored
+
+
+def test_a_wrong_word_lists_the_choices_and_not_none(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "run", "smoke", "--out", "x", "--commit", "wrong"]) == 2
+    error = capsys.readouterr().err
+    assert "None" not in error
+    assert "first" in error
+    assert "retry" in error
