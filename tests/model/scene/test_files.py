@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from momapos.apps.cli.main import main
 from momapos.apps.cli.scene import scene_convert, scene_list, scene_show
 from momapos.core.errors import FileFormatError, MomaposError, SceneError, UnknownNameError
 from momapos.core.geometry.transforms import pose_rpy
@@ -355,3 +359,28 @@ def test_the_floor_is_kept_in_the_order_of_the_file(tmp_path: Path) -> None:
     assert_allclose(
         load_scene(write(tmp_path, floor=outline)).floor_polygon, np.array(outline, float)
     )
+
+
+_KILLED = """
+import os, signal
+from pathlib import Path
+from momapos.apps.cli import conversion
+from momapos.apps.cli.main import main
+conversion.save_scene = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+main(["scene", "convert", "kitchen_small", "room.json", "--copy"])
+"""
+
+
+def test_converting_with_copies_goes_on_after_a_kill(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call = [sys.executable, "-c", _KILLED]
+    assert subprocess.run(call, check=False).returncode == -signal.SIGKILL
+    assert (tmp_path / "room_files").is_dir()
+    assert main(["scene", "convert", "kitchen_small", "room.json", "--copy"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["room.json", "room_files"]
+    assert not list((tmp_path / "room_files").glob(".*"))
+    (tmp_path / "room.json").unlink()
+    # A folder that is complete is the user's, also without its scene file.
+    assert main(["scene", "convert", "kitchen_small", "room.json", "--copy"]) == 2

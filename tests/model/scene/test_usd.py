@@ -11,7 +11,7 @@ from tests import optional
 from tests.model.scene.cabinet import assert_moves_alike, assert_refused, expected
 
 from momapos.apps.cli.main import main
-from momapos.core.errors import MissingExtraError
+from momapos.core.errors import FileFormatError, MissingExtraError
 from momapos.model.scene.formats.importing import write_room
 from momapos.model.scene.formats.kinds import kind_of_file
 from momapos.model.scene.formats.usd import read_room
@@ -185,6 +185,25 @@ def test_bad_files_are_refused_in_one_line_and_leave_nothing(tmp_path: Path, cas
     text, message = BAD[case]
     (tmp_path / "secret.usda").write_text(CUP)
     assert_refused(tmp_path, read, text, message)
+
+
+@pytest.mark.parametrize(
+    "place", ["#usda 1.0", "metersPerUnit", 'def "cup"', "physics:lowerLimit", "xformOp:translate"]
+)
+def test_bytes_that_are_no_utf8_are_refused_in_one_line(tmp_path: Path, place: str) -> None:
+    path = write(tmp_path)
+    assert place in STAGE
+    path.write_bytes(STAGE.encode().replace(place.encode(), place.encode()[:-2] + b"\x81\xff"))
+    with pytest.raises(FileFormatError) as refused:
+        read_room(path, tmp_path)
+    assert "\n" not in str(refused.value)
+    assert str(path) in str(refused.value)
+
+
+def test_a_value_of_a_wrong_type_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = write(tmp_path, STAGE.replace("metersPerUnit = 0.01", 'metersPerUnit = "wide"'))
+    with pytest.raises(FileFormatError):
+        read_room(path, tmp_path)
 
 
 def test_a_missing_package_is_reported_with_its_extra(

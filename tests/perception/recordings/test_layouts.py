@@ -305,3 +305,24 @@ def test_the_real_kitchen_is_read_completely(shared: Path) -> None:
     seen = np.concatenate([f.depth[f.depth > 0] for f in scan.frames if f.depth is not None])
     assert 1.0 < np.median(seen) < 3.0
     assert seen.max() < 20
+
+
+@pytest.mark.parametrize("kind", ["a file", "a folder", "a file in a folder"])
+def test_a_link_out_of_the_folder_of_a_scan_is_refused(tmp_path: Path, kind: str) -> None:
+    folder, outside = tmp_path / "scan", tmp_path / "outside"
+    write_seven_scenes(folder, shots(6))
+    outside.mkdir()
+    (outside / "secret.ply").write_bytes(b"ply\n")
+    link = folder / "more" / "link" if kind == "a file in a folder" else folder / "link"
+    link.parent.mkdir(exist_ok=True)
+    link.symlink_to(outside if kind == "a folder" else outside / "secret.ply")
+    with pytest.raises(FileFormatError, match="is a symbolic link out of the scan's folder"):
+        read_scan(folder)
+
+
+def test_a_link_within_the_folder_of_a_scan_is_followed(tmp_path: Path) -> None:
+    folder = write_seven_scenes(tmp_path / "scan", shots(6))
+    frame = next(folder.glob("*.pose.txt"))
+    frame.rename(folder / "pose")
+    frame.symlink_to("pose")
+    assert len(read_scan(folder).frames) == len(shots(6))
