@@ -17,6 +17,7 @@ from .retreat import PlanHomePath as PlanHomePath
 from .run_motion import DRIVE as DRIVE
 from .run_motion import RunMotion as RunMotion
 from .run_record import FORMAT as FORMAT
+from .run_record import VERSION as VERSION
 from .run_record import Execution as Execution
 from .run_record import Pose as Pose
 from .run_record import RunRecord as RunRecord

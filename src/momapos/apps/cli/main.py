@@ -44,6 +44,7 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
         {"list": "models:models_list", "get": "models:models_get"},
     ),
     "solve": ("go from a scan to an executed task in one command", "solve:solve"),
+    "schema": ("print the JSON Schema of a file format", "schema:schema"),
     "reach": (
         "build and evaluate reachability maps",
         {"build": "reach:reach_build", "eval": "reach:reach_eval"},

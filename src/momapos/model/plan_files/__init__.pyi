@@ -1,8 +1,12 @@
+from .plan_format import FORMAT as FORMAT
+from .plan_format import TOUR as TOUR
 from .plan_format import check_unchanged as check_unchanged
 from .plan_format import format_of as format_of
 from .plan_format import plan_to_dict as plan_to_dict
 from .plan_format import read_plan as read_plan
 from .plan_format import write_plan as write_plan
+from .plan_members import Plan as Plan
+from .plan_members import PlanAssumption as PlanAssumption
 from .tour_format import TourFile as TourFile
 from .tour_format import is_tour as is_tour
 from .tour_format import read_tour as read_tour

@@ -1,0 +1,140 @@
+"""The members of a scene file, for its schema; `momapos.model.scene` reads them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from momapos.model.records import JointResistance
+
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
+Outline = Annotated[tuple[Pair, ...], msgspec.Meta(min_length=3)]
+
+
+class _Strict(msgspec.Struct, forbid_unknown_fields=True):
+    """A record without further members: the reader ignores those, with a warning."""
+
+
+class ScenePose(_Strict):
+    """Pose of an object's frame in the world."""
+
+    xyz: Triple
+    """Position [m]."""
+    wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """Unit quaternion [-]."""
+
+
+class SceneStart(_Strict):
+    """Initial pose of the robot's base on the floor."""
+
+    x: float
+    """[m]"""
+    y: float
+    """[m]"""
+    yaw: float
+    """[rad]"""
+
+
+class SceneWall(_Strict):
+    """A wall on the floor."""
+
+    start: Pair = msgspec.field(name="from")
+    """One end of its center line: x, y [m]."""
+    to: Pair
+    """The other end [m]."""
+    height: Positive = 2.5
+    """[m]"""
+    thickness: Positive = 0.1
+    """Half of it on either side of the center line [m]."""
+
+
+class SceneLatch(_Strict):
+    """What must be turned before a part opens."""
+
+    joint: str
+    """Joint of the latch."""
+    to: float | str
+    """Value from which on the part is free [rad] or [m], or a text with a unit such as "40deg"."""
+    holds: str | None = None
+    """Joint that it holds; needed only if several move the latch."""
+
+
+class SceneHypothesis(_Strict):
+    """One way in which a part may move."""
+
+    kind: str
+    """Kind of the part, such as "hinge_left" or "drawer"."""
+    probability: Share
+    """[-]"""
+    point: Triple
+    """A point on the axis, in the object's frame [m]."""
+    axis: Triple
+    """Direction of the axis, in the object's frame [-]."""
+    upper: float
+    """How far it opens [rad] or [m]."""
+
+
+class SceneConfidence(_Strict):
+    """How sure a scan is."""
+
+    object: Share | None = None
+    """That the object exists [-]."""
+    label: Share | None = None
+    """That its category is right [-]."""
+    joints: dict[str, Share] = {}
+    """That a joint is as modeled, by joint [-]."""
+    handles: dict[str, Share] = {}
+    """That a handle was seen, by joint [-]."""
+
+
+class SceneEntry(_Strict):
+    """An object; it has either `urdf` or `box`."""
+
+    name: Name
+    """Unique in the scene."""
+    pose: ScenePose
+    category: str = ""
+    """What it is, such as "fridge"."""
+    urdf: str | None = None
+    """Path of its model, relative to the scene file and inside of its folder."""
+    scale: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0
+    """Factor on all lengths of the model [-]."""
+    box: Triple | None = None
+    """Edge lengths of a rigid box about its frame [m]."""
+    joints: dict[str, float] = {}
+    """Joint values [rad] or [m]; others are zero, or at the nearest limit."""
+    closed: dict[str, float] = {}
+    """Values at which joints are closed [rad] or [m]; others are found from the geometry."""
+    mass: Positive | None = None
+    """Mass of a rigid object [kg]."""
+    resistance: dict[str, JointResistance] = {}
+    """What is known about seal, friction and weight, by joint."""
+    latch: SceneLatch | None = None
+    hypotheses: dict[str, list[SceneHypothesis]] = {}
+    """Ways in which parts may move, the most probable first, by joint."""
+    confidence: SceneConfidence | None = None
+
+
+class SceneFile(_Strict):
+    """A room."""
+
+    format: Literal["momapos-scene"]
+    version: Literal[1]
+    objects: list[SceneEntry]
+    name: Name | None = None
+    """By default that of the file."""
+    floor: Outline | None = None
+    """Corners of the floor: x, y [m]; without it the floor has no end."""
+    walls: Literal["floor"] | list[SceneWall] | None = None
+    """"floor" for walls around the floor."""
+    map: str | None = None
+    """Path of a Nav2 map (YAML), whose occupied cells become walls."""
+    start: SceneStart | None = None
+    areas: dict[str, Outline] = {}
+    """Named areas for restrictions of the base pose, by name."""

@@ -1,0 +1,222 @@
+"""JSON Schemas accept all our files, refuse wrong ones, and stand in the documentation."""
+
+from __future__ import annotations
+
+import copy
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from jsonschema import Draft202012Validator
+
+from momapos.apps.bench.bench_records import Row, to_plain
+from momapos.apps.cli.main import main
+from momapos.apps.schemas.field_list import field_list
+from momapos.apps.schemas.generate import SCHEMAS, schema_of
+from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
+from momapos.model.plan_files.tour_format import TourFile, TourStep, tour_to_dict
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot_names import library_file, library_names
+from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_keys import SCENE_KEYS, Named
+from momapos.model.scene.scene_names import LIBRARY, builtin_names
+from momapos.model.trajectory import with_times
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.simulation.run_motion import RunMotion
+from momapos.simulation.run_record import Collision, Execution, RunRecord, Visit, run_to_dict
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def check(name: str, data: Any) -> None:
+    """Check the content of a file, as JSON has it."""
+    Draft202012Validator(schema_of(name)).validate(json.loads(json.dumps(data)))
+
+
+def unknown(data: Any, name: str) -> set[str]:
+    """Return messages about members of a file that its schema does not name."""
+    closed = copy.deepcopy(schema_of(name))
+    for record in (closed, *closed.get("$defs", {}).values()):
+        if "properties" in record:
+            record["additionalProperties"] = False
+    errors = Draft202012Validator(closed).iter_errors(json.loads(json.dumps(data)))
+    return {error.message for error in errors}
+
+
+@pytest.fixture(scope="module")
+def plans() -> dict[str, PlacementPlan]:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    found = {
+        "solved": make_task(scene, "open", "fridge", "door_hinge"),
+        "infeasible": make_task(scene, "open", "dishwasher"),
+    }
+    return {
+        name: with_times(plan_base_placement(scene, robot, task).with_notes().plan, robot)
+        for name, task in found.items()
+    }
+
+
+def a_run() -> RunRecord:
+    """Return a record in which most optional members have a value."""
+    pose = (1.0, 2.0, 0.5)
+    done = Execution(
+        True, "", "contact", 0.0, 1.5, 1.49,
+        collisions=(Collision("hand", "fridge/body", 3.0, 0.001, 0.1, 2.0, "open"),),
+        stability=0.1, clearance=0.02, base_pose=pose, notes=("note",), time={"open": 2.0},
+    )  # fmt: skip
+    visit = Visit(pose, pose, 1.0, 3.0, "")
+    return RunRecord(
+        "room.json", "fetch", Task("open", "fridge", "door", 1.5), (visit,), done, failed=(done,),
+        seed=3, noise=True, plan="plan.json", world_at=pose,
+        motion=RunMotion((0.0, 1.0), ("drive", "open"), (pose, pose), {"pan": (0.0, 0.1)}),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_schema_is_valid_json_schema(name: str) -> None:
+    made = schema_of(name)
+    Draft202012Validator.check_schema(made)
+    assert made["title"]
+    assert made["description"]
+
+
+@pytest.mark.parametrize("name", ["plan", "plan2", "tour"])
+def test_every_member_of_a_plan_is_described(name: str) -> None:
+    made = schema_of(name)
+    for record in (made, *made.get("$defs", {}).values()):
+        for member, part in record.get("properties", {}).items():
+            assert part.get("description") or member in ("status", "steps", "stops"), member
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_built_in_scenes_match_their_schema(name: str, tmp_path: Path) -> None:
+    check("scene", json.loads((LIBRARY / f"{name}.json").read_text()))
+    scene = load_scene(name)
+    boxes = tuple(item for item in scene.objects if item.model.urdf.path is None)
+    save_scene(replace(scene, objects=boxes), tmp_path / "again.json")
+    check("scene", json.loads((tmp_path / "again.json").read_text()))
+
+
+@pytest.mark.parametrize("name", library_names())
+def test_robots_of_the_library_match_their_schema(name: str) -> None:
+    check("robot", tomllib.loads(library_file(name).read_text()))
+
+
+def test_the_members_of_a_scene_are_those_that_the_reader_knows() -> None:
+    made = schema_of("scene")
+    parts = {name: set(part.get("properties", ())) for name, part in made["$defs"].items()}
+    assert isinstance(SCENE_KEYS, Mapping)
+    assert set(made["properties"]) == set(SCENE_KEYS)
+    entry, walls = SCENE_KEYS["objects"], SCENE_KEYS["walls"]
+    assert isinstance(entry, Mapping)
+    assert isinstance(walls, Mapping)
+    assert parts["SceneEntry"] == set(entry)
+    assert parts["SceneWall"] == set(walls)
+    for name, key in (
+        ("ScenePose", "pose"), ("SceneLatch", "latch"), ("SceneConfidence", "confidence"),
+    ):  # fmt: skip
+        known = entry[key]
+        assert isinstance(known, Mapping)
+        assert parts[name] == set(known)
+    named = entry["hypotheses"]
+    assert isinstance(named, Named)
+    assert isinstance(named.value, Mapping)
+    assert parts["SceneHypothesis"] == set(named.value)
+
+
+@pytest.mark.parametrize("status", ["solved", "infeasible"])
+def test_plans_match_their_schema_and_have_no_other_member(
+    plans: dict[str, PlacementPlan], status: str, tmp_path: Path
+) -> None:
+    plan = plans[status]
+    assert plan.status == status
+    write_plan(plan, tmp_path / "plan.json")
+    data = json.loads((tmp_path / "plan.json").read_text())
+    check("plan", data)
+    assert unknown(data, "plan") == set()
+    assert unknown(plan_to_dict(read_plan(tmp_path / "plan.json")), "plan") == set()
+
+
+def test_version_2_has_a_pose_of_the_base_at_each_state(plans: dict[str, PlacementPlan]) -> None:
+    data = plan_to_dict(plans["solved"])
+    states = len(data["manipulation"]["q"])
+    data["version"], data["manipulation"]["base"] = 2, [[0.0, 1.0, 0.5]] * states
+    check("plan2", data)
+    for wrong in ([[0.0, 1.0]], [[0.0, 1.0, "x"]], None):
+        changed = copy.deepcopy(data)
+        changed["manipulation"]["base"] = wrong
+        with pytest.raises(jsonschema.ValidationError):
+            check("plan2", changed)
+    with pytest.raises(jsonschema.ValidationError):
+        check("plan", data)
+
+
+def test_other_records_match_their_schemas_and_have_no_other_member() -> None:
+    tour = TourFile("solved", (TourStep(1, "a.json"),), 1, 2.5, ("carries cup",))
+    row = Row("k", "task", "group", "fetch", "ours", 1, "solved", bases=((1.0, 2.0, 0.5),))
+    for name, data in (
+        ("tour", tour_to_dict(tour, ["a.json"])), ("run", run_to_dict(a_run())),
+        ("bench-row", to_plain(row)),
+    ):  # fmt: skip
+        check(name, data)
+        assert unknown(data, name) == set()
+
+
+@pytest.mark.parametrize("name", ["scene", "robot", "plan"])
+def test_files_without_a_required_member_or_with_a_wrong_type_do_not_match(
+    name: str, plans: dict[str, PlacementPlan]
+) -> None:
+    good: dict[str, Any] = {
+        "scene": json.loads((LIBRARY / "kitchen_small.json").read_text()),
+        "robot": tomllib.loads(library_file("fetch").read_text()),
+        "plan": plan_to_dict(plans["solved"]),
+    }[name]
+    check(name, good)
+    required = schema_of(name)["required"]
+    assert required
+    for member in required:
+        without = {key: value for key, value in good.items() if key != member}
+        for changed in (without, {**good, member: 1.5}, {**good, member: [None]}):
+            with pytest.raises(jsonschema.ValidationError):
+                check(name, changed)
+
+
+def test_misspelled_members_of_files_that_people_write_do_not_match() -> None:
+    scene = json.loads((LIBRARY / "kitchen_small.json").read_text())
+    scene["objects"][0]["pose"]["rpy"] = [0, 0, 0]
+    robot = tomllib.loads(library_file("fetch").read_text())
+    robot["base"]["max_sped"] = 1.0
+    for name, data in (("scene", scene), ("robot", robot)):
+        with pytest.raises(jsonschema.ValidationError):
+            check(name, data)
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_the_documentation_has_each_schema(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", name]) == 0
+    file = DOCS / "schemas" / f"{name}.schema.json"
+    assert file.read_text() == capsys.readouterr().out, f"momapos schema {name} > {file}"
+
+
+def test_the_documentation_lists_the_members(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", "--fields"]) == 0
+    shown = capsys.readouterr().out
+    assert (DOCS / "formats.md").read_text() == shown == field_list(), "momapos schema --fields"
+
+
+def test_the_command_lists_the_formats_and_refuses_others(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["schema"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"{name} " in shown for name in SCHEMAS)
+    assert main(["schema", "plna"]) == 2
+    assert "did you mean plan" in capsys.readouterr().err
