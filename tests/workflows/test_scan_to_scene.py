@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 
 from momapos import PipelineConfig, PlaceConfig, load_reach_map, load_robot
 from momapos.apps.cli.main import main
 from momapos.apps.cli.scan_report import report_to_dict, write_report
+from momapos.apps.schemas.generate import schema_of
 from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.core.errors import InputError, UnknownNameError
@@ -384,6 +386,8 @@ def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     record = json.loads(capsys.readouterr().out)
     assert (record["status"], record["done"]) == ("solved", True)
     assert record == json.loads((out / "solve.json").read_text())
+    Draft202012Validator(schema_of("solve")).validate(record)
+    assert set(record) <= set(schema_of("solve")["properties"])
     assert name in record["modeled"]
     assert len(record["modeled"]) < sum(d.model is not None for d in made.decisions)
     stages = {k: v for k, v in record["timing"].items() if k != "total"}

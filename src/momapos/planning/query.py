@@ -32,7 +32,7 @@ from momapos.planning.navigation import (
     build_navigation_map,
     outlines_after,
 )
-from momapos.planning.placement import PoseMask
+from momapos.planning.placement import OURS, PoseCost, PoseMask
 from momapos.planning.reachability import load_reach
 
 from .config import PipelineConfig
@@ -51,6 +51,7 @@ class QueryOptions(TypedDict, total=False):
     start: Sequence[float] | Float[np.ndarray, "3"] | None
     region: BaseRegion
     keep_poses: PoseMask | None
+    pose_cost: PoseCost | None
     keep_grasps: GraspFilter | None
     config: PipelineConfig
     cache_dir: str | Path | None
@@ -84,6 +85,8 @@ class PlacementQuery:
     """Returns which grasps of a motion may be used; None for all."""
     final_check: FinalCheck | None = None
     """A last condition on base poses for which a motion was found; None for no condition."""
+    pose_cost: PoseCost | None = None
+    """Returns a further cost of base poses (n, 3), as driving lengths [m]; None for none."""
     seed: int = 0
     watch: Stopwatch = field(default_factory=lambda: Stopwatch(time.perf_counter))
 
@@ -95,9 +98,13 @@ class PlacementQuery:
             raise InputError("reach must be a reachability map; load_reach_map reads one")
         expect("config", self.config, PipelineConfig, "set its stages, as place=PlaceConfig()")
         expect("region", self.region, BaseRegion)
-        for name in ("keep_poses", "keep_grasps", "final_check"):
+        for name in ("keep_poses", "keep_grasps", "final_check", "pose_cost"):
             if getattr(self, name) is not None:
                 expect_callable(name, getattr(self, name))
+        if self.pose_cost is not None and self.config.place.method not in OURS:
+            raise InputError(
+                f"pose_cost needs the method {' or '.join(OURS)}, not {self.config.place.method!r}"
+            )
         if self.start is not None:
             object.__setattr__(self, "start", finite_array("start", self.start, (3,)))
         object.__setattr__(self, "seed", whole_number("seed", self.seed, 0, 2**63 - 1))
@@ -113,6 +120,7 @@ class PlacementQuery:
         start: Sequence[float] | Float[np.ndarray, "3"] | None = None,
         region: BaseRegion = ANYWHERE,
         keep_poses: PoseMask | None = None,
+        pose_cost: PoseCost | None = None,
         keep_grasps: GraspFilter | None = None,
         config: PipelineConfig = DEFAULT,
         cache_dir: str | Path | None = None,
@@ -130,6 +138,8 @@ class PlacementQuery:
             region: Where the base may stand.
             keep_poses: Returns for base poses (n, 3) which of them may be tried, as n bools. This
                 keeps the robot west of x = 2 m: `lambda poses: poses[:, 0] < 2.0`.
+            pose_cost: Returns a further cost of base poses (n, 3), as n driving lengths of at least
+                0 [m]: among feasible base poses that of the least total cost is chosen.
             keep_grasps: Returns which grasps of a motion may be used, as bools.
             config: How to search.
             cache_dir: Folder of the cached maps; the user's cache folder by default.
@@ -146,7 +156,7 @@ class PlacementQuery:
             reach = load_reach(robot, folder)
         return cls(
             scene, robot, task, reach, start, config, region, keep_poses, keep_grasps,  # type: ignore[arg-type]
-            seed=seed, watch=Stopwatch(clock),
+            pose_cost=pose_cost, seed=seed, watch=Stopwatch(clock),
         )  # fmt: skip
 
     @cached_property
@@ -173,6 +183,25 @@ class PlacementQuery:
                 f"{mask.dtype} of shape {mask.shape}"
             )
         return mask
+
+    def own_cost(self, poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return the cost of base poses by `pose_cost` [m].
+
+        Raises:
+            InputError: It returns anything but one number of at least 0 per pose.
+        """
+        assert self.pose_cost is not None
+        cost = np.asarray(self.pose_cost(poses))
+        if cost.shape != (len(poses),) or cost.dtype.kind not in "fiu":
+            raise InputError(
+                f"pose_cost must return {len(poses)} numbers, one per base pose, not an array of "
+                f"{cost.dtype} of shape {cost.shape}"
+            )
+        if not (np.isfinite(cost) & (cost >= 0.0)).all():
+            raise InputError(
+                "pose_cost must return finite numbers of at least 0; keep_poses excludes poses"
+            )
+        return cost.astype(float)
 
 
 def as_query(

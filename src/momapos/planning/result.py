@@ -244,8 +244,10 @@ def _cost(query: PlacementQuery, prepared: PreparedTask, found: Search) -> Mappi
     if motion is None or base is None or place.method not in OURS:
         return {}
     q = query.robot.chain.freedom_values(motion.q)
-    travel = float(found.cost)
-    return cost_terms(prepared.geometry, place, base, q, travel=travel, robustness=found.robustness)
+    return cost_terms(
+        prepared.geometry, place, base, q, travel=float(found.cost), robustness=found.robustness,
+        own=None if query.pose_cost is None else float(query.own_cost(base[None])[0]),
+    )  # fmt: skip
 
 
 def _named_srdf(robot: Robot) -> str | None:

@@ -166,6 +166,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         start=start,
         out_of_time=out_of_time,
         keep_poses=None if query.keep_poses is None else query.kept,
+        own_cost=None if query.pose_cost is None else query.own_cost,
         home_is_free=partial(_home_is_free, query) if moves else None,
         departure=OnwardPaths(drives) if moves and _checks_departure(config.place) else None,
         region=query.region,

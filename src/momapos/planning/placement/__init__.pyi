@@ -19,6 +19,7 @@ from .pose_search import search_in_order as search_in_order
 from .potential import attraction as attraction
 from .potential import sees as sees
 from .problem import AttemptPose as AttemptPose
+from .problem import PoseCost as PoseCost
 from .problem import PoseMask as PoseMask
 from .problem import Problem as Problem
 from .problem import Search as Search

@@ -15,6 +15,7 @@ from momapos.model.records import CostTerm
 
 from .area import PlacementGeometry
 from .config import PlaceConfig
+from .problem import PoseCost, Problem
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,6 +32,13 @@ class PoseCosts:
     config: PlaceConfig
     grasp_step: int
     """Index of the arm path's state in which the hand grasps [-]."""
+    own: PoseCost | None = None
+    """A further cost of base poses, known before the arm has a path [m]."""
+
+    @classmethod
+    def of(cls, problem: Problem, config: PlaceConfig) -> PoseCosts:
+        """Return the costs of a search."""
+        return cls(problem.geometry, config, problem.grasp_step, problem.own_cost)
 
     @property
     def robustness_first(self) -> bool:
@@ -44,7 +52,7 @@ class PoseCosts:
         cost = self.config.weight_driving * travel
         if self.config.weight_clearance:
             cost = cost + self.config.weight_clearance * missing_clearance(self.geometry, poses)
-        return cost
+        return cost if self.own is None else cost + self.own(poses)
 
     def of_path(self, q: Float[np.ndarray, "m n"]) -> float:
         """Return the cost of an arm path (its states) from the grasp on."""
@@ -70,6 +78,7 @@ def cost_terms(
     *,
     travel: float,
     robustness: float | None,
+    own: float | None = None,
 ) -> Mapping[str, CostTerm]:
     """Return the terms of a plan's cost by name, including those of weight 0.
 
@@ -80,6 +89,7 @@ def cost_terms(
         q: Arm states in which the hand holds the object.
         travel: Driving length [m].
         robustness: Share of neighbors that work; None if it was not measured.
+        own: The cost by the user's own function [m]; None without one.
     """
     robot = geometry.robot
     values = {
@@ -90,10 +100,11 @@ def cost_terms(
         "effort": travel_of_arm(robot.chain, q, robot.reach),
     }
     weights = {name: getattr(config, f"weight_{name}") for name in values}
-    return {
+    terms = {
         name: CostTerm(value, None if math.isinf(weights[name]) else weights[name])
         for name, value in values.items()
     }
+    return terms if own is None else {**terms, "own": CostTerm(own, 1.0)}
 
 
 def missing_clearance(

@@ -71,9 +71,7 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         for score in problem.mode_scorers:
             reached = clear.reached(problem, score, on_grid=on_grid)
             for shortlist in _home_first(problem, reached, config):
-                waiting = Waiting.of(
-                    problem, score, PoseCosts(problem.geometry, config, problem.grasp_step)
-                )
+                waiting = Waiting.of(problem, score, PoseCosts.of(problem, config))
                 if on_grid:
                     _check_grid(problem, shortlist, found, waiting)
                 else:
@@ -156,7 +154,7 @@ def iter_searches(
         return
     problem = replace(problem, departure=None)
     frame = task_frame(problem.geometry)
-    costs = PoseCosts(problem.geometry, config, problem.grasp_step)
+    costs = PoseCosts.of(problem, config)
     for local, on_grid in _rounds(corners, config, rng):
         found = Search()
         clear = _clear(problem, frame, local, config if on_grid else None, found)

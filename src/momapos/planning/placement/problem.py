@@ -42,6 +42,8 @@ ScreenPoses: TypeAlias = (
 maximum number to try; return None if out of time."""
 PoseMask: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Return which base poses have a property."""
+PoseCost: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Float[np.ndarray, ' n']]"
+"""Return a further cost of base poses, as a driving length [m]."""
 AttemptPose: TypeAlias = (
     "Callable[[Float[np.ndarray, '3'], ArmPathResult, Int[np.ndarray, ' k']], Attempt]"
 )
@@ -169,6 +171,8 @@ class Problem:
     """Why no base pose can solve the task, if known beforehand."""
     keep_poses: PoseMask | None = None
     """Returns which base poses may be tried; None for all."""
+    own_cost: PoseCost | None = None
+    """A further cost of base poses [m]; None for none."""
     home_is_free: PoseMask | None = None
     """Whether the arm can return home after the task; such base poses come first. None: always."""
     departure: DepartureCheck | None = None
