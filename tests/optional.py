@@ -26,6 +26,8 @@ GET = {
     "distributed": ".venv/bin/pip install 'distributed>=2024.8'",
     "av": "make test-film",
     "pyarrow": ".venv/bin/pip install 'pyarrow>=15'",
+    "h5py": ".venv/bin/pip install 'h5py>=3.10'",
+    "lerobot": "pip install lerobot (2 GB), in an environment of its own",
     "eaik": ".venv/bin/pip install eaik",
     "pxr": "make test-usd",
     "xacrodoc": ".venv/bin/pip install xacrodoc",

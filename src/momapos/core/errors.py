@@ -12,12 +12,14 @@ from contextlib import contextmanager
 from typing import Literal
 
 Extra = Literal[
-    "bench", "film", "kitchens", "parquet", "physics", "scan", "torch", "usd", "view", "xacro"
+    "bench", "film", "hdf5", "kitchens", "parquet", "physics", "scan", "torch", "usd", "view",
+    "xacro",
 ]  # fmt: skip
 """Names of the package's extras."""
 REQUIREMENTS: dict[Extra, tuple[str, ...]] = {
     "bench": ("distributed>=2024.8",),
     "film": ("av>=14",),
+    "hdf5": ("h5py>=3.10",),
     "kitchens": ("scene-synthesizer>=1.0",),
     "parquet": ("pyarrow>=15",),
     "physics": ("mujoco>=3.10", "pillow>=10.1"),

@@ -134,6 +134,9 @@ class Job:
     method: str
     settings: Settings = field(default_factory=Settings)
     protocol: Protocol = DEFAULT_PROTOCOL
+    record: str = ""
+    """Folder for the plans and records of executed tasks, in a folder for each robot; "" for
+    none. Not part of the key: it changes no row."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import MomaposError, require, user_cache
+from momapos.model.plan_files import write_plan
 from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, load_robot, opened_as
 from momapos.model.scene import Scene, load_scene
@@ -122,7 +124,7 @@ def _check_and_execute(
     if trace.outcome != "solved":
         return
     seed, config = planner.job.task.seed, planner.config
-    for step, plan in steps:
+    for number, (step, plan) in enumerate(steps, start=1):
         if settings.disturbances:
             trace.add_disturbed(works_disturbed(
                 plan, step.scene, robot, reach, count=settings.disturbances, config=config,
@@ -130,7 +132,10 @@ def _check_and_execute(
             ))  # fmt: skip
         if settings.execute:
             attempts = 1 if planner.job.protocol.commit == "first" else MAX_POSES
-            record = _execute(plan, step.scene, robot, reach, config, seed, world, attempts)
+            record = _execute(
+                plan, step.scene, robot, reach, config, seed, world, attempts,
+                _record_file(planner.job, number),
+            )  # fmt: skip
             trace.add_run(record)
         if trace.done is False:
             return
@@ -148,18 +153,40 @@ def _verify(step: Step, plan: PlacementPlan, robot: Robot) -> tuple[bool, str]:
 
 def _execute(
     plan: PlacementPlan, scene: Scene, robot: Robot, reach: ReachScorer, config: PipelineConfig,
-    seed: int, world: Scene | None, attempts: int,
+    seed: int, world: Scene | None, attempts: int, file: Path | None,
 ) -> RunRecord:  # fmt: skip
-    """Execute a plan in physics with noise and contact grasping, as `momapos run` does."""
+    """Execute a plan in physics with noise and contact grasping, as `momapos run` does.
+
+    If there is a file, the record with its motion is written to it, and the plan next to it.
+    """
     with require("physics"):
-        from momapos.simulation import ExecutionConfig, FurnitureConfig
+        from momapos.simulation import (
+            ExecutionConfig,
+            FurnitureConfig,
+            RunTrace,
+            with_files,
+            write_run,
+        )
         from momapos.workflows import run_plan
 
-    return run_plan(
+    watch = None if file is None else RunTrace()
+    record = run_plan(
         plan, scene, robot, reach, world=world, attempts=attempts, config=config, seed=seed,
         physics=ExecutionConfig(hold="contact", furniture=FurnitureConfig(spread=0.3)),
-        clock=time.process_time,
+        clock=time.process_time, watch=watch, trace=None if watch is None else watch.drive,
     )  # fmt: skip
+    if file is not None and watch is not None:
+        plan_file = file.with_name(f"{file.stem}.plan.json")
+        write_plan(plan, plan_file)
+        write_run(replace(with_files(record, file, plan_file), motion=watch.motion()), file)
+    return record
+
+
+def _record_file(job: Job, step: int) -> Path | None:
+    """Return the file for the record of a step of a job; None if there shall be none."""
+    if not job.record:
+        return None
+    return Path(job.record) / job.task.robot / f"{job.key}_{step}.json"
 
 
 # --------------------------------------------------------------------- caches of a process

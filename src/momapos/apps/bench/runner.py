@@ -41,6 +41,7 @@ def jobs_of(
     settings: Settings,
     versions: Mapping[str, str],
     limit: int | None = None,
+    record: str = "",
 ) -> list[Job]:
     """Return all jobs: every task under every protocol with every method, grouped by task.
 
@@ -51,6 +52,7 @@ def jobs_of(
         settings: Settings for every task.
         versions: Versions that rows depend on.
         limit: Number of tasks, drawn from the suite; a larger number includes the same tasks.
+        record: Folder for the records of executed tasks; "" for none.
     """
     order = list(range(len(suite.tasks)))
     if limit is not None:
@@ -61,7 +63,7 @@ def jobs_of(
     return [
         Job(
             content_key(task, suite.scenes[task.scene], method, protocol, *same),
-            str(folder.absolute()), task, method, settings, protocol,
+            str(folder.absolute()), task, method, settings, protocol, record,
         )
         for task in tasks
         for protocol in settings.protocols

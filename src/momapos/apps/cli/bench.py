@@ -55,6 +55,7 @@ def bench_run(
     execute: Flag = False,
     scan: int = Settings.scan,
     disturbances: int = 3,
+    record: OptionalFolder = None,
     json: Flag = False,
 ) -> int:
     """Run all tasks of a suite with all methods; skip tasks that already have a result.
@@ -84,6 +85,8 @@ def bench_run(
             0: it knows the true scene.
         disturbances: Number of base poses that are 2 cm and 2 deg from the planned one, and as many
             5 cm and 5 deg from it, at which the arm motion is replanned; 0: none.
+        record: With --execute, write the record of each new run to this folder, in a folder for
+            each robot; 'momapos export' makes a set of episodes of these.
         json: Print one JSON object, and nothing else.
     """
     # Mistakes are reported before anything heavy is imported.
@@ -101,7 +104,9 @@ def bench_run(
         _check_scannable(suite)
     if scan and commit == "first":
         raise InputError("--commit first checks the base pose in the true scene; leave out --scan")
-    check_outputs(folders=[out])
+    if record is not None and (scan or not execute):
+        raise InputError("--record needs --execute, and runs in the true scene without --scan")
+    check_outputs(folders=[out, record])
     from momapos.apps.bench import method_config
 
     chosen = tuple(dict.fromkeys(methods)) or SUITES[suite].methods
@@ -125,7 +130,10 @@ def bench_run(
     with locked(out), _executor(workers, scheduler) as (executor, width, do):
         with busy(f"{suite}: preparing the tasks"):
             made = open_folder(out, suite, seed, robots, settings)
-        jobs = jobs_of(made.suite, chosen, out, settings, made.versions, limit or None)
+        jobs = jobs_of(
+            made.suite, chosen, out, settings, made.versions, limit or None,
+            "" if record is None else str(record.absolute()),
+        )  # fmt: skip
         before = {row.key for row in all_rows(out)}
         left = sum(job.key not in before for job in jobs)
         store = RowStore(rows_file(out))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from momapos.core import InputError, check_outputs
 
+from .export_episodes import SETS, export_episodes
 from .options import OptionalFile, OptionalFolder, OptionalRobot, PlanArg
 from .plan_sources import numbered, open_plan, open_run, plans_of
 
@@ -28,26 +29,29 @@ def export(
     source: PlanArg,
     /,
     *,
-    to: Literal["csv", "npz", "ros2", "mcap", "moveit"],
+    to: Literal["csv", "npz", "ros2", "mcap", "moveit", "lerobot", "hdf5"],
     out: OptionalFile = None,
     scene_root: OptionalFolder = None,
     robot: OptionalRobot = None,
     frame: str = FRAME,
+    cameras: str = "room,hand",
+    image_size: str = "128x96",
 ) -> int:
-    """Write a solved plan, or the motion of a run, for other programs.
+    """Write a solved plan, or the motion of runs, for other programs.
 
     csv, npz: base, arm and object over time, as a table or as arrays. ros2: goals for Nav2, the arm
     controller and the gripper, as JSON. mcap: a ROS 2 bag of frames, joints, trajectory and scene,
     for Foxglove, RViz and "ros2 bag play". moveit: a planning scene, an SRDF of the robot, and the
-    carried object as an attached object.
+    carried object as an attached object. lerobot, hdf5: a set of runs as a LeRobot dataset or in
+    robomimic's layout, with rendered images.
 
     For a tour, each plan is written: FILE_1, FILE_2 and so on. ros2 and moveit need a plan, not a
-    run.
+    run; lerobot and hdf5 need a run, or a folder of runs of one robot.
 
     Exit status: 0 written; 2 unusable input or output.
 
     Args:
-        source: A plan file, a tour file, or the record of a run.
+        source: A plan file, a tour file, the record of a run, or a folder of records.
         to: The format.
         out: The file, or the folder for mcap (default: named after the plan, in the current
             folder).
@@ -55,7 +59,12 @@ def export(
             scene.
         robot: A library robot or a robot file (default: the robot of the plan).
         frame: Name of the world frame in messages.
+        cameras: Rendered cameras of lerobot and hdf5: some of room and hand, or none.
+        image_size: Size of their images [px].
     """
+    if to in SETS:
+        export_episodes(source, to, out, scene_root, robot, cameras, image_size)
+        return 0
     if not frame:
         raise InputError("--frame must not be empty")
     paths = plans_of(source, "to export")

@@ -1,11 +1,17 @@
 from .attached_object import carries_object as carries_object
 from .attached_object import write_attached as write_attached
 from .carried_object import CarriedObject as CarriedObject
+from .episode_images import CAMERAS as CAMERAS
+from .episode_images import Camera as Camera
+from .episodes import Episode as Episode
+from .episodes import episode_of as episode_of
+from .lerobot import write_lerobot as write_lerobot
 from .mcap_recording import write_recording as write_recording
 from .phases import PhaseKind as PhaseKind
 from .phases import phases_of as phases_of
 from .planning_scene import write_scene as write_scene
 from .planning_scene import write_srdf as write_srdf
+from .robomimic import write_hdf5 as write_hdf5
 from .ros2 import write_ros2 as write_ros2
 from .tables import write_csv as write_csv
 from .tables import write_npz as write_npz

@@ -137,6 +137,22 @@ def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) 
     )
 
 
+def join_worlds(still: RenderWorld, moving: RenderWorld) -> RenderWorld:
+    """Return a world with what stands still and what moves, lit as if only the former were there.
+
+    The shadows are those of what stands still, which are expensive.
+    """
+    both = RenderWorld(
+        np.concatenate([still.triangles, moving.triangles]),
+        np.concatenate([still.closed, moving.closed]),
+        np.concatenate([still.owner, moving.owner]),
+        np.concatenate([still.surface, moving.surface + len(still.materials)]),
+        (*still.materials, *moving.materials),
+    )
+    vars(both)["_lamps"] = still._lamps
+    return both
+
+
 def _object_patches(
     item: SceneObject, paints: dict[str, list[tuple[float, float, float] | None]]
 ) -> Iterator[tuple[Role, SurfacePatch]]:

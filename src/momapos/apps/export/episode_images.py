@@ -1,0 +1,128 @@
+"""Render what cameras see along a recorded motion, on the CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from momapos.apps.synthetic_scans import (
+    RenderWorld,
+    join_worlds,
+    look_at,
+    pinhole,
+    render_frame,
+    render_world,
+)
+from momapos.core.geometry import invert, pose, pose_planar
+from momapos.model.robots import Robot
+from momapos.model.scene import Scene, SceneObject
+
+from .timeline import Timeline
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+Camera = Literal["room", "hand"]
+CAMERAS: tuple[Camera, ...] = ("room", "hand")
+"""room: beside the robot at its base pose, still, toward the grasp; hand: on the hand."""
+FOCAL = {"room": 0.85, "hand": 0.6}
+"""Focal length of each camera, as a share of the image width [-]; 61 and 80 deg wide."""
+ROOM_DISTANCE, ROOM_SIDE, ROOM_HEIGHT = 1.9, 0.7, 1.7
+"""Distance of the room's camera from its aim [m], angle to the robot [rad], and height [m]."""
+ROBOT_COLOR = (0.80, 0.81, 0.83)
+"""sRGB color of robots, whose files have none."""
+HAND_BACK, HAND_OFF = 0.12, 0.07
+"""How far the hand's camera is behind the tool frame and beside the hand's approach axis [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeRenderer:
+    """Renders the scene with the robot and the moved object at samples of a timeline."""
+
+    scene: Scene
+    robot: Robot
+    timeline: Timeline
+    size: tuple[int, int]
+    """Width and height of the images [px]."""
+    still: RenderWorld
+    """Everything that does not move."""
+    T_world_room: Float[np.ndarray, "4 4"]
+    """Pose of the room's camera."""
+
+    @classmethod
+    def of(
+        cls, scene: Scene, robot: Robot, timeline: Timeline, size: tuple[int, int]
+    ) -> EpisodeRenderer:
+        """Prepare the rendering of a run in a scene."""
+        others = tuple(item for item in scene.objects if item.name != timeline.task.object)
+        still = render_world(replace(scene, objects=others), np.random.default_rng(0))
+        return cls(scene, robot, timeline, size, still, _room_camera(scene, timeline))
+
+    def images(
+        self, sample: int, cameras: Sequence[Camera]
+    ) -> Mapping[Camera, UInt8[np.ndarray, "h w 3"]]:
+        """Render what cameras see at a sample."""
+        world = join_worlds(self.still, self._world(self._object(sample)))
+        robot = self._world(self._robot(sample))
+        gray = tuple(replace(material, color=ROBOT_COLOR) for material in robot.materials)
+        world = join_worlds(world, replace(robot, materials=gray))
+        found: dict[Camera, UInt8[np.ndarray, "h w 3"]] = {}
+        for camera in cameras:
+            T = self.T_world_room if camera == "room" else self._hand_camera(sample)
+            lens = pinhole(self.size, FOCAL[camera] * self.size[0])
+            found[camera] = render_frame(world, T, lens, self.size).color
+        return found
+
+    def _world(self, item: SceneObject) -> RenderWorld:
+        alone = replace(self.scene, objects=(item,))
+        return render_world(alone, np.random.default_rng(0), floor=False)
+
+    def _values(self, sample: int) -> dict[str, float]:
+        values = self.timeline.samples.positions[sample].tolist()
+        return dict(zip(self.timeline.joints, values, strict=True))
+
+    def _robot(self, sample: int) -> SceneObject:
+        """Return the robot as an object of the scene."""
+        model = self.robot.model
+        T_root_base = model.link_poses({})[self.robot.base_link]
+        T = pose_planar(self.timeline.samples.base[sample]) @ invert(T_root_base)
+        held = {**model.held, **self._values(sample)}
+        free = {n: v for n, v in held.items() if n in model.joints and model.joint(n).mimic is None}
+        return SceneObject(self.robot.name, "robot", T, model, free)
+
+    def _object(self, sample: int) -> SceneObject:
+        """Return the object of the task as it is at a sample."""
+        item = self.scene.object(self.timeline.task.object)
+        poses = self.timeline.Ts_world_object
+        if poses is not None:
+            return replace(item, T_world_object=poses[sample])
+        limits = {name: item.joint(name) for name in self.timeline.object_values(sample)}
+        moved = {
+            name: float(np.clip(value, limits[name].lower, limits[name].upper))
+            for name, value in self.timeline.object_values(sample).items()
+        }
+        return replace(item, joints={**item.joints, **moved})
+
+    def _hand_camera(self, sample: int) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of the camera on the hand: it looks along the approach axis."""
+        robot, poses = self.robot, self.robot.model.link_poses(self._values(sample))
+        T_base_tool = invert(poses[robot.base_link]) @ poses[robot.tool_link]
+        T = pose_planar(self.timeline.samples.base[sample]) @ T_base_tool
+        ahead, right = robot.approach_axis, robot.closing_axis
+        down = np.cross(ahead, right)
+        eye = -HAND_BACK * ahead - HAND_OFF * down
+        return T @ pose(eye, np.stack([right, down, ahead], axis=1))
+
+
+def _room_camera(scene: Scene, timeline: Timeline) -> Float[np.ndarray, "4 4"]:
+    """Return a pose from which robot and object are seen when the base has arrived."""
+    base = timeline.samples.base[-1]
+    target = scene.object(timeline.task.object).bounds.mean(0)
+    away = base[:2] - target[:2]
+    angle = np.arctan2(away[1], away[0]) + ROOM_SIDE
+    aim = np.append(0.5 * (base[:2] + target[:2]), 0.8)
+    eye = np.append(aim[:2] + ROOM_DISTANCE * np.array([np.cos(angle), np.sin(angle)]), ROOM_HEIGHT)
+    return look_at(eye, aim)
