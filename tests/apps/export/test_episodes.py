@@ -224,9 +224,10 @@ def test_instructions_name_the_task() -> None:
 def test_the_published_reader_loads_a_set(runs: Path, tmp_path: Path) -> None:
     optional.module("lerobot")
     assert export(runs, "lerobot", tmp_path / "set", "--image-size", "32x24") == 0
-    example = Path(__file__).parents[3] / "examples" / "10_episodes_for_learning.py"
+    page = Path(__file__).parents[3] / "docs" / "howto" / "learning.md"
+    code = page.read_text().partition("```python\n")[2].partition("```")[0]
     done = subprocess.run(
-        [sys.executable, str(example), str(tmp_path / "set")], capture_output=True, text=True,
+        [sys.executable, "-c", code, str(tmp_path / "set")], capture_output=True, text=True,
         check=True,
     )  # fmt: skip
     assert "2 episodes, 14 frames" in done.stdout

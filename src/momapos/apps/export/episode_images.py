@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from momapos.apps.synthetic_scans import (
     RenderWorld,
     join_worlds,
+    link_of_triangles,
     look_at,
     pinhole,
     render_frame,
@@ -23,11 +25,12 @@ from momapos.model.scene import Scene, SceneObject
 from .timeline import Timeline
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, UInt8
+    from jaxtyping import Float, Int, UInt8
 
 Camera = Literal["room", "hand"]
+RGB = tuple[float, float, float]
 CAMERAS: tuple[Camera, ...] = ("room", "hand")
-"""room: beside the robot at its base pose, still, toward the grasp; hand: on the hand."""
+"""room: to the side of the robot at its base pose, still, toward the grasp; hand: on the hand."""
 FOCAL = {"room": 0.85, "hand": 0.6}
 """Focal length of each camera, as a share of the image width [-]; 61 and 80 deg wide."""
 ROOM_DISTANCE, ROOM_SIDE, ROOM_HEIGHT = 1.9, 0.7, 1.7
@@ -35,7 +38,42 @@ ROOM_DISTANCE, ROOM_SIDE, ROOM_HEIGHT = 1.9, 0.7, 1.7
 ROBOT_COLOR = (0.80, 0.81, 0.83)
 """sRGB color of robots, whose files have none."""
 HAND_BACK, HAND_OFF = 0.12, 0.07
-"""How far the hand's camera is behind the tool frame and beside the hand's approach axis [m]."""
+"""How far the hand's camera is behind the tool frame and off the hand's approach axis [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """An object as triangles in the frames of its links, to be placed at any state."""
+
+    world: RenderWorld
+    link: Int[np.ndarray, " n"]
+    """Index of the link of each triangle."""
+    local: Float[np.ndarray, "n 3 3"]
+    """Corners in the frames of the links [m]."""
+
+    @classmethod
+    def of(cls, scene: Scene, item: SceneObject, color: RGB | None = None) -> _Moving:
+        """Prepare an object; a color replaces its materials."""
+        alone = replace(scene, objects=(item,))
+        world = render_world(alone, np.random.default_rng(0), floor=False)
+        if color is not None:
+            gray = tuple(replace(material, color=color) for material in world.materials)
+            world = replace(world, materials=gray)
+        link = link_of_triangles(item)
+        T = invert(_link_poses(item))[link]
+        return cls(world, link, np.einsum("nij,nkj->nki", T[:, :3, :3], world.triangles)
+                   + T[:, None, :3, 3])  # fmt: skip
+
+    def placed(self, item: SceneObject) -> RenderWorld:
+        """Return the triangles of the object in another state."""
+        T = _link_poses(item)[self.link]
+        moved = np.einsum("nij,nkj->nki", T[:, :3, :3], self.local) + T[:, None, :3, 3]
+        return replace(self.world, triangles=moved)
+
+
+def _link_poses(item: SceneObject) -> Float[np.ndarray, "l 4 4"]:
+    poses = item.link_poses()
+    return np.array([poses[name] for name in item.model.urdf.links])
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +103,8 @@ class EpisodeRenderer:
         self, sample: int, cameras: Sequence[Camera]
     ) -> Mapping[Camera, UInt8[np.ndarray, "h w 3"]]:
         """Render what cameras see at a sample."""
-        world = join_worlds(self.still, self._world(self._object(sample)))
-        robot = self._world(self._robot(sample))
-        gray = tuple(replace(material, color=ROBOT_COLOR) for material in robot.materials)
-        world = join_worlds(world, replace(robot, materials=gray))
+        world = join_worlds(self.still, self._moving_object.placed(self._object(sample)))
+        world = join_worlds(world, self._moving_robot.placed(self._robot(sample)))
         found: dict[Camera, UInt8[np.ndarray, "h w 3"]] = {}
         for camera in cameras:
             T = self.T_world_room if camera == "room" else self._hand_camera(sample)
@@ -76,9 +112,13 @@ class EpisodeRenderer:
             found[camera] = render_frame(world, T, lens, self.size).color
         return found
 
-    def _world(self, item: SceneObject) -> RenderWorld:
-        alone = replace(self.scene, objects=(item,))
-        return render_world(alone, np.random.default_rng(0), floor=False)
+    @cached_property
+    def _moving_object(self) -> _Moving:
+        return _Moving.of(self.scene, self._object(0))
+
+    @cached_property
+    def _moving_robot(self) -> _Moving:
+        return _Moving.of(self.scene, self._robot(0), ROBOT_COLOR)
 
     def _values(self, sample: int) -> dict[str, float]:
         values = self.timeline.samples.positions[sample].tolist()

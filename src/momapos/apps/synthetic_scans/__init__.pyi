@@ -4,6 +4,7 @@ from .recording import synthetic_scan as synthetic_scan
 from .recording import write_scan as write_scan
 from .renderer import RenderWorld as RenderWorld
 from .renderer import join_worlds as join_worlds
+from .renderer import link_of_triangles as link_of_triangles
 from .renderer import look_at as look_at
 from .renderer import pinhole as pinhole
 from .renderer import render_frame as render_frame

@@ -137,6 +137,16 @@ def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) 
     )
 
 
+def link_of_triangles(item: SceneObject) -> Int[np.ndarray, " n"]:
+    """Return the link of each triangle of a world of one object, as an index into its links."""
+    counts = [
+        sum(len(patch.triangles) for shape in link.visuals or link.collisions
+            for patch in patches(shape, None))
+        for link in item.model.urdf.links.values()
+    ]  # fmt: skip
+    return np.repeat(np.arange(len(counts)), counts)
+
+
 def join_worlds(still: RenderWorld, moving: RenderWorld) -> RenderWorld:
     """Return a world with what stands still and what moves, lit as if only the former were there.
 
