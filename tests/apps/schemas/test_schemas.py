@@ -16,8 +16,8 @@ from jsonschema import Draft202012Validator
 
 from momapos.apps.bench.bench_records import Row, to_plain
 from momapos.apps.cli.main import main
-from momapos.apps.schemas.field_list import field_list
 from momapos.apps.schemas.generate import SCHEMAS, schema_of
+from momapos.apps.schemas.tables import field_list
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.plan_files.tour_format import TourFile, TourStep, tour_to_dict
 from momapos.model.records.plans import PlacementPlan
