@@ -19,7 +19,7 @@ from tests.verification.door_case import make_case
 from momapos.apps.cli.main import main
 from momapos.apps.cli.run import summary
 from momapos.core.errors import InputError
-from momapos.core.geometry.transforms import pose_planar, wrap_angle
+from momapos.core.geometry.transforms import invert, pose_planar, wrap_angle
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
 from momapos.model.records.plans import Attempt, Motion, PlacementPlan
@@ -99,7 +99,7 @@ def test_zero_tries_are_refused(
     plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries must be at least 1", capsys)
+    refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries must be between 1", capsys)
 
 
 def test_a_missing_world_or_a_pose_without_world_is_refused(
@@ -378,10 +378,18 @@ def test_a_start_in_collision_is_refused(
     refused([str(tmp_path / "plan.json"), "--start", "1,0,0"], "would hit", capsys)
 
 
+def at_base(plan: PlacementPlan, base: tuple[float, float, float]) -> PlacementPlan:
+    """Return a plan with the same motion of the arm at another base pose, without a base path."""
+    assert plan.motion is not None
+    T = pose_planar(np.array(base)) @ invert(pose_planar(np.array(plan.base_pose)))
+    motion = replace(plan.motion, Ts_world_tool=T @ plan.motion.Ts_world_tool)
+    return replace(plan, base_pose=base, base_path=None, motion=motion)
+
+
 def test_from_an_unreachable_base_pose_the_run_goes_on_to_the_next_one(
     plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_plan(replace(plan, base_pose=(1.0, 0.0, 1.57)), tmp_path / "plan.json")
+    write_plan(at_base(plan, (1.0, 0.0, 1.57)), tmp_path / "plan.json")
     assert main(["run", str(tmp_path / "plan.json"), "--no-noise"]) == 0
     assert "the goal is in collision with" in capsys.readouterr().out
 
@@ -402,10 +410,8 @@ def test_a_blocked_in_base_fails_with_that_reason(
             },
         })  # fmt: skip
     (tmp_path / "room.json").write_text(json.dumps(room))
-    outside = (0.3, -1.5, -3.02)
-    write_plan(
-        replace(plan, scene=str(tmp_path / "room.json"), base_pose=outside), tmp_path / "plan.json"
-    )
+    there = replace(at_base(plan, (0.3, -1.5, -3.02)), scene=str(tmp_path / "room.json"))
+    write_plan(there, tmp_path / "plan.json")
     out = tmp_path / "run.json"
     assert main(["run", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 1
     record = read_run(out)

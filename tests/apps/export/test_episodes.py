@@ -236,6 +236,7 @@ def test_the_published_reader_loads_a_set(runs: Path, tmp_path: Path) -> None:
 def test_a_record_without_motion_is_refused_by_its_name(
     plans: dict[str, PlacementPlan], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    optional.module("h5py")
     record = write(plans["segway_ur5e"], tmp_path, "a")
     bare = replace(with_files(record, tmp_path / "a.json", tmp_path / "a.plan.json"), motion=None)
     write_run(bare, tmp_path / "a.json")
