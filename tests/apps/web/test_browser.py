@@ -23,7 +23,7 @@ from momapos.apps.web.page import Page
 from momapos.apps.web.playback import Story
 from momapos.apps.web.scan_view import COARSE_POINTS
 from momapos.apps.web.static import write_page
-from momapos.apps.web.words import escaped
+from momapos.apps.web.texts import escaped
 from momapos.model.records.scans import Cloud
 from momapos.perception.records import Modeled
 
