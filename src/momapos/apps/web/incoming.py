@@ -231,13 +231,13 @@ def accepts(handle: Any, value: bool | float | str) -> bool:
 
 def _within(handle: Any, value: bool | float | str) -> bool:
     """Return whether a number is in the range of its control; NaN is in none."""
-    if isinstance(value, bool | str):
+    if isinstance(value, bool | str) or not math.isfinite(value):
         return False
     if isinstance(handle.value, int) and value != int(value):
         return False
     low = -math.inf if handle.min is None else handle.min
     high = math.inf if handle.max is None else handle.max
-    return bool(low <= value <= high and math.isfinite(value))
+    return bool(low <= value <= high)
 
 
 def _finite(message: Sent) -> bool:
