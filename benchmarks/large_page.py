@@ -103,7 +103,7 @@ async def measured(page: Page, address: str) -> None:
         while tab.seen.busy:
             await asyncio.sleep(0.1)
         if page.shown.story is None:
-            raise RuntimeError(page.panel.result.content)
+            raise RuntimeError(page.panel.card.text)
 
     async def play() -> None:
         await tab.press("Play")
@@ -161,7 +161,7 @@ def serving(objects: int, points: int) -> Iterator[tuple[Page, str]]:
         ) as (page, address):  # fmt: skip
             page.work.wait(600.0)
             if page.shown.scene is None:
-                raise RuntimeError(page.panel.result.content)
+                raise RuntimeError(page.panel.card.text)
             print(f"loaded and drawn: {time.monotonic() - began:.1f} s, "
                   f"{time.process_time() - own:.1f} s of processor")  # fmt: skip
             yield page, address

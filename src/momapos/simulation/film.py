@@ -42,6 +42,8 @@ CAPTIONS: dict[str, str] = {
     Stage.RETREAT: "Move the hand away",
 }  # fmt: skip
 """Captions of the stages of a run."""
+MIN_FORCE = 1.0
+"""Smallest force in a caption [N]."""
 _BEFORE_GRASP = (Stage.SETTLE, Stage.APPROACH)
 """Stages before the grasp."""
 
@@ -99,7 +101,9 @@ class _FilmImage:
         time, stage, _, force = self.state
         held = float(np.linalg.norm(force))
         words = CAPTIONS.get(stage, stage)
-        return f"{time:.1f} s   {words}" + (f"   {held:.0f} N at the hand" if held else "")
+        return f"{time:.1f} s   {words}" + (
+            f"   {held:.0f} N at the hand" if held >= MIN_FORCE else ""
+        )
 
 
 def _strip(trace: RunTrace, frames: int, ending: str) -> Shaped[np.ndarray, "H W 3"]:
@@ -151,7 +155,7 @@ def _film(
 
 def _ended(words: str, ending: str) -> str:
     """Return the last caption, with the ending if it is known."""
-    return f"{words.partition('   ')[0]}   {ending}" if ending else words
+    return f"{words.partition('   ')[0]}   {ending[:1].upper()}{ending[1:]}" if ending else words
 
 
 def _set_state(act: Act, data: Any, one: _FilmImage) -> Overlay:

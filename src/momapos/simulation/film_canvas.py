@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 
 ZENITH, HORIZON = (188, 212, 234), (244, 247, 250)
 """The sky at the upper and the lower edge of an image."""
-DIRECTIONAL_LIGHT, AMBIENT_LIGHT = 0.5, 0.66
+DIRECTIONAL_LIGHT, AMBIENT_LIGHT = 0.48, 0.6
 """Intensity of the directional and of the ambient light [-]."""
+FLICKER = 8e-4
+"""Cylinders are drawn larger by this, since a face in the plane of a box flickers [m]."""
 SHADOW_PIXELS, SHADOW_RADIUS = 4096, 4.0
 """Edge of the shadow map [px], and radius around the camera's target that it covers [m]."""
 LIGHT_AZIMUTH, LIGHT_ELEVATION = 60.0, 57.0
@@ -104,6 +106,8 @@ def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
         mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
         _set_lights(scene, camera)
         for geom in scene.geoms[: scene.ngeom]:
+            if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
+                geom.size += FLICKER
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in through:
                 geom.rgba[3] = HIDING_OPACITY
         _draw_path(scene, overlay)

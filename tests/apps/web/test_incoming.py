@@ -196,19 +196,23 @@ def test_hostile_messages_leave_no_traceback_and_the_page_goes_on_planning(
     with connect(address.replace("http", "ws"), subprotocols=[SPOKEN], max_size=None) as line:
         for _ in range(600):
             line.send(hostile_frame(rng, ids, names))
-        line.send(update(page.panel.verb, "open"))
-    page.stop()
+        line.send(update(page.panel.seed, 77))
+        ends = time.monotonic() + LONG
+        while page.panel.seed.value != 77 and time.monotonic() < ends:  # all are read
+            time.sleep(0.02)
     for handle in page.panel.question:
         value = handle.value
         if hasattr(handle, "options"):
             assert value in handle.options
-    page.panel.verb.value, page.panel.target.value = "open", "fridge/door_hinge"
-    page.start_of_scene()
-    assert page.work.wait(LONG)
-    page.place()
-    assert page.work.wait(LONG)
-    assert page.shown.answer is not None
-    assert page.panel.card.shown.headline in ("Solved", "Error")
+    for _ in range(9):  # the last right ones, such as Stop, may still act
+        page.panel.verb.value, page.panel.target.value = "open", "fridge/door_hinge"
+        page.start_of_scene()
+        assert page.work.wait(LONG)
+        page.place()
+        assert page.work.wait(LONG)
+        if page.panel.card.shown.headline == "Solved":
+            break
+    assert page.panel.card.shown.headline == "Solved"
     output = capsys.readouterr()
     assert "Traceback" not in output.err + output.out
     traced = [r for r in caplog.records if r.exc_info and r.name in (asyncio_log.name, LOG.name)]

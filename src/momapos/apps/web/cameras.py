@@ -55,7 +55,14 @@ def turn(server: ViserServer, eye: Float[np.ndarray, "3"], target: Float[np.ndar
         client.camera.position, client.camera.look_at = eye, target
 
 
-def frame(server: ViserServer, scene: Scene, target: str, bases: Float[np.ndarray, "n 3"]) -> None:
+def frame(
+    server: ViserServer,
+    scene: Scene,
+    target: str,
+    bases: Float[np.ndarray, "n 3"],
+    *,
+    close: float = 1.0,
+) -> None:
     """Turn the cameras of all browsers to a task; to the room if there is none.
 
     Args:
@@ -63,12 +70,14 @@ def frame(server: ViserServer, scene: Scene, target: str, bases: Float[np.ndarra
         scene: The room.
         target: The object, or "object/joint".
         bases: Poses of the base that the view contains: x [m], y [m], yaw [rad].
+        close: As for `task_viewpoint`.
     """
     name = target.partition("/")[0]
     if all(item.name != name for item in scene.objects):
         look_at(server, scene)
     else:
-        turn(server, *task_viewpoint(scene, name, front_of(scene, target, bases[-1]), bases))
+        front = front_of(scene, target, bases[-1])
+        turn(server, *task_viewpoint(scene, name, front, bases, close=close))
 
 
 def front_of(scene: Scene, target: str, base: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"]:

@@ -282,7 +282,7 @@ class RoomView:
         self, name: str, surface: Surface, color: Color, *, opacity: float | None = None,
         shaded: bool = False,
     ) -> Any:  # fmt: skip
-        """Draw a surface; `shaded` ones receive shadows, which is for flat ones: others get stripes."""
+        """Draw a surface; `shaded` ones receive shadows, which give others stripes."""
         return self._api.add_mesh_simple(
             name, *surface.arrays, color=color, flat_shading=True, opacity=opacity,
             cast_shadow=opacity is None, receive_shadow=shaded,

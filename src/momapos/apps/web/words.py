@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from momapos.apps.plots import task_text, value_text
 from momapos.model.records import PlacementPlan, Task
+from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
+from momapos.planning.grasps import slides
 from momapos.simulation import RunRecord
 from momapos.workflows.scene_check import (
     FindingKind,
@@ -98,6 +101,23 @@ def answer_card(answer: PlacementResult) -> Card:
         tuple(details),
         tuple(ranked),
     )
+
+
+def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
+    """Describe a solved plan."""
+    task, to = plan.task, ""
+    if task.joint is not None and task.to is not None:
+        value = f"{task.to:.2f} m" if slides(scene, task) else f"{math.degrees(task.to):.0f}°"
+        to = f" to {value}"
+    facts = [] if plan.base_pose is None else [("base pose", pose_text(plan.base_pose))]
+    if plan.navigation_cost is not None:
+        facts.append(("drive", f"{plan.navigation_cost:.2f} m"))
+    facts += [
+        ("checked", "no collision along the whole motion"),
+        *tolerance_facts(replace(plan, timing={})),
+    ]
+    title = f"{task.verb} {target_text(task)}{to} with {plan.robot_name}"
+    return Card(STATUS[plan.status], TONE[plan.status], title, tuple(facts))
 
 
 def tolerance_facts(plan: PlacementPlan) -> list[tuple[str, str]]:
