@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -113,7 +113,7 @@ def follow(
         camera = _camera(look_at[k], float(distance[k]), float(azimuth[k]))
         eye, seen = _eye(camera, float(azimuth[k])), data.geom_xpos[subject]
         through |= set(_between(world, data, eye, seen, _MAX_HIDING_GEOMS))
-    return FollowingCamera(look_at, distance, azimuth, frozenset(through))
+    return FollowingCamera(look_at, distance, azimuth, _whole(world, through))
 
 
 def _shows_hand(world: Simulation, data: Any, shot: Shot, states: Sequence[np.ndarray]) -> float:
@@ -185,7 +185,19 @@ def frame_shot(world: Simulation, data: Any, states: Sequence[np.ndarray]) -> Sh
     best = float(views[int(np.argmax(_smoothed(seen)))])
     through = set(_between(world, data, _eye(camera, best), cloud, _MAX_HIDING_GEOMS))
     camera.azimuth = best
-    return Shot(camera, frozenset(through), seen)
+    return Shot(camera, _whole(world, through), seen)
+
+
+def _whole(world: Simulation, geoms: Iterable[int]) -> frozenset[int]:
+    """Add the other geoms of the same objects, such as handles, which would float.
+
+    The geoms of the object with the part stay, as it is what the film shows.
+    """
+    owners = [world.model.geom(k).name.partition("/")[0] for k in range(world.model.ngeom)]
+    kept = {owners[k] for k in np.flatnonzero(world.kinds == Kind.PART)}
+    hidden = {owners[k] for k in geoms} - kept
+    room = np.flatnonzero(world.kinds == Kind.ROOM).tolist()
+    return frozenset(geoms) | {k for k in room if owners[k] in hidden and owners[k]}
 
 
 def _eye(camera: Any, azimuth: float) -> Float[np.ndarray, "3"]:

@@ -106,7 +106,8 @@ def answer_card(answer: PlacementResult) -> Card:
 def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
     """Describe a solved plan."""
     task, to = plan.task, ""
-    if task.joint is not None and task.to is not None:
+    known = any(item.name == task.object for item in scene.objects)  # not in a run elsewhere
+    if known and task.joint is not None and task.to is not None:
         value = f"{task.to:.2f} m" if slides(scene, task) else f"{math.degrees(task.to):.0f}°"
         to = f" to {value}"
     facts = [] if plan.base_pose is None else [("base pose", pose_text(plan.base_pose))]
