@@ -247,10 +247,10 @@ def whole_page(browser: Any) -> Image.Image:
 
 def fewer_colors(drawn: Image.Image) -> Image.Image:
     """Return an image with fewer colors."""
-    # The median cut would turn thin red lines orange, since few pixels have their color.
-    return drawn.quantize(
-        COLORS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
-    )
+    # The median cut would give thin lines another color, since few pixels have theirs. Dithering
+    # keeps the sky smooth.
+    palette = drawn.quantize(COLORS, method=Image.Quantize.MAXCOVERAGE, kmeans=1)
+    return drawn.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
 
 
 def keep(drawn: Image.Image, file: Path) -> None:

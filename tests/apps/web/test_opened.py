@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from momapos.apps.cli.main import main
-from momapos.apps.cli.view_sources import kind_of, source_in
+from momapos.apps.cli.view_sources import kind_of, scenes_in, source_in
 from momapos.apps.web.opened import Opened, quantity_text
 from momapos.apps.web.run_story import RunStory
 from momapos.apps.web.static import page_of
@@ -100,6 +100,17 @@ def test_sources_are_recognized_by_their_content(tmp_path: Path) -> None:
         assert kind_of(str(tmp_path / name)) == kind
     assert kind_of(str(tmp_path)) == "scan"
     assert kind_of("kitchen_small") == "scene"
+
+
+def test_the_page_offers_the_scene_files_of_the_working_folder_and_no_links(tmp_path: Path) -> None:
+    here, elsewhere = tmp_path / "here", tmp_path / "elsewhere.json"
+    here.mkdir()
+    for path in (here / "room.json", elsewhere):
+        path.write_text('{"format": "momapos-scene", "version": 1}')
+    (here / "plan.json").write_text('{"format": "momapos-plan", "version": 1}')
+    (here / "link.json").symlink_to(elsewhere)
+    (here / "folder.json").mkdir()
+    assert scenes_in(here) == ("room.json",)
 
 
 def test_an_unusable_record_is_reported_in_one_line(

@@ -29,6 +29,10 @@ AZIMUTHS, ELEVATIONS = 36, np.radians((16.0, 22.0, 30.0, 42.0, 56.0))
 """Number of azimuths, and elevations, that are compared [-], [rad]."""
 OBLIQUE, LEVEL = np.radians(42.0), np.radians(22.0)
 """A view from aside of the front and from above shows depth [rad]."""
+BODY = np.array([[-0.35, -0.35, 0.0], [0.35, 0.35, 1.2]])
+"""Box around a base and its arm [m]."""
+FRONT_WEIGHT = 0.7
+"""Visible share that a view may lose to show the front [-]."""
 SKEW_WEIGHT, STEEP_WEIGHT = 0.35, 0.5
 """Visible shares that a view may lose to be better by 1 rad [1/rad]."""
 
@@ -143,7 +147,14 @@ def task_viewpoint(
         [o.bounds for o in scene.objects if o.name != name and o.category != "wall"]
     ).reshape(-1, 2, 3)
     seen = 1.0 - hidden(eyes, np.concatenate([around, [(low + high) / 2]]), boxes).mean(1)
-    score = seen - SKEW_WEIGHT * np.abs(skew - OBLIQUE) - STEEP_WEIGHT * np.abs(e - LEVEL)
+    # The robot must not hide the front on which it works.
+    body = np.append(bases[-1, :2], 0.0) + BODY
+    reach = np.abs((high - low)[:2] @ front / np.hypot(*front)) / 2
+    heights = np.linspace(low[2], high[2], 5)[1:-1]
+    face = np.append((low + high)[:2] / 2 + reach * front / np.hypot(*front), 0.0)
+    worked = face + np.stack([np.zeros(3), np.zeros(3), heights], -1)
+    score = seen - FRONT_WEIGHT * hidden(eyes, worked, body[None]).mean(1)
+    score -= SKEW_WEIGHT * np.abs(skew - OBLIQUE) + STEEP_WEIGHT * np.abs(e - LEVEL)
     return aside(eyes[int(np.argmax(score))], middle)
 
 
