@@ -219,7 +219,6 @@ def test_a_user_plans_drags_plays_and_reloads(
     tab.get_by_text("answered in").wait_for(timeout=LONG)  # the same state as before
     press(tab, "button", "Place")
     tab.get_by_text("Solved").wait_for(timeout=LONG)
-    press(tab, "tab", "Motion")
     page.motion.set_speed(SLOW)
     press(tab, "button", "Play")
     assert until(lambda: 0.0 < page.motion.player.now < page.motion.player.duration)
@@ -262,7 +261,7 @@ def test_a_clicked_candidate_shows_its_outcome_and_the_speed_can_be_chosen(
     answer = page.shown.answer
     assert answer is not None
     tab = opened(address)
-    press(tab, "tab", "Motion")
+    clicked(tab.get_by_text("More options", exact=True))
     choose(tab, "Speed", "4")
     assert until(lambda: page.motion.player.speed == 4.0)
     page.panel.speed.value = "1"
@@ -301,7 +300,6 @@ def test_two_tabs_act_on_one_state(
     one, two = opened(address), opened(address)
     for tab in (one, two):
         tab.get_by_text("Solved").wait_for(timeout=LONG)
-        press(tab, "tab", "Motion")
     press(one, "button", "Play")
     two.get_by_role("button", name="Pause", exact=True).wait_for(timeout=LONG)
     two.keyboard.press("k")
@@ -411,5 +409,12 @@ def test_a_written_page_plays_without_a_network(
         time_shown = tab.locator("input").first
         first = time_shown.input_value(timeout=LONG)
         assert until(lambda: time_shown.input_value() != first)
+        assert tab.title() == "open fridge/door_hinge to 90° with segway_ur5e: solved"
+        names = tab.locator("#mm-phases button").all_inner_texts()
+        assert names[0] == "drive"
+        assert "open fridge" in names
+        tab.locator("#mm-phases button").nth(1).click(force=True)  # seeks, and pauses there
+        expect(tab.locator("#mm-phases button.on")).to_have_text(names[1], timeout=LONG)
+        tab.get_by_text("base pose").wait_for(timeout=LONG)
     assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert Story.of(plan, robot, answer.prepared.scene).duration > 1.0
