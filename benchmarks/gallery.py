@@ -164,12 +164,12 @@ ITEMS = (
     Item("graph", ("view kitchen_small --robot segway_ur5e",),
          planned("open", "fridge/door_hinge", "segway_ur5e", importance=True)),
     Item("compare", ("view kitchen_small --robot segway_ur5e",), side_by_side,
-         away=9.8, aside=2.9, above=38.0),
+         away=7.6, aside=2.4, above=34.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
                  "run plan.json --out run.json", "view run.json"), in_the_middle,
          away=3.2, around=-65.0),
     Item("scan", ("scene scan kitchen_small --out scan", "view scan --robot segway_ur5e"), points,
-         away=4.5, above=35.0),
+         away=4.3, above=32.0, around=62.0),
 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ The server runs like `momapos view`. Some browsers send messages that are right,
 types, numbers of 20 digits, unlisted choices, names of other properties), unknown, or no messages
 at all. After each round another page still plans, a newly opened page shows the same as it, and
 each control holds a value that its user could choose. Exit status 1 if not, if the server prints
-anything, or if memory grows after the first third.
+more than reports of one line, or if memory grows after the first third.
 """
 
 from __future__ import annotations
@@ -92,6 +92,7 @@ async def run(address: str, pid: int, messages: int, seed: int) -> list[str]:
             await good.set(label, value)
         await good.set("Task", "open")
         await asyncio.sleep(QUIET)
+        await good.press("Start at the scene's start pose")
         await good.set("Seed", 0)
         await asyncio.sleep(QUIET)
         await good.press("Place")
@@ -136,10 +137,15 @@ if __name__ == "__main__":
         assert found is not None
         failed = asyncio.run(run(found[0], server.pid, args.messages, args.seed))
         server.terminate()
-        errors = server.stderr.read()
-    if errors:
-        failed.append(f"the server printed:\n{errors}")
+        lines = server.stderr.read().splitlines()
+    # The page reports a question that it cannot answer in one line, here too.
+    other = [line for line in lines if not line.startswith("momapos: ")]
+    if other:
+        failed.append("\n".join(["the server printed:", *other]))
+    print(f"lines of reports in the terminal: {len(lines) - len(other)}")
     print(
-        "\n".join(failed) if failed else "the page plans, is the same for all, and prints nothing"
+        "\n".join(failed)
+        if failed
+        else "the page plans, is the same for all, and prints no traceback"
     )
     sys.exit(bool(failed))

@@ -62,7 +62,8 @@ def browser() -> Iterator[Browser]:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, str]]:
     with serve(tmp_path_factory.mktemp("files")) as (page, address):
         # Shadows take most of a software renderer's time.
-        page.server.scene.configure_default_lights(cast_shadow=False)
+        page.panel.plain.value = True
+        page.light.changed()
         yield page, address
 
 

@@ -240,8 +240,9 @@ class RoomView:
                 self._mesh(f"{root}/p{k}", one.surface, one.color, shaded=item.category == "wall")
                 for k, one in enumerate(parts)
             ]
-        for node in self._nodes[item.name]:
-            self._listen(node, item.name)
+        if item.category != "wall":  # it would catch clicks even where it is not drawn
+            for node in self._nodes[item.name]:
+                self._listen(node, item.name)
 
     def _draw_links(self, item: SceneObject, root: str) -> None:
         poses, moving = item.link_poses(), _moving(item)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from momapos.apps.plots import task_text, value_text
 from momapos.model.records import PlacementPlan, Task
@@ -115,7 +114,7 @@ def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
         facts.append(("drive", f"{plan.navigation_cost:.2f} m"))
     facts += [
         ("checked", "no collision along the whole motion"),
-        *tolerance_facts(replace(plan, timing={})),
+        *tolerance_facts(plan),
     ]
     title = f"{task.verb} {target_text(task)}{to} with {plan.robot_name}"
     return Card(STATUS[plan.status], TONE[plan.status], title, tuple(facts))
@@ -123,14 +122,13 @@ def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
 
 def tolerance_facts(plan: PlacementPlan) -> list[tuple[str, str]]:
     """Describe the tolerance of the base pose; nothing where it is not measured."""
-    found, spent = plan.tolerance, plan.timing.get("tolerance")
+    found = plan.tolerance
     if found is None:
         return []
-    took = "" if spent is None else f", {1000 * spent:.0f} ms"
     if found.radius == 0.0:
-        return [("tolerance", f"none, replanning failed from a pose nearby{took}")]
+        return [("tolerance", f"none, replanning failed from a pose nearby")]
     offset = f"±{100 * found.radius:g} cm, ±{math.degrees(found.turn):.1f}°"
-    return [("tolerance", f"{offset} ({found.samples} sampled poses{took})")]
+    return [("tolerance", f"{offset} ({found.samples} sampled poses)")]
 
 
 def target_text(task: Task) -> str:
