@@ -66,15 +66,16 @@ def draw(axes: Axes, modeled: Modeled, objects: list[Detection], columns: tuple[
     order = np.argsort(points[shown][:, 2 if columns == (0, 1) else 1])
     order = order if columns == (0, 1) else order[::-1]
     flat = points[shown][order][:, list(columns)]
-    axes.scatter(*flat.T, s=3.5, c=colors[shown][order], linewidths=0)
+    axes.scatter(flat[:, 0], flat[:, 1], s=3.5, c=colors[shown][order], linewidths=0)
     for k, one in enumerate(objects):
         if columns == (0, 2) and one.box.center[1] < back - DEPTH:
             continue
         outline, color = corners(one.box, columns), COLORS[k % len(COLORS)]
         axes.add_patch(Polygon(outline, fill=False, edgecolor=color, linewidth=3.5))
         upright = np.ptp(outline[:, 0]) < NARROW
+        x, y = outline.mean(0).tolist()
         axes.text(
-            *outline.mean(0), one.label, color=color, fontsize=15, rotation=90 * upright,
+            x, y, one.label, color=color, fontsize=15, rotation=90 * upright,
             weight="bold", ha="center", va="center",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.5},
         )  # fmt: skip

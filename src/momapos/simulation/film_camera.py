@@ -92,9 +92,9 @@ def follow(
         gap = float(np.linalg.norm(data.geom_xpos[part] - hand, axis=1).min(initial=FAR))
         rows.append([*(low + high) / 2, np.linalg.norm(high - low) / 2 + 0.25, *hand, gap])
     row = np.array(rows)
-    middle, radius, hand, gap = row[:, :3], row[:, 3], row[:, 4:7], row[:, 7]
+    middle, radius, hand, gaps = row[:, :3], row[:, 3], row[:, 4:7], row[:, 7]
     # Once close, the camera stays: a hand that opens a door wide is far from the part's middle.
-    near = np.maximum.accumulate(np.clip((FAR - gap) / (FAR - NEAR), 0.0, 1.0))
+    near = np.maximum.accumulate(np.clip((FAR - gaps) / (FAR - NEAR), 0.0, 1.0))
     share = (near**2 * (3.0 - 2.0 * near))[:, None]
     look_at = middle + HAND_SHARE * share * (hand - middle)
     close = np.maximum(CLOSE_RADIUS, CLOSE_SHARE * radius)

@@ -105,6 +105,7 @@ class Panel:
         self.play = gui.add_button("Play", hint="Key K or space", disabled=True)
         self.time = gui.add_slider("Time [s]", min=0.0, max=1.0, step=0.01, initial_value=0.0,
                                    disabled=True)  # fmt: skip
+        self.speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
         self.moment = gui.add_markdown(NO_MOTION)
 
     def _add_details(self) -> None:
@@ -115,7 +116,6 @@ class Panel:
         with self.check_folder:
             self.check = gui.add_markdown("")
         with gui.add_folder("More options", expand_by_default=False):
-            self.speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
             self.method = gui.add_dropdown("Method", METHODS)
             self.seed = gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
             self.start_here = gui.add_button("Start at the current base pose")

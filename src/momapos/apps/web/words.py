@@ -126,7 +126,7 @@ def tolerance_facts(plan: PlacementPlan) -> list[tuple[str, str]]:
     if found is None:
         return []
     if found.radius == 0.0:
-        return [("tolerance", f"none, replanning failed from a pose nearby")]
+        return [("tolerance", "none, replanning failed from a pose nearby")]
     offset = f"±{100 * found.radius:g} cm, ±{math.degrees(found.turn):.1f}°"
     return [("tolerance", f"{offset} ({found.samples} sampled poses)")]
 
