@@ -419,6 +419,6 @@ def test_a_written_page_plays_without_a_network(
         assert "open fridge" in names
         tab.locator("#mm-phases button").nth(1).click(force=True)  # seeks, and pauses there
         expect(tab.locator("#mm-phases button.on")).to_have_text(names[1], timeout=LONG)
-        tab.get_by_text("base pose").wait_for(timeout=LONG)
+        tab.get_by_text("base pose").wait_for(state="attached", timeout=LONG)
     assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert Story.of(plan, robot, answer.prepared.scene).duration > 1.0
