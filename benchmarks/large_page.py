@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hostile import CAMERA
 from momapos.apps.web.moving import FRAME_GAPS, SLOW_FRAME_TIME
 from momapos.apps.web.opened import OpenedScan
 from momapos.apps.web.page import Page
@@ -35,7 +36,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.perception.records import Decision, Modeled
-from pages import CAMERA, Tab
+from pages import Tab
 
 QUIET = 2.0
 """Time without data after which sending counts as finished [s]."""
