@@ -64,6 +64,8 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         markdown += public_names()
     if uri == "gallery.md":
         frame = f'<iframe src="{PLAYS}" title="A plan" width="100%" height="480"></iframe>'
+        film = '<video src="images/demo.mp4" controls loop muted width="100%"></video>'
+        markdown += f"\n\nThe first task in physics:\n\n{film}\n"
         markdown += f"\n\nThe first task, to turn about and to play:\n\n{frame}\n"
     return LINK.sub(led, markdown)
 

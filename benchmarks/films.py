@@ -3,8 +3,8 @@
     python benchmarks/films.py [--out docs/images]
 
 The demo's plan is executed in physics, and its run is written as a filmstrip (`film.png`), a GIF
-and an MP4, both 1280 x 720. With `--out` the strip and a smaller GIF (`demo.gif`) are stored there;
-the README and docs/execution.md show them.
+and an MP4, both 1280 x 720. With `--out` the strip, the MP4 (`demo.mp4`) and a smaller GIF
+(`demo.gif`) are stored there; the README, the docs and the gallery show them.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ from momapos.simulation.film_files import GIF, MP4, STRIP
 from momapos.simulation.run_trace import RunTrace
 from momapos.workflows.run import run_plan
 
-PAGE = (640, 360)
+PAGE = (720, 405)
 """Size of the README's GIF [px]."""
+TITLE = "segway_ur5e: open fridge/door_hinge to 90 deg"
 STRIP_WIDTH = 1800
 """Width of the strip in the docs [px]."""
-COLORS, EVERY = 64, 2
-"""Colors of stored frames, and the step between frames of a film that are stored [-]."""
+COLORS = 64
+"""Colors of stored frames [-]."""
 
 
 def executed() -> RunTrace:
@@ -63,11 +64,11 @@ def smaller(film: bytes) -> bytes:
     """Return a smaller GIF for a page."""
     content = io.BytesIO()
     with Image.open(io.BytesIO(film)) as frames:
-        wait = EVERY * frames.info["duration"]
+        wait = frames.info["duration"]
         first, *others = (
             one.convert("RGB").resize(PAGE, Image.Resampling.LANCZOS)
             .quantize(COLORS, dither=Image.Dither.NONE)
-            for k, one in enumerate(ImageSequence.Iterator(frames)) if k % EVERY == 0
+            for one in ImageSequence.Iterator(frames)
         )  # fmt: skip
     first.save(
         content, "GIF", save_all=True, append_images=others, loop=0, duration=wait, optimize=True
@@ -86,7 +87,7 @@ def run(out: Path | None) -> None:
         for ending in (STRIP, GIF, MP4):
             path = Path(folder) / f"film{ending}"
             began, own = time.perf_counter(), time.process_time()
-            write_film(trace, path, ending="done")
+            write_film(trace, path, ending="done", title=TITLE)
             took, own = time.perf_counter() - began, time.process_time() - own
             film = path.read_bytes()
             played = (
@@ -98,6 +99,8 @@ def run(out: Path | None) -> None:
                   f"{len(film) / 1e6:.1f} MB", flush=True)  # fmt: skip
             if out is not None and ending == GIF:
                 (out / "demo.gif").write_bytes(smaller(film))
+            if out is not None and ending == MP4:
+                (out / "demo.mp4").write_bytes(film)
             if out is not None and ending == STRIP:
                 with Image.open(path) as strip:
                     strip.thumbnail((STRIP_WIDTH, STRIP_WIDTH), Image.Resampling.LANCZOS)

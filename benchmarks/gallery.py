@@ -26,7 +26,7 @@ from playwright.sync_api import sync_playwright
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.view_sources import opened_source
-from momapos.apps.web.cameras import viewpoint
+from momapos.apps.web.cameras import FIELD, front_of, task_viewpoint
 from momapos.apps.web.page import Page
 from momapos.apps.web.saving import render
 from momapos.apps.web.serve import served
@@ -35,7 +35,7 @@ from momapos.core.geometry.planar import rotation
 
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--no-sandbox"]  # fmt: skip
-DRAWN, KEPT = (1280, 720), (800, 450)
+DRAWN, KEPT = (1280, 720), (960, 540)
 """Size of a rendered and of a stored image [px]."""
 COLORS = 256
 """Colors of a stored image; with more, a point cloud would take three times the space [-]."""
@@ -43,8 +43,6 @@ SMALL = {"width": 800, "height": 450}
 """Window size, which determines the text size [px]."""
 LONG = 300.0
 """Timeout [s]."""
-FIELD = np.radians(50.0)
-"""Vertical field of view: smaller than that of the page, since each image shows one task [rad]."""
 SETTLED = 3.0
 """Time within which at least a part of the pending data reaches the browser [s]."""
 
@@ -100,7 +98,10 @@ def planned(
         page.panel.robot.value, page.panel.verb.value = robot, verb
         page.change()
         done(page)
-        page.panel.target.value, page.panel.to.value = target, to
+        page.panel.target.value = target
+        page.change()
+        done(page)
+        page.panel.show_to(to)
         page.change()
         done(page)
         placed(**layers)(page)
@@ -163,12 +164,12 @@ ITEMS = (
     Item("graph", ("view kitchen_small --robot segway_ur5e",),
          planned("open", "fridge/door_hinge", "segway_ur5e", importance=True)),
     Item("compare", ("view kitchen_small --robot segway_ur5e",), side_by_side,
-         away=9.8, aside=2.9, above=38.0),
+         away=7.6, aside=2.4, above=34.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
                  "run plan.json --out run.json", "view run.json"), in_the_middle,
          away=3.2, around=-65.0),
     Item("scan", ("scene scan kitchen_small --out scan", "view scan --robot segway_ur5e"), points,
-         away=4.5, above=35.0),
+         away=4.3, above=32.0, around=62.0),
 )  # fmt: skip
 
 
@@ -202,8 +203,8 @@ def image_of(item: Item, browser: Any) -> Image.Image:
         done(page)
         item.act(page)
         done(page)
-        if page.panel.result.content.startswith("**Error"):
-            raise RuntimeError(f"{item.name}: {page.panel.result.content}")
+        if page.panel.card.shown.headline == "Error":
+            raise RuntimeError(f"{item.name}: {page.panel.card.text}")
         aim(page, item)
         tab = browser.new_page(viewport=SMALL)
         tab.goto(address)
@@ -246,10 +247,10 @@ def whole_page(browser: Any) -> Image.Image:
 
 def fewer_colors(drawn: Image.Image) -> Image.Image:
     """Return an image with fewer colors."""
-    # The median cut would turn thin red lines orange, since few pixels have their color.
-    return drawn.quantize(
-        COLORS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
-    )
+    # The median cut would give thin lines another color, since few pixels have theirs. Dithering
+    # keeps the sky smooth.
+    palette = drawn.quantize(COLORS, method=Image.Quantize.MAXCOVERAGE, kmeans=1)
+    return drawn.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
 
 
 def keep(drawn: Image.Image, file: Path) -> None:
@@ -263,17 +264,19 @@ def aim(page: Page, item: Item) -> None:
     scene, question = page.shown.scene, page.shown.question
     assert scene is not None
     assert question is not None
-    eye, target = viewpoint(scene)
-    target = scene.object(question.target.partition("/")[0]).bounds.mean(0)
+    name = question.target.partition("/")[0]
+    target, base = scene.object(name).bounds.mean(0), page.robot.base
+    front = front_of(scene, question.target, base)
+    eye, seen = task_viewpoint(scene, name, front, base[None])
     middle = np.append((target[:2] + page.robot.base[:2]) / 2, 0.8)
-    back = (eye - target)[:2] / np.linalg.norm((eye - target)[:2])
+    back = (eye - seen)[:2] / np.linalg.norm((eye - seen)[:2])
     back = rotation(np.radians(item.around)) @ back
     steep = np.radians(item.above)
     camera = page.server.initial_camera
     look_at = middle + item.aside * np.array([-back[1], back[0], 0.0])
     camera.position = look_at + item.away * np.append(np.cos(steep) * back, np.sin(steep))
     camera.look_at, camera.up = look_at, np.array([0.0, 0.0, 1.0])
-    camera.fov = FIELD
+    camera.fov = float(FIELD)
     page.robot.show_handle(False)
 
 

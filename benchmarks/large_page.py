@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hostile import CAMERA
 from momapos.apps.web.moving import FRAME_GAPS, SLOW_FRAME_TIME
 from momapos.apps.web.opened import OpenedScan
 from momapos.apps.web.page import Page
@@ -35,7 +36,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.perception.records import Decision, Modeled
-from pages import CAMERA, Tab
+from pages import Tab
 
 QUIET = 2.0
 """Time without data after which sending counts as finished [s]."""
@@ -103,7 +104,7 @@ async def measured(page: Page, address: str) -> None:
         while tab.seen.busy:
             await asyncio.sleep(0.1)
         if page.shown.story is None:
-            raise RuntimeError(page.panel.result.content)
+            raise RuntimeError(page.panel.card.text)
 
     async def play() -> None:
         await tab.press("Play")
@@ -161,7 +162,7 @@ def serving(objects: int, points: int) -> Iterator[tuple[Page, str]]:
         ) as (page, address):  # fmt: skip
             page.work.wait(600.0)
             if page.shown.scene is None:
-                raise RuntimeError(page.panel.result.content)
+                raise RuntimeError(page.panel.card.text)
             print(f"loaded and drawn: {time.monotonic() - began:.1f} s, "
                   f"{time.process_time() - own:.1f} s of processor")  # fmt: skip
             yield page, address

@@ -76,7 +76,7 @@ async def ready(address: str) -> None:
     """Open a page and wait until room and robot are drawn and it is ready."""
     tab = Tab(address, 0)
     await tab.open()
-    while not any(words.startswith(READY) for words in tab.seen.words):
+    while not any(READY.notes[0] in words for words in tab.seen.words):
         await asyncio.sleep(0.01)
     await tab.close()
 

@@ -28,6 +28,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Origin, Subprotocol
 
+from hostile import CAMERA
+
 SPOKEN = Subprotocol(f"viser-v{viser.__version__}")
 PAUSE = (1.0, 3.0)
 """Range of pauses between two actions of a page [s]."""
@@ -48,11 +50,6 @@ LABELS = ("Importance, scene graph", "Arm reachability", "Free area", "Potential
 KINDS = {"drag": 6, "layer": 4, "place": 3, "target": 3, "play": 3, "keep": 1, "forget": 1,
          "stop": 1, "reload": 1, "robot": 1, "side_by_side": 1}  # fmt: skip
 """Actions of pages, and their weights."""
-CAMERA = {
-    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (3.0, 3.0, 3.0),
-    "fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 720, "image_width": 1280,
-    "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0),
-}  # fmt: skip
 
 
 @dataclass
@@ -107,7 +104,8 @@ class PageState:
     @property
     def words(self) -> list[str]:
         """Return all texts, without answer times."""
-        texts = [one["_markdown"] for one in self.controls.values() if "_markdown" in one]
+        keys = ("_markdown", "content")
+        texts = [one[key] for one in self.controls.values() for key in keys if key in one]
         return [re.sub(r"answered in \d+ ms", "", text) for text in texts]
 
     @property
@@ -244,9 +242,8 @@ async def compared(tabs: list[Tab]) -> tuple[list[str], int]:
             if seen[key] != expected[key]:
                 what = different(seen, expected, key)
                 wrong.append(f"page {tab.number} shows other {key}: {what}")
-    answered = [text for text in fresh.seen.words if "candidates, " in text]
-    name = wanted.replace("_", "\\_")
-    if not answered or name not in answered[0]:
+    answered = [text for text in fresh.seen.words if "fully checked" in text]
+    if not answered or wanted not in answered[0]:
         wrong.append(f"{wanted} was requested, but the page shows {answered or fresh.seen.words}")
     await fresh.close()
     return wrong, fresh.seen.received

@@ -1,4 +1,4 @@
-"""Measure how the time of an answer grows with objects, waypoints and samples.
+"""Measure how the processor time of an answer grows with objects, waypoints and samples.
 
     python benchmarks/scaling.py [--out docs/images/scaling.png]
 
@@ -31,6 +31,12 @@ from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
 
 REPEATS = 5
+LABELS = {
+    "objects": "objects in the room", "waypoints": "waypoints of the motion",
+    "samples": "base poses sampled",
+}  # fmt: skip
+TICKS = (20, 50, 100, 200, 500, 1000)
+"""Times that are marked [ms]."""
 
 
 def crowd(scene: Scene, count: int) -> Scene:
@@ -61,9 +67,9 @@ def main() -> None:
         task = make_task(scene, "open", "microwave")
         times = []
         for _ in range(REPEATS + 1):
-            began = time.perf_counter()
+            began = time.process_time()
             plan_base_placement(scene, robot, task, reach, config=config)
-            times.append(time.perf_counter() - began)
+            times.append(time.process_time() - began)
         return float(np.median(times[1:]))
 
     plain = PipelineConfig()
@@ -89,12 +95,22 @@ def draw(curves: dict[str, dict[int, float]], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 3), layout="constrained")
+    figure = Figure(figsize=(16, 6.4), dpi=100, layout="constrained")
     for ax, (name, curve) in zip(figure.subplots(1, 3, sharey=True), curves.items(), strict=True):
-        ax.loglog(list(curve), [1000 * t for t in curve.values()], "o-", color="#0072b2")
-        ax.set_xlabel(name)
-        ax.grid(alpha=0.3, which="both")
-    figure.axes[0].set_ylabel("time of an answer [ms]")
+        sizes, times = list(curve), [1000 * t for t in curve.values()]
+        ax.loglog(sizes, times, "o-", color="#0072b2", linewidth=4, markersize=11)
+        for size, took in zip(sizes, times, strict=True):
+            ax.annotate(f"{took:.0f}", (size, took), (0, 13), textcoords="offset points",
+                        fontsize=17, ha="center", color="#0072b2")  # fmt: skip
+        ax.set_title(LABELS[name], fontsize=22)
+        ax.set_xticks(sizes, [f"{size:,}" for size in sizes], fontsize=17)
+        ax.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS], fontsize=17)
+        ax.minorticks_off()
+        ax.set(ylim=(TICKS[0], TICKS[-1]))
+        ax.grid(alpha=0.3)
+        for side in ("top", "right"):
+            ax.spines[side].set_visible(False)
+    figure.axes[0].set_ylabel("processor time of an answer [ms]", fontsize=20)
     FigureCanvasAgg(figure).print_png(str(path))
 
 

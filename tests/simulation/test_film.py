@@ -15,7 +15,8 @@ from tests.simulation.toy import toy
 from momapos.core.errors import InputError
 from momapos.model.scene.scene_object import SceneObject
 from momapos.simulation.film import COLUMNS, FILM_HEIGHT, HEIGHT, WIDTH, write_film
-from momapos.simulation.film_canvas import FORCE_COLOR, Overlay, Shot, canvas, frame_shot
+from momapos.simulation.film_camera import Shot, frame_shot
+from momapos.simulation.film_canvas import FORCE_COLOR, Overlay, canvas
 from momapos.simulation.geoms import Kind
 from momapos.simulation.run_trace import RunTrace
 
@@ -53,7 +54,7 @@ def test_a_film_moves_is_bright_and_has_a_readable_caption(tmp_path: Path) -> No
     assert np.abs(first - last).mean() > 1.0
     assert first.mean() > 128  # bright
     caption = first[FILM_HEIGHT:]
-    assert caption.max() - caption.min() > 150  # dark on white
+    assert caption.max() - caption.min() > 150  # white on dark
 
 
 @pytest.mark.slow

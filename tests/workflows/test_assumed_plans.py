@@ -18,7 +18,7 @@ from tests.workflows.guessed_rooms import BLOCKS_ONE, BLOCKS_TWO, Odds, room
 
 from momapos.apps.cli.console import summary
 from momapos.apps.cli.main import main
-from momapos.apps.web.words import answer_text, run_text
+from momapos.apps.web.words import answer_card, run_card
 from momapos.core.errors import InputError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import Status, status_of_all
@@ -220,14 +220,14 @@ def test_a_run_of_an_assumed_plan_says_that_the_part_moved_as_assumed_and_not_do
     record = run_plan(assumed.plan, scene, robot, Everywhere(), allow_assumed=True)
     assert record.success, record.reason
     assert (record.verdict, record.assumed) == ("moved as assumed", "drawer")
-    assert run_text(record).startswith("**Moved as assumed**")
+    assert str(run_card(record)).startswith("Moved as assumed")
 
 
 def test_the_page_says_what_is_assumed(assumed: PlacementResult) -> None:
-    text = answer_text(assumed)
-    assert text.startswith("**Assumed, not solved**")
+    text = str(answer_card(assumed))
+    assert text.startswith("Assumed, not solved\n")
     assert "drawer" in text
-    assert "door\\_right \\(96 %\\): feasible to" in text
+    assert "door_right (96 %): feasible to" in text
 
 
 def test_place_exits_with_3_for_an_assumed_plan_unless_it_is_allowed(

@@ -14,7 +14,8 @@ import numpy as np
 from momapos.core import InputError, require, write_atomic
 
 from .config import Stage
-from .film_canvas import Overlay, Shot, add_caption, canvas, frame_shot
+from .film_camera import follow, frame_shot
+from .film_canvas import Overlay, add_caption, canvas
 from .film_files import GIF, MP4, STRIP, check_film, encode_film
 from .run_motion import DRIVE
 from .run_trace import Act, RunTrace, State
@@ -29,17 +30,27 @@ FILM_WIDTH, FILM_HEIGHT = 1280, 670
 """Size of a film image without its caption; 720 px high with it [px]."""
 PLAYBACK_SPEED = 3.0
 """Playback speed of a film, relative to real time [-]."""
-FRAME_RATES, MAX_IMAGES = {GIF: 10.0, MP4: 20.0}, {GIF: 160, MP4: 900}
+FRAME_RATES, MAX_IMAGES = {GIF: 16.0, MP4: 30.0}, {GIF: 300, MP4: 1800}
 """Frame rate [1/s] and maximum number of images [-]; a longer GIF is too large for a page."""
 LAST_IMAGE_TIME = 1.5
 """Time for which a film shows its last image [s]."""
-CAMERA_SWEEP = 18.0
-"""Rotation of a film's camera to each side [deg]."""
+CAMERA_TIME = 0.7
+"""Standard deviation of the smoothing of a film's camera, in time of the film [s]."""
+CAPTIONS: dict[str, str] = {
+    DRIVE: "Drive", Stage.SETTLE: "Stand", Stage.APPROACH: "Move the hand to the grasp",
+    Stage.GRIP: "Close the gripper", Stage.MANIPULATE: "Move the part", Stage.DWELL: "Hold it",
+    Stage.RETREAT: "Move the hand away",
+}  # fmt: skip
+"""Captions of the stages of a run."""
+MIN_FORCE = 1.0
+"""Smallest force in a caption [N]."""
 _BEFORE_GRASP = (Stage.SETTLE, Stage.APPROACH)
 """Stages before the grasp."""
 
 
-def write_film(trace: RunTrace, path: Path, *, frames: int = 8, ending: str = "") -> None:
+def write_film(
+    trace: RunTrace, path: Path, *, frames: int = 8, ending: str = "", title: str = ""
+) -> None:
     """Draw a filmstrip (PNG) or a film (GIF or MP4, 720p), depending on the suffix of `path`.
 
     A filmstrip shows the last motion and the drives before it, a film all motions and drives.
@@ -49,6 +60,7 @@ def write_film(trace: RunTrace, path: Path, *, frames: int = 8, ending: str = ""
         path: Output file.
         frames: Number of images of a filmstrip; a quarter of them show the drives, if any.
         ending: How the run ended, for the caption of the last image.
+        title: What the run does, for the captions of a film.
 
     Raises:
         InputError: Nothing was executed, off-screen rendering is unavailable, the suffix is
@@ -67,7 +79,7 @@ def write_film(trace: RunTrace, path: Path, *, frames: int = 8, ending: str = ""
         film = content.getvalue()
     else:
         rate = FRAME_RATES[kind]
-        film = encode_film(_film(trace, rate, MAX_IMAGES[kind], ending), kind, rate)
+        film = encode_film(_film(trace, rate, MAX_IMAGES[kind], ending, title), kind, rate)
     try:
         write_atomic(path, film)
     except OSError as error:
@@ -88,7 +100,10 @@ class _FilmImage:
         """Text of the caption."""
         time, stage, _, force = self.state
         held = float(np.linalg.norm(force))
-        return f"{time:.1f} s   {stage}" + (f"   {held:.0f} N at the hand" if held else "")
+        words = CAPTIONS.get(stage, stage)
+        return f"{time:.1f} s   {words}" + (
+            f"   {held:.0f} N at the hand" if held >= MIN_FORCE else ""
+        )
 
 
 def _strip(trace: RunTrace, frames: int, ending: str) -> Shaped[np.ndarray, "H W 3"]:
@@ -111,37 +126,36 @@ def _strip(trace: RunTrace, frames: int, ending: str) -> Shaped[np.ndarray, "H W
 
 
 def _film(
-    trace: RunTrace, rate: float, most: int, ending: str
+    trace: RunTrace, rate: float, most: int, ending: str, title: str
 ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """Draw the images of a film, with a slowly rotating camera."""
+    """Draw the images of a film, with a camera that follows."""
     whole = sum(act.duration for act in trace.acts)
     step, began, picture, words = max(PLAYBACK_SPEED / rate, whole / most), 0.0, None, ""
+    pace = f"{step * rate:.0f} x"
     for act in trace.acts:
         if act.world is not None:
-            driven = _driven(act, began, np.arange(0.0, act.drove, step))
             times = np.array([state.time for state in act.states])
             picked = np.unique(np.searchsorted(times, np.arange(times[0], times[-1], step)))
-            done = _done(act, began, [act.states[i] for i in [*picked.tolist(), len(times) - 1]])
+            images = _driven(act, began, np.arange(0.0, act.drove, step))
+            images += _done(act, began, [act.states[i] for i in [*picked.tolist(), len(times) - 1]])
             with canvas(act.world.model, FILM_WIDTH, FILM_HEIGHT) as draw:
                 data = mujoco.MjData(act.world.model)
-                for part in filter(None, (driven, done)):
-                    states = [one.state.q for one in part]
-                    shot: Shot = frame_shot(act.world, data, states, sweep=CAMERA_SWEEP)
-                    for k, one in enumerate(part):
-                        camera = shot.rotated(CAMERA_SWEEP * (2 * k / max(1, len(part) - 1) - 1))
-                        picture = draw(data, camera, shot.through, _set_state(act, data, one))
-                        words = one.words
-                        yield add_caption(picture, f"{words}   ({PLAYBACK_SPEED:g} x)")
+                states = [one.state.q for one in images]
+                view = follow(act.world, data, states, smooth=CAMERA_TIME * rate)
+                for k, one in enumerate(images):
+                    picture = draw(data, view.at(k), view.through, _set_state(act, data, one))
+                    words, done = one.words, one.state.time / whole
+                    yield add_caption(picture, words, right=f"{title}   {pace}", done=done)
         began += act.duration
     assert picture is not None
-    last = add_caption(picture, _ended(words, ending))
+    last = add_caption(picture, _ended(words, ending), right=title, done=1.0)
     for _ in range(round(LAST_IMAGE_TIME * rate)):
         yield last
 
 
 def _ended(words: str, ending: str) -> str:
     """Return the last caption, with the ending if it is known."""
-    return f"{words.partition('   ')[0]}   {ending}" if ending else words
+    return f"{words.partition('   ')[0]}   {ending[:1].upper()}{ending[1:]}" if ending else words
 
 
 def _set_state(act: Act, data: Any, one: _FilmImage) -> Overlay:

@@ -41,15 +41,16 @@ _MEETS = {
     Kind.PAD: (Kind.BASE, Kind.ARM, *HAND, Kind.ROOM, Kind.FLOOR),
 }
 _COLORS = {
-    Kind.BASE: (0.25, 0.27, 0.32, 1.0),
-    Kind.ARM: (0.88, 0.42, 0.13, 1.0),
-    Kind.GRIPPER: (0.15, 0.15, 0.17, 1.0),
-    Kind.PAD: (0.15, 0.15, 0.17, 1.0),
-    Kind.ROOM: (0.78, 0.78, 0.76, 1.0),
-    Kind.PART: (0.35, 0.58, 0.80, 1.0),
-    Kind.FLOOR: (0.68, 0.66, 0.62, 1.0),
+    Kind.BASE: (0.68, 0.72, 0.76, 1.0),
+    Kind.ARM: (0.26, 0.32, 0.38, 1.0),
+    Kind.GRIPPER: (0.13, 0.15, 0.18, 1.0),
+    Kind.PAD: (0.13, 0.15, 0.18, 1.0),
+    Kind.ROOM: (0.90, 0.90, 0.89, 1.0),
+    Kind.PART: (0.90, 0.62, 0.0, 1.0),
+    Kind.FLOOR: (0.80, 0.75, 0.68, 1.0),
 }
-HANDLE_COLOR = (0.10, 0.25, 0.45, 1.0)
+"""As on the web page: materials are pale, and the moving part is orange."""
+HANDLE_COLOR = (0.35, 0.38, 0.42, 1.0)
 
 
 def masks(kind: Kind, *, touched: bool) -> tuple[int, int]:

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 
 from momapos.apps.plots.candidate_markers import KINDS
-from momapos.apps.plots.palette import (
-    BAD,
-    GOOD,
-    HANDLE,
-    INK,
+from momapos.apps.plots.palette import RELATIONS
+from momapos.apps.web.colors import (
+    COMPARED,
+    DRIVE,
+    FEASIBLE,
+    FORCE,
+    INFEASIBLE,
     PART,
-    RELATIONS,
-    SOFT_INK,
     TARGET,
-    WAYPOINT,
+    TOOL,
+    VERDICTS,
+    rgb,
 )
-from momapos.apps.web.compare import COLORS
-from momapos.apps.web.robot_view import VERDICTS
-from momapos.apps.web.room_view import rgb
+from momapos.apps.web.legend import legend_rows
+from momapos.apps.web.panel import LAYERS
 from momapos.apps.web.scan_view import BACKGROUND, OBJECT_COLORS
 
 VISIONS = {
@@ -44,10 +45,10 @@ TOGETHER = {
     "candidates": [kind.color for kind in KINDS],
     "verdicts on the base": list(VERDICTS.values()),
     "objects of a scan": [*OBJECT_COLORS, BACKGROUND],
-    "compared answers": list(COLORS),
+    "compared answers": list(COMPARED.values()),
     "relations": [line.color for line in RELATIONS.values()],
-    "lines of an answer": [INK, SOFT_INK, WAYPOINT, HANDLE, GOOD],
-    "objects": [TARGET, PART, BAD],
+    "lines of an answer": [DRIVE, TOOL, FEASIBLE, FORCE],
+    "objects": [TARGET, PART, INFEASIBLE],
 }
 """Colors that are drawn together with different meanings."""
 
@@ -79,3 +80,19 @@ def test_colors_drawn_together_are_distinguishable(group: str, vision: str) -> N
     }
     pair = min(near, key=lambda one: float(near[one]))
     assert near[pair] >= MIN_DISTANCE, pair
+
+
+MIN_DIFFERENCE = 8.0
+"""Minimum distance in CIELAB of two colors of the page with all cones: a few grays are near [-]."""
+
+
+def test_each_color_of_the_legend_has_one_meaning_and_each_meaning_one_color() -> None:
+    rows = legend_rows(LAYERS, [kind.name for kind in KINDS])
+    words = [meaning for _, meaning in rows]
+    assert len(set(words)) == len(words)
+    single = {ramp[0]: lab(ramp[0], "all cones") for ramp, _ in rows if len(ramp) == 1}
+    assert len(single) == sum(len(ramp) == 1 for ramp, _ in rows)
+    for one, other in combinations(single, 2):
+        assert np.linalg.norm(single[one] - single[other]) >= MIN_DIFFERENCE, (one, other)
+    ramps = [ramp for ramp, _ in rows if len(ramp) > 1]
+    assert len(set(ramps)) == len(ramps)

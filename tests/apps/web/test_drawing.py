@@ -19,6 +19,7 @@ from tests.apps.web.pages import serve
 from viser import LineSegmentsHandle
 
 from momapos.apps.web import answer_layers
+from momapos.apps.web.card import Card
 from momapos.apps.web.map_layers import box_edges
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
@@ -31,7 +32,7 @@ from momapos.apps.web.scan_view import (
     object_colors,
     oriented_boxes,
 )
-from momapos.apps.web.words import answer_text
+from momapos.apps.web.words import answer_card
 from momapos.core.errors import InputError
 from momapos.core.geometry.upright_boxes import UprightBox, box_axes
 from momapos.model.plan_files.plan_format import read_plan
@@ -128,8 +129,8 @@ def test_the_tolerance_is_measured_after_the_answer_and_saved_with_it(page: Page
     assert answer is not None
     found = answer.plan.tolerance
     assert found is not None
-    assert page.panel.result.content == answer_text(answer)
-    assert f"±{100 * found.radius:g} cm" in page.panel.result.content
+    assert page.panel.card.shown == answer_card(answer)
+    assert f"±{100 * found.radius:g} cm" in page.panel.card.text
     cover = page.server.scene.get_handle_by_name("/layers/tolerance/cover")
     assert isinstance(cover, LineSegmentsHandle)
     base = np.array(answer.plan.base_pose)
@@ -145,25 +146,25 @@ def test_the_tolerance_of_an_outdated_answer_is_not_shown(page: Page) -> None:
     answer = page.shown.answer
     assert answer is not None
     before = replace(answer, plan=replace(answer.plan, tolerance=None))
-    said = page.panel.result.content
+    said = page.panel.card.shown
     page.layers.use_tolerance(before, before)
     assert page.shown.answer is answer
-    assert page.panel.result.content == said
+    assert page.panel.card.shown == said
     page.shown.answer = before
-    page.state.show_text("Something else.")
+    page.state.show(Card("Something else"))
     page.layers.use_tolerance(before, answer)
     assert page.shown.answer is answer  # but a newer text stays
-    assert page.panel.result.content == "Something else."
-    page.state.show_text(said)
+    assert page.panel.card.text == "Something else"
+    page.state.show(said)
 
 
 def test_a_finding_for_an_outdated_question_is_not_shown(page: Page) -> None:
     probe = page.follow._probe()
     assert probe is not None
     page.shown.probe = None  # the question has changed
-    words, base = page.panel.result.content, page.robot.base.copy()
+    words, base = page.panel.card.text, page.robot.base.copy()
     page.follow._show(probe.at(base, time.perf_counter), probe, 0.1)
-    assert page.panel.result.content == words
+    assert page.panel.card.text == words
 
 
 def test_spheres_follow_the_arm_and_are_drawn_once(page: Page) -> None:
@@ -351,12 +352,12 @@ def test_an_answer_is_shown_at_its_end_and_a_new_question_resets_the_part(page: 
     assert panel.moment.content.startswith(f"{player.duration:.1f} s")
     assert panel.joint_values == {"door_hinge": pytest.approx(np.pi / 2, abs=1e-4)}
     assert np.abs(doors() - closed).max() > 0.3
-    panel.to.value = "60deg"
+    panel.show_to("60deg")
     page.change()
     assert page.work.wait(LONG)
     np.testing.assert_allclose(doors(), closed, atol=1e-12)
     assert panel.joint_values == {}
-    panel.to.value = ""
+    panel.show_to("")
     page.place()
     assert page.work.wait(LONG)
 

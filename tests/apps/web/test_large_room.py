@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.apps.web.pages import serve
 
-from momapos.apps.web.light import NAME
+from momapos.apps.web.light import SUN_NODE
 from momapos.apps.web.page import Page
 from momapos.model.records.scans import Cloud
 from momapos.model.scene.model_copies import copied
@@ -68,7 +68,7 @@ def sent(page: Page, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def of_light(sent: list[Any]) -> list[Any]:
-    return [m for m in sent if kind(m) in ("EnableLightsMessage", "EnvironmentMapMessage")]
+    return [m for m in sent if kind(m) in ("HemisphereLightMessage", "EnvironmentMapMessage")]
 
 
 def kind(message: Any) -> str:
@@ -92,15 +92,14 @@ def test_a_large_room_has_plain_light_until_a_user_changes_it(page: Page, sent: 
     assert not page.panel.plain.value
     choose(page, large)
     assert page.panel.plain.value
-    lights, sky = of_light(sent)
-    assert (lights.cast_shadow, sky.hdri_data) == (False, None)
-    assert page.server.scene.get_handle_by_name(NAME) is not None
+    _, sky = of_light(sent)
+    assert sky.hdri_data is None
+    assert page.server.scene.get_handle_by_name(SUN_NODE) is None
     page.panel.plain.value = False
     page.light.changed()
-    lights, sky = of_light(sent)[2:]
-    assert lights.cast_shadow
+    _, sky = of_light(sent)[2:]
     assert len(sky.hdri_data) > 0
-    assert page.server.scene.get_handle_by_name(NAME) is None
+    assert page.server.scene.get_handle_by_name(SUN_NODE) is not None
     choose(page, kitchen)
     choose(page, large)
     assert page.panel.plain.value

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from momapos.apps.cli.main import main
-from momapos.apps.cli.view_sources import kind_of, source_in
+from momapos.apps.cli.view_sources import kind_of, scenes_in, source_in
 from momapos.apps.web.opened import Opened, quantity_text
 from momapos.apps.web.run_story import RunStory
 from momapos.apps.web.static import page_of
-from momapos.apps.web.words import run_text
+from momapos.apps.web.words import run_card
 from momapos.core.errors import InputError
 from momapos.core.units import parse_quantity
 from momapos.model.records.tasks import Task
@@ -79,11 +79,12 @@ def test_a_record_without_motion_or_of_another_robot_is_refused(
 
 
 def test_a_run_is_described_in_text() -> None:
-    words = run_text(RECORD)
-    assert words.startswith("**Succeeded**")
+    words = str(run_card(RECORD))
+    assert words.startswith("Succeeded")
     assert "at most 31 N" in words
-    failed = replace(RECORD, execution=replace(DONE, success=False, reason="the hold *broke*"))
-    assert "reason: the hold \\*broke\\*" in run_text(failed)
+    failed = replace(RECORD, execution=replace(DONE, success=False, reason="the hold <b>broke"))
+    assert run_card(failed).notes == ("the hold <b>broke",)
+    assert "the hold &lt;b&gt;broke" in run_card(failed).html
 
 
 def test_sources_are_recognized_by_their_content(tmp_path: Path) -> None:
@@ -99,6 +100,17 @@ def test_sources_are_recognized_by_their_content(tmp_path: Path) -> None:
         assert kind_of(str(tmp_path / name)) == kind
     assert kind_of(str(tmp_path)) == "scan"
     assert kind_of("kitchen_small") == "scene"
+
+
+def test_the_page_offers_the_scene_files_of_the_working_folder_and_no_links(tmp_path: Path) -> None:
+    here, elsewhere = tmp_path / "here", tmp_path / "elsewhere.json"
+    here.mkdir()
+    for path in (here / "room.json", elsewhere):
+        path.write_text('{"format": "momapos-scene", "version": 1}')
+    (here / "plan.json").write_text('{"format": "momapos-plan", "version": 1}')
+    (here / "link.json").symlink_to(elsewhere)
+    (here / "folder.json").mkdir()
+    assert scenes_in(here) == ("room.json",)
 
 
 def test_an_unusable_record_is_reported_in_one_line(

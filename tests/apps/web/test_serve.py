@@ -108,23 +108,23 @@ def test_a_damaged_scene_is_reported_on_page_and_terminal_and_the_page_survives(
     page.panel.scene.value = damaged
     page.change()
     assert page.work.wait(LONG)
-    assert "**Error:**" in page.panel.result.content
-    assert "damaged" in page.panel.result.content
+    assert page.panel.card.shown.headline == "Error"
+    assert "damaged" in page.panel.card.text
     (line,) = caplog.messages
     assert line.startswith(f"momapos: {damaged}")
     assert "\n" not in line
     page.panel.scene.value = good
     page.change()
     assert page.work.wait(LONG)
-    assert "Press **Place**" in page.panel.result.content
+    assert "Press Place" in page.panel.card.text
 
 
 def test_an_invalid_task_is_reported_on_the_page(page: Page) -> None:
-    page.panel.to.value = "400deg"
+    page.panel.show_to("400deg")
     page.place()
     assert page.work.wait(LONG)
-    assert "outside its limits" in page.panel.result.content
-    page.panel.to.value = ""
+    assert "outside its limits" in page.panel.card.text
+    page.panel.show_to("")
 
 
 def test_work_is_canceled_without_browsers(page: Page) -> None:
@@ -184,7 +184,11 @@ def test_a_player_stops_at_the_end_and_plays_again_from_the_beginning() -> None:
 
 def test_a_robot_is_loaded_once() -> None:
     loader = RobotLoader(user_cache())
-    told: list[str] = []
-    first = loader.load("segway_ur5e", "any", time.perf_counter, told.append)
-    loader.load("fetch", "any", time.perf_counter, told.append)
-    assert loader.load("segway_ur5e", "any", time.perf_counter, told.append) is first
+
+    def told(what: str, share: float) -> None:
+        assert what
+        assert 0.0 <= share <= 1.0
+
+    first = loader.load("segway_ur5e", "any", time.perf_counter, told)
+    loader.load("fetch", "any", time.perf_counter, told)
+    assert loader.load("segway_ur5e", "any", time.perf_counter, told) is first

@@ -197,7 +197,8 @@ def _write_outputs(
         if result.execution is None:
             print(f"momapos: {film}: not written: nothing was executed", file=sys.stderr)
         else:
-            write_film(trace, film, ending=result.reason or result.verdict)
+            title = f"{result.robot}: {result.task.verb} {result.task.object}"
+            write_film(trace, film, ending=result.reason or result.verdict, title=title)
     if files.out_scene is not None and save_learned(result, scene, files.out_scene) is None:
         print(
             f"momapos: {files.out_scene}: not written: no joint was moved as planned, or only in a "

@@ -14,7 +14,7 @@ from momapos.model.robots import find_named_robot, library_names
 from momapos.model.scene import builtin_names, find_scene
 
 from .options import OptionalFile, OptionalFolder, OptionalRobot
-from .view_sources import kind_of, opened_source, source_in
+from .view_sources import kind_of, opened_source, scenes_in, source_in
 
 if TYPE_CHECKING:
     from momapos.apps.web import Opened, OpenedScan
@@ -77,7 +77,7 @@ def _write(opened: Opened | OpenedScan | None, static: Path) -> None:
     assert isinstance(opened, Opened), "a plan or a run"
     write_page(
         opened.scene, opened.robot, opened.plan, static, story=opened.story(),
-        active=opened.question.target.partition("/")[0],
+        active=opened.question.target.partition("/")[0], card=opened.card,
     )  # fmt: skip
     print(f"{static}: {static.stat().st_size / 1e6:.1f} MB; open it in any browser")
 
@@ -100,7 +100,7 @@ def _serve(
     machine = opened.robot.source if isinstance(opened, Opened) else robot
     with served(
         host=host, port=port, scene=source, robot=machine, cache=user_cache(), folder=Path.cwd(),
-        scenes=tuple(dict.fromkeys((source, *builtin_names()))),
+        scenes=tuple(dict.fromkeys((source, *builtin_names(), *scenes_in(Path.cwd())))),
         robots=tuple(dict.fromkeys((machine, *library_names()))), opened=opened,
     ) as (page, address):  # fmt: skip
         print(f"momapos: {address} shows {source} (Ctrl-C stops it)", flush=True)

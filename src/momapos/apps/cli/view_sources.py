@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from momapos.apps.web import Opened, OpenedScan
 
 Kind = Literal["scene", "plan", "run", "scan"]
+MAX_FILES = 500
+"""Files of a folder that are looked at [-]."""
+SCENE = b'"momapos-scene"'
 _HEAD = 300
 """Bytes at the beginning of a file that identify its format [-]."""
 _SCANS = (b"ply", b"# .PCD", b"#ROSBAG", b"\x89MCAP0", b"SQLite format 3")
@@ -46,6 +49,17 @@ def source_in(source: str) -> str:
     """Return the record or the plan in an output folder of `momapos solve`; else the source."""
     inside = (Path(source) / name for name in ("run.json", "plan.json"))
     return next((str(path) for path in inside if path.is_file()), source)
+
+
+def scenes_in(folder: Path) -> tuple[str, ...]:
+    """Return the names of the scene files in a folder, which the page offers; no links."""
+    found = []
+    for path in sorted(folder.glob("*.json"))[:MAX_FILES]:
+        if path.is_file() and not path.is_symlink():
+            with path.open("rb") as file:
+                if SCENE in file.read(_HEAD):
+                    found.append(path.name)
+    return tuple(found)
 
 
 @contextmanager

@@ -57,7 +57,7 @@ KINDS = (
     ),
     MarkerKind("arm hits", (_S.ARM_COLLISION, _S.HOME_COLLISION), "#b52ad6", "^", size=3.2),
     MarkerKind("no continuous path", (_S.NO_CONTINUOUS_PATH,), "#7a4a1e", "s"),
-    MarkerKind("too much load", (_S.OVERLOAD, _S.TIPS_OVER), "#eeaa00", "v", size=3.2),
+    MarkerKind("too much load", (_S.OVERLOAD, _S.TIPS_OVER), "#ff9d6e", "v", size=3.2),
     MarkerKind("no approach", (_S.NO_APPROACH, _S.NO_WAY_HOME), "#7d7a1f", "D"),
     MarkerKind("exact check", (_S.EXACT_CHECK,), "#330000", "P", size=3.6),
     MarkerKind("feasible", (_S.FEASIBLE,), "#009e73", "o", filled=True, size=5.0),

@@ -28,6 +28,12 @@ COLORS = {
     "drawer": "#3a86ff",
 }  # fmt: skip
 HANDLE = "#ffd166"
+SIZE, RESOLUTION = (18.0, 6.6), 100.0
+"""Size [in] and resolution [1/in]: readable on a slide."""
+CAPTION, TITLE, LABEL, TICKS = 22.0, 18.0, 16.0, 13.0
+"""Sizes of the texts [pt]."""
+LABEL_MARGIN = 0.025
+"""Height of a label above the lower edge of its part, as a share of the front [-]."""
 MAX_POINTS = 20_000
 """Approximate number of points drawn [-]."""
 
@@ -52,9 +58,9 @@ def draw_modeled(
         caption: Title of the figure.
         path: The file.
     """
-    figure = Figure(figsize=(15, 5), layout="constrained")
-    image, face, front, side = figure.subplots(1, 4)
-    figure.suptitle(caption)
+    figure = Figure(figsize=SIZE, layout="constrained")
+    image, face, front, side = figure.subplots(1, 4, width_ratios=(1.45, 1.0, 1.0, 1.0))
+    figure.suptitle(caption, fontsize=CAPTION, fontweight="bold")
     if view is not None:
         _frame(image, frames[view.frame], detection, np.degrees(view.angle))
         _face(face, view)
@@ -62,10 +68,10 @@ def draw_modeled(
     else:
         for axes, text in ((image, "no image shows a front"), (face, "no parts")):
             axes.set_axis_off()
-            axes.set_title(text)
+            axes.set_title(text, fontsize=TITLE)
         axis = None
     _fit(front, side, detection, axis, cloud, model)
-    save_figure(figure, path, dpi=80)
+    save_figure(figure, path, dpi=RESOLUTION)
 
 
 def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None:
@@ -76,11 +82,11 @@ def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None
     pixels = pixels[:, :2] / np.maximum(pixels[:, 2:], 1e-6)
     for a, b in _EDGES:
         if visible[a] and visible[b]:
-            axes.plot(*pixels[[a, b]].T, color="#ff3366", linewidth=1.5)
+            axes.plot(*pixels[[a, b]].T, color="#ff3366", linewidth=3.0)
     height, width = frame.color.shape[:2]
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.set_axis_off()
-    axes.set_title(f"{frame.name}, {angle:.0f} deg off the normal")
+    axes.set_title(f"image, {angle:.0f}° off the normal", fontsize=TITLE)
 
 
 def _face(axes: Axes, view: FrontView) -> None:
@@ -92,17 +98,22 @@ def _face(axes: Axes, view: FrontView) -> None:
         color = COLORS[part.kind]
         corner = (left * width, (1 - bottom) * height)
         size = ((right - left) * width, (bottom - top) * height)
-        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=2))
-        axes.plot(*_hinge(part, width, height), color=color, linewidth=5, alpha=0.6)
-        label = f"{part.kind} {part.score:.2f}"
-        axes.text(corner[0], corner[1] + size[1], label, color=color, fontsize=8, va="bottom")
+        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=4))
+        axes.plot(*_hinge(part, width, height), color=color, linewidth=9, alpha=0.6)
+        label = f"{part.kind.replace('_', ' ')} {part.score:.2f}"
+        low = (corner[0] + size[0] / 2, corner[1] + LABEL_MARGIN * height)
+        axes.text(
+            *low, label, color=color, fontsize=LABEL, weight="bold", ha="center", va="bottom",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 3.0},
+        )  # fmt: skip
         if part.handle is not None:
             left, top, right, bottom = part.handle
             corner = (left * width, (1 - bottom) * height)
             size = ((right - left) * width, (bottom - top) * height)
-            axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=HANDLE, linewidth=1.5))
+            axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=HANDLE, linewidth=3.0))
     axes.set(xlim=(-0.05, width + 0.05), ylim=(-0.05, height + 0.05))
-    axes.set_title(f"front with probability {view.front.score:.2f}")
+    axes.tick_params(labelsize=TICKS)
+    axes.set_title(f"front, probability {view.front.score:.2f}", fontsize=TITLE)
 
 
 def _hinge(part: Part, width: float, height: float) -> tuple[list[float], list[float]]:
@@ -133,11 +144,12 @@ def _fit(
     points = apply(T_face_world, cloud.points[members])
     colors = cloud.colors[members] / 255.0
     for axes, columns, side_name in ((front, (0, 1), "front"), (side, (2, 1), "side")):
-        axes.scatter(points[:, columns[0]], points[:, columns[1]], s=0.5, c=colors)
+        axes.scatter(points[:, columns[0]], points[:, columns[1]], s=4.0, c=colors, linewidths=0)
         if model is not None:
             _outline(axes, model, T_face_world, columns)
         axes.set_aspect("equal")
-        axes.set_title(f"from the {side_name}")
+        axes.tick_params(labelsize=TICKS)
+        axes.set_title(f"model, from the {side_name}", fontsize=TITLE)
 
 
 def _face_frame(detection: Detection, face: Face | None) -> Float[np.ndarray, "4 4"]:
@@ -164,4 +176,4 @@ def _outline(
             except QhullError:
                 continue  # edge-on
             color = "0.3" if link == model.model.urdf.root else "#d00000"
-            axes.add_patch(Polygon(ring, fill=False, edgecolor=color, linewidth=0.8))
+            axes.add_patch(Polygon(ring, fill=False, edgecolor=color, linewidth=1.8))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -18,10 +18,11 @@ from momapos.planning.grasps import hand_path
 from momapos.planning.importance import rank
 
 from . import map_layers as draw
+from .legend import legend
 from .panel import LAYERS
-from .robot_view import VERDICTS
 from .state import PageState
-from .words import answer_text, escaped
+from .texts import escaped
+from .words import answer_card
 from .work import LatestWorker
 
 ROOT = "/layers"
@@ -31,11 +32,6 @@ CELL = 0.06
 """Edge of a cell of the images on the floor [m]."""
 SLOW = ("tolerance", "opening")
 """Layers that take half a second, and seconds: each has a thread of its own."""
-VERDICT_LABELS = {
-    "feasible": "feasible from here", "partly": "feasible in part", "infeasible": "infeasible",
-}  # fmt: skip
-"""Meaning of the footprint's colors."""
-VIRIDIS = ("#dde318", "#21918c", "#440f5c")
 
 
 @dataclass(frozen=True)
@@ -173,9 +169,9 @@ class AnswerLayers:
             if state.shown.answer is not before:
                 return
             state.shown.answer = answer
-            shown, words = state.panel.result.content, answer_text(before)
-            if shown.startswith(words):
-                state.show_text(answer_text(answer) + shown.removeprefix(words))
+            shown = state.panel.card.shown
+            if shown.facts == answer_card(before).facts:
+                state.show(replace(shown, facts=answer_card(answer).facts))
 
     # ------------------------------------------------------------------------- one for each layer
 
@@ -244,6 +240,7 @@ class AnswerLayers:
 
     def _clicked(self, words: str) -> None:
         self._panel.clicked.content = f"This candidate: **{escaped(words)}**"
+        self._panel.guide.done("why")
 
 
 DRAW = {
@@ -252,47 +249,3 @@ DRAW = {
     "free": AnswerLayers._free, "opening": AnswerLayers._opening, "reach": AnswerLayers._reach,
     "importance": AnswerLayers._importance, "tolerance": AnswerLayers._tolerance,
 }  # fmt: skip
-
-
-def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
-    """Return the legend of the layers that are shown, as HTML."""
-    rows = [(_box(plots.TARGET), "target object"), (_box(plots.PART), "moving part"),
-            (_box(plots.BAD), "obstacle")]  # fmt: skip
-    rows += [(_box(VERDICTS[key]), f"base: {words}") for key, words in VERDICT_LABELS.items()]
-    if "path" in shown:
-        rows += [(_box(plots.SOFT_INK), "start"), (_box(plots.INK), "base path")]
-    if "waypoints" in shown:
-        rows += [(_box(plots.WAYPOINT), "tool path"), (_box(plots.HANDLE), "grasps")]
-    if "tolerance" in shown:
-        rows.append((_box(plots.GOOD), "tolerance: base positions, swept footprint"))
-    if "potential" in shown:
-        rows.append((_ramp(plots.POTENTIAL), "potential, low to high"))
-    if "free" in shown:
-        rows.append((_box(plots.SELECTED), "free area, stronger for more yaws"))
-    if "opening" in shown:
-        rows.append((_ramp(VIRIDIS), "opens a little to fully"))
-    if "reach" in shown:
-        rows.append((_ramp(VIRIDIS), "reachable from few to all directions"))
-    if "importance" in shown:
-        rows.append((_ramp(("#c3cad0", plots.SELECTED)), "importance, 0 to 1"))
-        rows += [(_box(look.color), kind) for kind, look in plots.RELATIONS.items()]
-    if "spheres" in shown:
-        rows.append((_box(plots.PART), "collision spheres"))
-    if "candidates" in shown:
-        rows += [(_box(kind.color), kind.name) for kind in plots.KINDS if kind.name in kinds]
-    items = "".join(f"<div>{mark} {words}</div>" for mark, words in rows)
-    return f'<div style="font-size:0.8em;line-height:1.5;padding:0 0.8em">{items}</div>'
-
-
-def _box(color: str) -> str:
-    return _mark(f"background:{color};width:0.9em")
-
-
-def _ramp(colors: tuple[str, ...]) -> str:
-    return _mark(f"background:linear-gradient(90deg,{','.join(colors)});width:2.2em")
-
-
-def _mark(style: str) -> str:
-    # The border separates dark colors from a dark page, and pale ones from a light page.
-    shape = "display:inline-block;height:0.9em;vertical-align:-0.1em;border:1px solid #888"
-    return f'<span style="{shape};{style}"></span>'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,20 +13,21 @@ from momapos.planning import PlacementResult
 from momapos.planning.grasps import in_front_of_parts
 
 from .answer_layers import AnswerLayers
-from .cameras import look_at
+from .cameras import frame
+from .card import Card
+from .joint_ranges import joint_ranges
 from .light import Light
 from .motion_view import MotionView
-from .panel import joint_ranges
 from .playback import Story, values_at_end
 from .question import Question, RobotArms
 from .robot_view import home_values, joint_values
 from .state import PageState
-from .words import answer_text, check_text, escaped
+from .words import answer_card, check_lines
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-READY = "Press **Place**, or drag the base."
+READY = Card("Ready", notes=("Press Place, or drag the base.",))
 
 
 class AnswerView:
@@ -36,7 +38,9 @@ class AnswerView:
     ) -> None:
         self._state, self._motion, self._layers, self._light = state, motion, layers, light
 
-    def ask(self, scene: Scene, arms: RobotArms, question: Question, *, fresh: bool) -> None:
+    def ask(
+        self, scene: Scene, arms: RobotArms, question: Question, *, fresh: bool, turn: bool
+    ) -> None:
         """Draw a question before its answer is known.
 
         Args:
@@ -44,6 +48,7 @@ class AnswerView:
             arms: The robot.
             question: The question.
             fresh: Whether the room or the robot differs from the one that is drawn.
+            turn: Whether to turn the cameras to the task; a new room does it anyway.
         """
         state = self._state
         with state.drawing:
@@ -52,20 +57,23 @@ class AnswerView:
             shown.joints = {}
             self._motion.load(None)
             self._layers.clear()  # before the robot, which is the parent node of one of them
-            if fresh and state.room.scene is not scene:
-                look_at(state.server, scene)
+            start = start_of(scene, question)
+            if state.room.scene is not scene:
                 self._light.of_room(scene)
+                turn = True
+            if turn:
+                frame(state.server, scene, question.target, start[None])
             state.show_room()
             state.room.rest()
             state.panel.show_joints(joint_ranges(scene, shown.target), self._motion.move_joints)
-            state.panel.to.disabled = question.verb not in ("open", "close")
-            start = start_of(scene, question)
             if state.robot.robot is not robot or fresh:
                 state.robot.show(robot, start)
             else:
                 state.robot.move(start, home_values(robot))
             state.robot.verdict("")
-            state.show_text(READY + ("" if shown.check is None else check_text(shown.check)))
+            state.show(READY)
+            state.panel.place_here.visible = False
+            state.panel.show_check(() if shown.check is None else check_lines(shown.check))
 
     def show(self, answer: PlacementResult, arms: RobotArms) -> None:
         """Draw an answer.
@@ -88,12 +96,12 @@ class AnswerView:
             state.robot.show(robot, state.robot.base)
             shown.probe = None
         state.room.mark(())
-        story, words = None, answer_text(answer)
+        story, card = None, answer_card(answer)
         if plan.motion is not None and plan.base_pose is not None:
             try:
                 story = Story.of(plan, robot, shown.scene)
             except InputError as error:
-                words += f"\n- no motion to show: {escaped(str(error))}"
+                card = replace(card, notes=(*card.notes, f"no motion to show: {error}"))
             state.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
             if plan.task.joint is not None:
                 state.room.move(values_at_end(shown.scene, plan.task, plan.motion))
@@ -103,7 +111,8 @@ class AnswerView:
         state.robot.verdict("feasible" if plan.motion is not None else "infeasible")
         self._motion.load(story)
         self._layers.show(shown.scene, answer, arms.reach_of(robot.arm))
-        state.show_text(words)
+        state.show(card)
+        state.panel.guide.done("choose", "place")
 
     def change_look(self) -> None:
         """Draw objects by their collision shapes, or by their visual ones again."""

@@ -11,19 +11,19 @@ from momapos.apps.plots import room_bounds
 from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
 
-from .cameras import look_at, viewpoint
+from .cameras import frame, look_at, viewpoint
+from .colors import COMPARED
 from .playback import Story, values_at_end
 from .robot_view import RobotView, joint_values
 from .room_view import RoomView
 from .state import PageState
-from .words import escaped
+from .texts import escaped
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-COLORS = ("#0072b2", "#d55e00", "#cc79a7", "#009e73")
-"""Colors of the robots of compared answers (Okabe and Ito)."""
-NAMES = ("blue", "orange", "pink", "green")
+NAMES, COLORS = tuple(COMPARED), tuple(COMPARED.values())
+"""Colors of the robots of compared answers, and their names."""
 ROOM_GAP = 1.0
 """Gap between rooms that stand side by side [m]."""
 CAPTION_HEIGHT = 2.6
@@ -95,10 +95,12 @@ class Compare:
         with self._state.drawing:
             self._arrange()
             scene = self._state.shown.scene
-            if scene is not None and self._answers:
-                moved = self._answers if self._side_by_side else []
-                shifts = [self._shift(one.scene, k + 1) for k, one in enumerate(moved)]
+            if scene is not None and self._answers and self._side_by_side:
+                shifts = [self._shift(one.scene, k + 1) for k, one in enumerate(self._answers)]
                 look_at(self._state.server, scene, shifts)
+            elif scene is not None:
+                base = self._state.robot.base
+                frame(self._state.server, scene, self._state.panel.target.value, base[None])
 
     def _arrange(self) -> None:
         self._remove_captions()

@@ -11,7 +11,7 @@ from momapos.core import Clock
 from .motion_view import MotionView
 from .saving import save_plan, save_room, send_film, send_image
 from .state import PageState
-from .words import escaped
+from .texts import escaped
 from .work import LatestWorker, Stopped
 
 

@@ -17,7 +17,7 @@ from .playback import values_at_end
 from .probe import Finding, Probe
 from .robot_view import home_values, joint_values
 from .state import PageState
-from .words import finding_text, verdict_of
+from .words import finding_card, verdict_of
 from .work import LatestWorker
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ class DragFollower:
         self._detail.scene_moved()
         self._state.robot.base = base
         self._state.panel.resender.node(gizmo)
+        self._state.panel.place_here.visible = True
         began = time.perf_counter()
         self.work.put(lambda clock: self._check(base, began, clock))
 
@@ -89,4 +90,5 @@ class DragFollower:
                     state.room.carry(carried.at_end(probe.task, motion))
             state.robot.verdict(verdict_of(finding))
             state.room.mark(finding.in_the_way)
-            state.show_text(finding_text(finding, probe, seconds))
+            state.show(finding_card(finding, probe, seconds))
+            state.panel.guide.done("drag", *(() if finding.feasible else ("why",)))

@@ -1,6 +1,6 @@
-"""The light of the page: daylight with shadows, or plain light.
+"""The light and the sky of the page: a sun with shadows, or plain light; bright or dark.
 
-Without a graphics card most of a frame's time is spent per pixel: on three shadow maps and on the
+Without a graphics card most of a frame's time is spent per pixel: on shadow maps and on the
 environment map. Plain light depends on the direction of a surface only.
 """
 
@@ -10,28 +10,35 @@ from typing import TYPE_CHECKING, Any
 
 from momapos.model.scene import Scene
 
-from .panel import Panel
-from .room_view import large
+from .looks import DARK, LIGHT, Look, sky
+from .panel import Panel, set_theme
+from .room_view import RoomView, large
 
 if TYPE_CHECKING:
-    from viser import SceneApi
+    from viser import SceneApi, ViserServer
 
-NAME = "/light"
-SKY, GROUND = (255, 255, 255), (150, 150, 150)
+SKY_NODE, SUN_NODE = "/light/sky", "/light/sun"
+SKY, GROUND = (255, 255, 255), (150, 146, 140)
 PLAIN_INTENSITY = 2.4
 """Makes the room as bright as daylight does [-]."""
-DAY = "city"
-"""The environment map that viser starts with."""
+DAY, DAY_INTENSITY = "apartment", 0.35
+"""The environment map, whose reflections show curved surfaces, and its intensity [-]."""
+SUN = (0.45, -0.6, 1.0)
+"""Direction of the sun; the visible faces of furniture against a wall differ in brightness."""
 
 
 class Light:
     """Lights the room, and sends only changes."""
 
-    def __init__(self, api: SceneApi, panel: Panel) -> None:
-        self._api, self._panel = api, panel
-        self._plain: Any = None
-        """The source of plain light; None in daylight."""
+    def __init__(self, server: ViserServer, panel: Panel, room: RoomView) -> None:
+        self._server, self._api, self._panel, self._room = server, server.scene, panel, room
+        self._plain: bool | None = None
+        self._look: Look | None = None
+        self._lamps: list[Any] = []
+        self._api.configure_default_lights(enabled=False, cast_shadow=False)
         panel.on_change(panel.plain, self.changed)
+        panel.on_change(panel.dark, self.changed)
+        self.changed()
 
     def of_room(self, scene: Scene) -> None:
         """Choose the light of another room: plain light for a large one."""
@@ -40,15 +47,37 @@ class Light:
 
     def changed(self) -> None:
         """Apply the light that the panel selects."""
-        plain = bool(self._panel.plain.value)
-        if plain == (self._plain is not None):
+        plain, look = bool(self._panel.plain.value), DARK if self._panel.dark.value else LIGHT
+        if (plain, look) == (self._plain, self._look):
             return
-        self._api.configure_default_lights(cast_shadow=not plain)
-        self._api.configure_environment_map(None if plain else DAY)
-        if plain:
-            self._plain = self._api.add_light_hemisphere(
-                NAME, sky_color=SKY, ground_color=GROUND, intensity=PLAIN_INTENSITY
+        if look is not self._look:
+            set_theme(self._server.gui, dark=look is DARK)
+            self._api.set_background_image(sky(look), format="png")
+            self._room.set_look(look)
+        for lamp in self._lamps:
+            lamp.remove()
+        self._lamps = lamps(self._api, look, plain=plain)
+        if plain != self._plain:
+            self._api.configure_environment_map(
+                None if plain else DAY, environment_intensity=DAY_INTENSITY
             )
-        else:
-            self._plain.remove()
-            self._plain = None
+        self._plain, self._look = plain, look
+
+
+def lamps(api: SceneApi, look: Look, *, plain: bool) -> list[Any]:
+    """Add the lamps of a look.
+
+    Args:
+        api: Where to draw.
+        look: The look.
+        plain: Whether to leave out the sun, which casts shadows.
+    """
+    ambient = PLAIN_INTENSITY * look.ambient / LIGHT.ambient if plain else look.ambient
+    lit = [
+        api.add_light_hemisphere(SKY_NODE, sky_color=SKY, ground_color=GROUND, intensity=ambient)
+    ]
+    if not plain:
+        lit.append(api.add_light_directional(
+            SUN_NODE, intensity=look.sun, cast_shadow=True, position=SUN
+        ))  # fmt: skip
+    return lit

@@ -20,7 +20,8 @@ from momapos.planning import OpeningMap, PlacementResult
 from momapos.planning.importance import KINDS, Importance
 from momapos.planning.placement import BaseStatus, PlacementGeometry, base_pose_status
 
-from .room_view import rgb
+from . import colors
+from .colors import rgb
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
@@ -39,6 +40,8 @@ MARKER_HEIGHT, MARKER_STEP = 0.015, 0.001
 """Height of the markers of the worst kind, and the step to each better kind [m]."""
 CIRCLE = np.stack([f(2 * np.pi / 48 * np.arange(48)) for f in (np.cos, np.sin)], -1)
 """Corners of a circle of radius 1 [-]."""
+REACH = "plasma"
+"""Color map of the reachability; the opening map has another one."""
 TOLERANCE_YAWS = 9
 """Yaws for which the footprint within a tolerance is drawn [-]."""
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
@@ -82,8 +85,8 @@ def potential_pixels(potential: plots.PotentialMap) -> UInt8[np.ndarray, "rows c
 
 def free_pixels(share: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "rows columns 4"]:
     """Color the free area: the opacity is the share of yaws at which the base stands clear."""
-    color = np.broadcast_to(np.array(rgb(plots.SELECTED), float), (*share.shape, 3))
-    return np.concatenate([color, 150.0 * share[..., None]], -1).astype(np.uint8)
+    color = np.broadcast_to(np.array(rgb(colors.FREE), float), (*share.shape, 3))
+    return np.concatenate([color, 190.0 * share[..., None]], -1).astype(np.uint8)
 
 
 def free_area(
@@ -117,9 +120,9 @@ def opening_pixels(opening: OpeningMap) -> UInt8[np.ndarray, "rows columns 4"]:
 
     span = opening.values[-1] - opening.begin
     share = np.nan_to_num((opening.farthest - opening.begin) / (span or 1.0))
-    colors = colormaps["viridis"](0.97 - 0.89 * np.clip(share, 0, 1))
-    colors[..., 3] = np.where(np.isnan(opening.farthest), 0.0, 0.85)
-    return (255 * colors).astype(np.uint8)
+    drawn = colormaps["viridis"](0.97 - 0.89 * np.clip(share, 0, 1))
+    drawn[..., 3] = np.where(np.isnan(opening.farthest), 0.0, 0.85)
+    return (255 * drawn).astype(np.uint8)
 
 
 def draw_candidates(
@@ -140,7 +143,7 @@ def draw_candidates(
     height = MARKER_HEIGHT + MARKER_STEP * kinds  # better outcomes cover worse ones
     positions = np.column_stack([seen.poses[chosen, :2], height])
     own = np.array([rgb(plots.KINDS[k].color) for k in kinds], float).reshape(-1, 3)
-    colors = (FLOOR_SHADE * own).astype(np.uint8)
+    shades = (FLOOR_SHADE * own).astype(np.uint8)
     scales = np.array([MARKER_SIZE * (1.8 if plots.KINDS[k].filled else 1.0) for k in kinds])
     # An arrowhead on the floor that points where the base faces.
     head = np.array([[0.7, 0, 0], [-0.5, 0.45, 0], [-0.25, 0, 0], [-0.5, -0.45, 0]])
@@ -149,13 +152,13 @@ def draw_candidates(
     turns[:, 0], turns[:, 3] = (f(seen.poses[chosen, 2] / 2) for f in (np.cos, np.sin))
     node = api.add_batched_meshes_simple(
         name, head.astype(np.float32), faces.astype(np.uint32), turns, positions,
-        batched_scales=scales, batched_colors=colors, cast_shadow=False,
+        batched_scales=scales, batched_colors=shades, cast_shadow=False,
         receive_shadow=False, lod="off", side="double",
         material="toon3",  # without highlights, which would make it paler
     )  # fmt: skip
 
     def clicked(event: Any) -> None:
-        if event.instance_index is not None:
+        if event.instance_index is not None and event.instance_index < len(words):
             picked(words[event.instance_index])
 
     node.on_click(clicked)
@@ -167,11 +170,11 @@ def draw_waypoints(api: SceneApi, name: str, answer: PlacementResult) -> None:
     for k, points in enumerate(plots.waypoints_by_grasp(answer)):
         if len(points) > 1:
             api.add_line_segments(
-                f"{name}/path{k}", np.stack([points[:-1], points[1:]], 1), rgb(plots.WAYPOINT),
+                f"{name}/path{k}", np.stack([points[:-1], points[1:]], 1), rgb(colors.TOOL),
                 thickness=0.008,
             )  # fmt: skip
         api.add_point_cloud(
-            f"{name}/points{k}", points, rgb(plots.WAYPOINT), point_size=0.022,
+            f"{name}/points{k}", points, rgb(colors.TOOL), point_size=0.022,
             point_shape="circle", precision="float32",
         )  # fmt: skip
     motion, robot = answer.prepared.motion, answer.prepared.robot
@@ -179,7 +182,7 @@ def draw_waypoints(api: SceneApi, name: str, answer: PlacementResult) -> None:
     tails = Ts[:, :3, 3] - 0.1 * Ts[:, :3, :3] @ robot.approach_axis
     if len(Ts):
         segments = np.stack([tails, Ts[:, :3, 3]], 1)
-        api.add_line_segments(f"{name}/grasps", segments, rgb(plots.HANDLE), thickness=0.003)
+        api.add_line_segments(f"{name}/grasps", segments, rgb(colors.TOOL), thickness=0.003)
 
 
 def draw_start_and_path(api: SceneApi, name: str, answer: PlacementResult) -> None:
@@ -188,7 +191,7 @@ def draw_start_and_path(api: SceneApi, name: str, answer: PlacementResult) -> No
     corners = np.column_stack([footprint, np.full(len(footprint), 0.008)])
     outline = apply(pose_planar(answer.start), corners)
     api.add_line_segments(
-        f"{name}/start", np.stack([outline, np.roll(outline, -1, 0)], 1), rgb(plots.SOFT_INK),
+        f"{name}/start", np.stack([outline, np.roll(outline, -1, 0)], 1), rgb(colors.DRIVE),
         thickness=0.012,
     )  # fmt: skip
     if answer.plan.base_path is not None:
@@ -215,7 +218,7 @@ def draw_tolerance(
     for part, ring in rings.items():
         corners = np.column_stack([ring, np.full(len(ring), 0.009)])
         api.add_line_segments(
-            f"{name}/{part}", np.stack([corners, np.roll(corners, -1, 0)], 1), rgb(plots.GOOD),
+            f"{name}/{part}", np.stack([corners, np.roll(corners, -1, 0)], 1), rgb(colors.FEASIBLE),
             thickness=0.012,
         )  # fmt: skip
 
@@ -244,7 +247,7 @@ def draw_path(api: SceneApi, name: str, path: Float[np.ndarray, "k 3"]) -> None:
     if len(path) > 1:
         points = np.column_stack([path[:, :2], np.full(len(path), 0.01)])
         segments = np.stack([points[:-1], points[1:]], 1)
-        api.add_line_segments(name, segments, rgb(plots.INK), thickness=0.016)
+        api.add_line_segments(name, segments, rgb(colors.DRIVE), thickness=0.016)
 
 
 def draw_importance(api: SceneApi, name: str, ranked: Importance) -> None:
@@ -252,11 +255,11 @@ def draw_importance(api: SceneApi, name: str, ranked: Importance) -> None:
     graph = ranked.graph
     score = np.array([ranked.score(n) for n in graph.names])
     edges = box_edges(graph.upright)
-    pale, strong = np.array(rgb("#c3cad0"), float), np.array(rgb(plots.SELECTED), float)
-    colors = pale + score[:, None] * (strong - pale)
+    pale, strong = (np.array(rgb(color), float) for color in colors.IMPORTANCE)
+    shades = pale + score[:, None] * (strong - pale)
     api.add_line_segments(
         f"{name}/boxes", edges.reshape(-1, 2, 3),
-        np.repeat(colors, 12, 0)[:, None].repeat(2, 1).astype(np.uint8), thickness=0.008,
+        np.repeat(shades, 12, 0)[:, None].repeat(2, 1).astype(np.uint8), thickness=0.008,
     )  # fmt: skip
     centers = graph.upright.center
     for index, kind in enumerate(KINDS):
@@ -278,9 +281,9 @@ def reach_pixels(share: Float[np.ndarray, "n n"]) -> UInt8[np.ndarray, "n n 4"]:
     """Color a slice of the reachability: the darker, the more directions."""
     from matplotlib import colormaps
 
-    colors = colormaps[plots.COLORS](plots.PALE - (plots.PALE - plots.DARK) * share)
-    colors[..., 3] = np.where(share > 0, 0.75, 0.0)
-    return (255 * colors).astype(np.uint8)
+    drawn = colormaps[REACH](plots.PALE - (plots.PALE - plots.DARK) * share)
+    drawn[..., 3] = np.where(share > 0, 0.75, 0.0)
+    return (255 * drawn).astype(np.uint8)
 
 
 def floor_bounds(scene: Scene) -> Float[np.ndarray, "2 2"]:

@@ -55,6 +55,7 @@ class MotionView:
             with state.drawing:
                 state.room.mark(())
                 state.robot.verdict("feasible")
+            state.panel.guide.done("play")
             self.player.play()
 
     def pause(self) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from momapos.planning import PlacementResult
 
 from .static import page_of
+from .words import answer_card
 
 HEIGHT = 480
 """Height of the page in a notebook [px]."""
@@ -23,7 +24,7 @@ def show(answer: PlacementResult) -> None:
         InputError: The plan is not solved.
     """
     prepared = answer.prepared
-    page = page_of(prepared.scene, prepared.robot, answer.plan)
+    page = page_of(prepared.scene, prepared.robot, answer.plan, card=answer_card(answer))
     # A notebook has imported IPython already.
     shell = sys.modules.get("IPython")
     if shell is not None and shell.get_ipython() is not None:

@@ -19,11 +19,12 @@ from momapos.planning.grasps import slides
 from momapos.planning.placement import Search
 from momapos.simulation import RunRecord
 
+from .card import Card
 from .playback import Playable, Story
 from .question import METHODS, Question
 from .run_story import RunStory
 from .tour_story import TourStory
-from .words import run_text, target_text, tour_text
+from .words import run_card, target_text, tour_card
 
 if TYPE_CHECKING:
     from momapos.perception import Modeled
@@ -44,11 +45,11 @@ class Opened:
     """Later tasks of a tour."""
 
     @property
-    def description(self) -> str:
-        """Description of the run or the tour; "" for a single plan."""
+    def card(self) -> Card | None:
+        """Description of the run or the tour; None for a single plan."""
         if self.run is not None:
-            return run_text(self.run)
-        return tour_text([self.plan, *(one.plan for one in self.then)]) if self.then else ""
+            return run_card(self.run)
+        return tour_card([self.plan, *(one.plan for one in self.then)]) if self.then else None
 
     @property
     def question(self) -> Question:
@@ -109,12 +110,12 @@ class OpenedScan:
     modeled: Modeled | None = None
     """Result of the perception pipeline; None before it has run."""
 
-    def load(self, clock: Clock, report: Callable[[str], None]) -> Scene:
+    def load(self, clock: Clock, report: Callable[[str, float], None]) -> Scene:
         """Return the scene of the scan.
 
         Args:
             clock: Called between steps; may raise to cancel.
-            report: Called with the progress.
+            report: Called with what is being done, and the share that is done.
 
         Raises:
             InputError: The scan contains no objects.
@@ -124,7 +125,7 @@ class OpenedScan:
 
             def progress(what: str, share: float) -> None:
                 clock()
-                report(f"Scan, {100 * share:.0f} %: {what}")
+                report(f"Scan: {what}", share)
 
             out = self.folder / "scene.json"
             self.modeled = scan_to_scene(self.scan, out, progress=progress, clock=clock)

@@ -1,18 +1,21 @@
-"""Refusing connections from other websites.
+"""Refusing connections from other websites, and messages that a page does not send.
 
 A browser lets any website open a websocket to any address, including the loopback address. The
-request names the website as its origin. viser does not check it, and has no hook for a check.
+request names the website as its origin. viser does not check it, and has no hook for a check. It
+prints the version that a program names, and a traceback for what is no request.
 """
 
 from __future__ import annotations
 
 import http
+import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import viser
 from websockets.asyncio import server as sockets
 
 if TYPE_CHECKING:
@@ -23,7 +26,11 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _SCHEMES = ("http", "https")
 """A TLS proxy in front of the page keeps the host name and changes the scheme."""
 _REFUSED = "connections from other websites are refused\n"
+_OTHER_VERSION = "this page needs another version; reload it\n"
 _PATCHED = threading.Lock()
+_PROTOCOL = f"viser-v{viser.__version__}"
+LOG = logging.getLogger(__name__)
+LOG.addFilter(lambda record: record.exc_info is None)  # what is no request has no use for us
 
 
 def allowed(headers: Headers, *, loopback: bool) -> bool:
@@ -47,24 +54,41 @@ def allowed(headers: Headers, *, loopback: bool) -> bool:
 
 
 @contextmanager
-def own_pages_only(host: str) -> Iterator[None]:
+def own_pages_only(host: str, admits: Callable[[object], bool] = lambda _: True) -> Iterator[None]:
     """Make servers that viser starts in the context refuse requests of other websites (403).
 
     viser passes no options to its websocket server, so the context replaces its constructor.
 
     Args:
         host: Address that the server listens on.
+        admits: Returns whether viser may read a message.
     """
     loopback = host in LOOPBACK
 
-    def guarded(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+    def guarded(
+        handler: Callable[..., Any], *args: Any, process_request: Callable[..., Any], **options: Any
+    ) -> Any:
         def check(connection: Any, request: Request) -> Any:
             if not allowed(request.headers, loopback=loopback):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, _REFUSED)
+            upgrade = request.headers.get("Upgrade") is not None
+            if upgrade and request.headers.get("Sec-WebSocket-Protocol") != _PROTOCOL:
+                return connection.respond(http.HTTPStatus.BAD_REQUEST, _OTHER_VERSION)
             answer: Response | None = process_request(connection, request)
             return answer
 
-        return serve(*args, process_request=check, **options)
+        async def handle(connection: Any) -> None:
+            receive = connection.recv
+
+            async def admitted() -> Any:
+                while not admits(raw := await receive()):
+                    pass
+                return raw
+
+            connection.recv = admitted
+            await handler(connection)
+
+        return serve(handle, *args, process_request=check, logger=LOG, **options)
 
     with _PATCHED:
         serve = sockets.serve

@@ -7,7 +7,6 @@ the files have threads of their own. In each thread the newest request replaces 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,10 +18,12 @@ from momapos.workflows.scene_check import check_scene
 from .answer_layers import AnswerLayers
 from .answer_view import READY, AnswerView
 from .browsers import Browsers
-from .cameras import look_at
+from .cameras import frame, look_at
+from .card import WORKING, Card
 from .compare import Compare
 from .extras import FileActions
 from .follow import DragFollower
+from .how_far import how_far
 from .light import Light
 from .motion_view import MotionView
 from .moving import DetailControl
@@ -33,15 +34,13 @@ from .robot_view import RobotView
 from .room_view import RoomView
 from .scan_view import COARSE, FINE, ScanView
 from .settled import Resender
+from .stage_card import StageCard
 from .state import Choice, PageState
-from .words import answer_text, escaped
+from .words import answer_card
 from .work import LatestWorker
 
 if TYPE_CHECKING:
     from viser import ViserServer
-
-STAGE_INTERVAL = 0.1
-"""Time between updates of the stage that is shown; a search changes it 1,000 times a second [s]."""
 
 
 class Page:
@@ -73,8 +72,9 @@ class Page:
         """
         self.server, self._cache, self._opened = server, cache, opened
         self._loader = RobotLoader(cache)
+        self._picked = ""
+        """The object that a user has clicked last; it is in view."""
         self._start: tuple[float, float, float] | None = None
-        self._stage_time = 0.0
         self.panel = Panel(
             server.gui, Resender(), scenes=scenes, robots=robots, scene=scene, robot=robot
         )
@@ -91,7 +91,7 @@ class Page:
         )
         self.compare = Compare(self.state)
         self.motion = MotionView(self.state, self.compare, self.detail)
-        self.light = Light(server.scene, self.panel)
+        self.light = Light(server, self.panel, self.room)
         self.layers = AnswerLayers(self.state)
         self.answer = AnswerView(self.state, self.motion, self.layers, self.light)
         self.work = LatestWorker("page work", self.state.fail)
@@ -123,6 +123,7 @@ class Page:
         panel.on_key("Back 1 s", "J", lambda: motion.step(-1.0))
         panel.on_key("Forward 1 s", "L", lambda: motion.step(1.0))
         panel.on_key("Show the whole room", "H", self.look_at_room)
+        panel.on_key("Show robot and task", "F", self.look_at_task)
 
     def close(self) -> None:
         """End all work."""
@@ -141,7 +142,7 @@ class Page:
         """What the controls are set to."""
         panel = self.panel
         question = Question(
-            panel.verb.value, panel.target.value, panel.to.value, panel.method.value,
+            panel.verb.value, panel.target.value, panel.to, panel.method.value,
             int(panel.seed.value), self._start,
         )  # fmt: skip
         return Choice(panel.scene.value, panel.robot.value, panel.arm.value, question)
@@ -153,9 +154,9 @@ class Page:
             drawn = self.shown.question
             _, _, question = self._update(clock)
             if question == drawn and self.shown.answer is not None:
-                self.state.show_text(answer_text(self.shown.answer))
+                self.state.show(answer_card(self.shown.answer))
             elif question == drawn:
-                self.state.show_text(READY)
+                self.state.show(READY)
 
         self._request(work)
 
@@ -167,15 +168,16 @@ class Page:
             self.panel.method.value, self.panel.seed.value = question.method, question.seed
             self._update(clock)
             self.panel.offer(self.panel.target, self.panel.target.options, question.target)
-            self.panel.to.value = question.to
+            self._update(clock)
+            self.panel.show_to(question.to)
             self._start = question.start
             _, arms, _ = self._update(clock)
             answer = opened.answer()
             if answer is not None:
                 self.answer.show(answer, arms)
-            if opened.description:
+            if opened.card is not None:
                 self.motion.load(opened.story(), at_end=False)
-                self.state.show_text(opened.description)
+                self.state.show(opened.card)
 
         self._request(work)
 
@@ -184,8 +186,8 @@ class Page:
 
         def work(clock: Clock) -> None:
             scene, arms, question = self._update(clock)
-            self.state.show_text("**Searching**")
-            self.answer.show(ask(scene, arms, question, clock, self._show_stage), arms)
+            stages = StageCard(self.state.show, clock)
+            self.answer.show(ask(scene, arms, question, clock, stages.begin), arms)
 
         self._request(work)
 
@@ -196,7 +198,7 @@ class Page:
         def work(clock: Clock) -> None:
             scene, arms, question = self._update(clock)
             robot = self.state.arm_of(arms)
-            self.state.show_text("**Planning from here**")
+            self.state.show(Card("Planning from here", progress=WORKING))
             reach = arms.reach_of(robot.arm)
             self.answer.show(ask_at(scene, robot, reach, question, base, clock), arms)
 
@@ -209,7 +211,7 @@ class Page:
         self.layers.stop()
         self.files.work.stop()
         self.motion.pause()
-        self.state.show_text("Stopped.")
+        self.state.show(Card("Stopped"))
 
     def start_here(self) -> None:
         """Use the current base pose as the start."""
@@ -235,11 +237,8 @@ class Page:
 
         self.work.put(then, stop_running=True)
 
-    def _show_stage(self, stage: str) -> None:
-        now = time.perf_counter()
-        if now - self._stage_time > STAGE_INTERVAL:
-            self._stage_time = now
-            self.state.show_text(f"**Searching**: {escaped(stage)}")
+    def _show_work(self, what: str, share: float = WORKING) -> None:
+        self.state.show(Card(what, progress=share))
 
     # ------------------------------------------------------------------------- what is loaded
 
@@ -248,7 +247,7 @@ class Page:
         choice, shown = self.choice, self.shown
         fresh = shown.scene_name != choice.scene
         if fresh:
-            self.state.show_text(f"Loading {escaped(choice.scene)} ...")
+            self._show_work(f"Loading {choice.scene}")
             shown.scene, shown.scene_name = self._load(choice.scene, clock), ""
             shown.check = check_scene(shown.scene)
             self._start = None
@@ -257,23 +256,26 @@ class Page:
         target = self.panel.offer(
             self.panel.target, targets(scene, choice.question.verb), choice.question.target
         )
+        self.panel.offer_range(how_far(scene, choice.question.verb, target))
         clock()
         if shown.robot_name != (choice.robot, choice.arm):
-            self.state.show_text(f"Loading {escaped(choice.robot)} ...")
+            self._show_work(f"Loading {choice.robot}")
             arms = self._load_robot(choice, clock)
             shown.arms, shown.robot_name = arms, (choice.robot, self.panel.arm.value)
             fresh = True
         assert shown.arms is not None
         question = Question(**{**vars(self.choice.question), "target": target})
         if fresh or shown.question != question:
-            self.answer.ask(scene, shown.arms, question, fresh=fresh)
+            name = target.partition("/")[0]
+            other = name not in (shown.target, self._picked)
+            self.answer.ask(scene, shown.arms, question, fresh=fresh, turn=other)
             shown.scene_name = choice.scene
         return scene, shown.arms, question
 
     def _load(self, name: str, clock: Clock) -> Scene:
         opened = self._opened if self._opened is not None and name == self._opened.name else None
         if isinstance(opened, OpenedScan):
-            scene = opened.load(clock, lambda text: self.state.show_text(escaped(text)))
+            scene = opened.load(clock, self._show_work)
             self.scan.show(opened.modeled)
             return scene
         self.scan.show(None)
@@ -283,10 +285,11 @@ class Page:
         """Load the chosen robot; all its arms if it differs from the last one."""
         other = self.shown.robot_name[0] != choice.robot
         arm = "any" if other else choice.arm
-        arms = self._loader.load(choice.robot, arm, clock, self.state.show_text)
+        arms = self._loader.load(choice.robot, arm, clock, self._show_work)
         names = ("any", *arms.robots[0].arms)
         self.panel.offer(self.panel.arm, names, arm)
         self.panel.arm.disabled = len(names) == 1
+        self.panel.arm.visible = len(names) > 2
         return arms
 
     # -------------------------------------------------------------------- clicks and browsers
@@ -296,6 +299,12 @@ class Page:
         if self.shown.scene is not None:
             look_at(self.server, self.shown.scene)
 
+    def look_at_task(self) -> None:
+        """Turn all cameras to the robot and the object of the task."""
+        if self.shown.scene is not None and self.shown.question is not None:
+            base = self.robot.base[None]
+            frame(self.server, self.shown.scene, self.shown.question.target, base)
+
     def _pick(self, name: str) -> None:
         """Select the object that a user clicks."""
         scene = self.shown.scene
@@ -304,7 +313,8 @@ class Page:
         options = targets(scene, self.panel.verb.value)
         own = [option for option in options if option.partition("/")[0] == name]
         if own and self.panel.target.value not in own:
-            self.panel.target.value = own[0]
+            self.panel.target.value, self._picked = own[0], name
+            self.panel.guide.done("choose")
             self.change()
 
     def _stop_if_busy(self) -> None:

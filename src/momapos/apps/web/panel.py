@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from momapos.model.scene import Scene
 from momapos.simulation import GIF, MP4
 
+from .card import CardView
+from .guide import Guide
+from .how_far import HowFar
+from .joint_ranges import SLIDER_RESOLUTION, SLIDER_STEP, JointRange
 from .playback import SPEEDS
 from .question import METHODS, VERBS
 from .settled import Resender
+from .texts import escaped
 
 if TYPE_CHECKING:
     from viser import GuiApi
@@ -33,56 +36,8 @@ POINTS = {"50,000": 50_000, "200,000": 200_000, "all": None}
 time per frame."""
 FILMS = {"Film (GIF)": GIF, "Film (MP4, 720p)": MP4}
 """Labels and file endings of films."""
-NO_MOTION = "No motion yet."
-
-
-@dataclass(frozen=True)
-class JointRange:
-    """A joint of the object with a slider."""
-
-    name: str
-    low: float
-    high: float
-    """[rad] or [m]"""
-    value: float
-    turns: bool
-
-    @property
-    def unit(self) -> str:
-        """The unit of the slider."""
-        return "deg" if self.turns else "m"
-
-    def to_slider(self, value: float) -> float:
-        """Convert a joint value to the unit of the slider [deg] or [m]."""
-        return math.degrees(value) if self.turns else value
-
-    def from_slider(self, shown: float) -> float:
-        """Convert a slider value to a joint value within the limits [rad] or [m]."""
-        value = math.radians(shown) if self.turns else shown
-        return min(max(value, self.low), self.high)
-
-
-SLIDER_RESOLUTION = 1e-4
-"""Joint values that differ by less are equal: sliders have no more digits [rad] or [m]."""
-SLIDER_STEP = {"deg": 1.0, "m": 0.01}
-"""Largest step of a slider; it is a twentieth of the range where that is less."""
-UNLIMITED_RANGE = {"revolute": math.pi, "continuous": math.pi, "prismatic": 1.0}
-"""Joints without limits get sliders from minus to plus this [rad] or [m]."""
-
-
-def joint_ranges(scene: Scene, name: str) -> tuple[JointRange, ...]:
-    """Return the joints of an object that the user may move; none where there is no such object."""
-    found = []
-    for item in (one for one in scene.objects if one.name == name):
-        values = item.values()
-        for joint in item.model.joints.values():
-            limit = UNLIMITED_RANGE[joint.kind]
-            low, high = max(joint.lower, -limit), min(joint.upper, limit)
-            if joint.mimic is None and high - low > 1e-6:
-                value = min(max(values[joint.name], low), high)
-                turns = joint.kind != "prismatic"
-                found.append(JointRange(joint.name, low, high, value, turns))
-    return tuple(found)
+NO_MOTION = ""
+DRAG_HINT = "Keep the current base pose"
 
 
 def set_theme(gui: GuiApi, *, dark: bool = False) -> None:
@@ -107,53 +62,64 @@ class Panel:
         robot: str,
     ) -> None:
         self._gui, self.resender = gui, resender
+        self._how_far: HowFar | None = None
+        self._exact = ""
         tabs = gui.add_tab_group()
         with tabs.add_tab("Task"):
             self._add_task(scenes, robots, scene, robot)
-        with tabs.add_tab("Motion"):
-            self._add_motion()
+            self._add_answer()
+            self._add_details()
         with tabs.add_tab("Layers"):
             self._add_layers()
+        with tabs.add_tab("Compare"):
+            self.add_answer = gui.add_button("Add this answer")
+            self.clear_answers = gui.add_button("Remove all answers")
+            self.side_by_side = gui.add_checkbox("Side by side", False)
+            self.comparison = gui.add_markdown("")
         with tabs.add_tab("Files"):
             self._add_files()
+        self.question = (self.scene, self.robot, self.arm, self.verb, self.target, self.slider,
+                         self.farthest, self.method, self.seed)  # fmt: skip
 
     def _add_task(
         self, scenes: Sequence[str], robots: Sequence[str], scene: str, robot: str
     ) -> None:
         gui = self._gui
+        self.guide = Guide(gui)
         self.scene = gui.add_dropdown("Scene", tuple(scenes), initial_value=scene)
         self.robot = gui.add_dropdown("Robot", tuple(robots), initial_value=robot)
-        self.arm = gui.add_dropdown("Arm", ("any",), disabled=True)
+        self.arm = gui.add_dropdown("Arm", ("any",), disabled=True, visible=False)
         self.verb = gui.add_dropdown("Task", VERBS)
-        self.target = gui.add_dropdown("Object", ("-",))
-        self.to = gui.add_text("Joint value", "", hint="60deg, 0.3m or max; empty: 90deg or the "
-                               "full slide")  # fmt: skip
-        with gui.add_folder("More options", expand_by_default=False):
-            self.method = gui.add_dropdown("Method", METHODS)
-            self.seed = gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
-            self.start_here = gui.add_button("Start at the current base pose")
-            self.start_of_scene = gui.add_button("Start at the scene's start pose")
+        self.target = gui.add_dropdown("Object", ("-",), hint="Type to search, or click an object "
+                                       "in the room")  # fmt: skip
+        self.slider = gui.add_slider("How far", min=0.0, max=90.0, step=1.0, initial_value=90.0,
+                                     disabled=True)  # fmt: skip
+        self.farthest = gui.add_checkbox("As far as possible", False)
         self.place = gui.add_button("Place", color="blue", hint="Key P")
-        self.place_here = gui.add_button("Plan from here", hint="Keep the current base pose")
-        self.stop = gui.add_button("Stop", hint="Key X", disabled=True)
-        self.result = gui.add_markdown("Loading ...")
-        with gui.add_folder("Compare", expand_by_default=False):
-            self.add_answer = gui.add_button("Add this answer")
-            self.clear_answers = gui.add_button("Remove all answers")
-            self.side_by_side = gui.add_checkbox("Side by side", False)
-            self.comparison = gui.add_markdown("")
-        self.question = (self.scene, self.robot, self.arm, self.verb, self.target, self.to,
-                         self.method, self.seed)  # fmt: skip
+        self.place_here = gui.add_button("Plan from here", hint=DRAG_HINT, visible=False)
+        self.stop = gui.add_button("Stop", hint="Key X", disabled=True, visible=False)
 
-    def _add_motion(self) -> None:
+    def _add_answer(self) -> None:
         gui = self._gui
+        self.card = CardView(gui)
         self.play = gui.add_button("Play", hint="Key K or space", disabled=True)
         self.time = gui.add_slider("Time [s]", min=0.0, max=1.0, step=0.01, initial_value=0.0,
                                    disabled=True)  # fmt: skip
         self.speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
         self.moment = gui.add_markdown(NO_MOTION)
-        self.joints_folder = gui.add_folder("Joints of the object")
+
+    def _add_details(self) -> None:
+        gui = self._gui
+        self.joints_folder = gui.add_folder("Joints of the object", expand_by_default=False)
         self._joints: dict[str, tuple[JointRange, Any]] = {}
+        self.check_folder = gui.add_folder("Scene check", expand_by_default=False)
+        with self.check_folder:
+            self.check = gui.add_markdown("")
+        with gui.add_folder("More options", expand_by_default=False):
+            self.method = gui.add_dropdown("Method", METHODS)
+            self.seed = gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
+            self.start_here = gui.add_button("Start at the current base pose")
+            self.start_of_scene = gui.add_button("Start at the scene's start pose")
 
     def _add_layers(self) -> None:
         gui = self._gui
@@ -167,7 +133,6 @@ class Panel:
             key: gui.add_checkbox(label, key in INITIAL_LAYERS) for key, label in LAYERS.items()
         }
         self.dark = gui.add_checkbox("Dark page", False)
-        self.on_change(self.dark, lambda: set_theme(gui, dark=bool(self.dark.value)))
         self.plain = gui.add_checkbox("Plain light", False, hint="No shadows: about twice the "
                                       "frame rate without a graphics card")  # fmt: skip
         self.height = gui.add_slider("Reachability height [m]", min=0.0, max=2.0, step=0.05,
@@ -219,6 +184,12 @@ class Panel:
             handle.value = chosen
         return chosen
 
+    def show_check(self, lines: Sequence[str]) -> None:
+        """List what is wrong in the scene."""
+        self.check_folder.visible = bool(lines)
+        self.check_folder.label = f"Scene check: {len(lines)}"
+        self.check.content = "\n".join(f"- {escaped(line)}" for line in lines)
+
     def show_joints(self, joints: Sequence[JointRange], moved: Callable[[], None]) -> None:
         """Show a slider for each joint of the object.
 
@@ -257,9 +228,42 @@ class Panel:
             shown = joint.to_slider(values.get(name, joint.value))
             slider.value = _within(shown, float(slider.min), float(slider.max))
 
+    def offer_range(self, how_far: HowFar | None) -> None:
+        """Offer the values of another part; None where the task moves a whole object."""
+        if how_far == self._how_far:
+            return
+        self._how_far, self._exact = how_far, ""
+        slider = self.slider
+        slider.visible = self.farthest.visible = how_far is not None
+        slider.disabled = how_far is None
+        self.farthest.value = False
+        if how_far is not None:
+            slider.label = f"How far [{how_far.unit}]"
+            slider.min, slider.max, slider.step = how_far.low, how_far.high, how_far.step
+            slider.value = how_far.usual
+
+    @property
+    def to(self) -> str:
+        """The joint value of the task, as a user of the command line types it."""
+        if self._how_far is None:
+            return ""
+        if self.farthest.value:
+            return "max"
+        value = float(self.slider.value)
+        if self._exact and value == self._how_far.value(self._exact):
+            return self._exact
+        return self._how_far.text(value)
+
+    def show_to(self, text: str) -> None:
+        """Set the joint value of the task; it stays exact until a user moves the slider."""
+        if self._how_far is not None:
+            self._exact = text
+            self.farthest.value = text == "max"
+            self.slider.value = self._how_far.value(text)
+
     def show_busy(self, busy: bool) -> None:
-        """Enable Stop while there is work to stop."""
-        self.stop.disabled = not busy
+        """Show Stop while there is work to stop."""
+        self.stop.disabled, self.stop.visible = not busy, busy
 
     def show_duration(self, duration: float) -> None:
         """Set the duration of the motion [s]; 0 where there is none."""

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -86,6 +87,17 @@ class Story:
         phases = phases_of(plan, robot, step=1.0 / RATE)
         return cls(robot, plan_timeline(plan, phases, scene, robot))
 
+    @cached_property
+    def _words(self) -> tuple[str, ...]:
+        """What happens in each phase."""
+        task, words = self.timeline.task, []
+        holds = task.verb == "place"
+        for stage in self.timeline.stages:
+            holds = stage == PhaseKind.CLOSE or (holds and stage != PhaseKind.OPEN)
+            moves = stage == PhaseKind.ARM and holds
+            words.append(f"{task.verb} {task.object}" if moves else WORDS[stage])
+        return tuple(words)
+
     @property
     def task(self) -> Task:
         """The task of the plan."""
@@ -105,7 +117,7 @@ class Story:
             samples.base[i],
             joint_values(self.robot, samples.positions[i]),
             self.timeline.object_values(i),
-            WORDS[self.timeline.stages[samples.phase[i]]],
+            self._words[samples.phase[i]],
             T_world_object=None if poses is None else poses[i],
         )
 

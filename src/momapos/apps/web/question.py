@@ -90,21 +90,23 @@ class RobotLoader:
         self._cache = cache
         self._loaded: dict[tuple[str, str], RobotArms] = {}
 
-    def load(self, name: str, arm: str, clock: Clock, report: Callable[[str], None]) -> RobotArms:
+    def load(
+        self, name: str, arm: str, clock: Clock, report: Callable[[str, float], None]
+    ) -> RobotArms:
         """Return a robot and its reachability maps, which are built at the first use.
 
         Args:
             name: A library robot or a robot file.
             arm: Name of the arm; "any" for all of them.
             clock: Called between steps; may raise to cancel.
-            report: Called with the progress.
+            report: Called with what is being done, and the share that is done.
         """
         if (name, arm) not in self._loaded:
             arms = load_arms(name, arm, cache=self._cache)
 
             def progress(share: float, what: str = "") -> None:
                 clock()
-                report(f"Reachability map of {arms[0].name}: {100 * share:.0f} % {what}")
+                report(f"Reachability map of {arms[0].name} {what}".rstrip(), share)
 
             maps = tuple(load_reach(robot, self._cache.folder, progress) for robot in arms)
             self._loaded[name, arm] = RobotArms(arms, maps)

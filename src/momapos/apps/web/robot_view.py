@@ -8,27 +8,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from viser.transforms import SO3
 
-from momapos.apps.plots import ARM, BAD, GOOD, PART, SOFT_INK, sphere_centers
+from momapos.apps.plots import sphere_centers
 from momapos.core.geometry import invert, pose_planar
 from momapos.model.robots import Robot
 
 from .bodies import joined, link_surfaces
-from .room_view import place, rgb, triangulated
+from .colors import FORCE, SPHERES, VERDICTS, rgb
+from .room_view import place, triangulated
 
 if TYPE_CHECKING:
     from jaxtyping import Float
     from viser import SceneApi
 
-BODY, HAND = "#7d8b98", "#0072b2"
-FORCE = "#cc146b"
+BODY, ARM, HAND = "#aeb9c3", "#3d4c5a", "#20272e"
+"""Materials of base, arm and hand; no codes."""
 ARROW_PER_NEWTON, MAX_ARROW, MIN_FORCE = 0.03, 0.6, 1.0
 """Length of a force arrow [m/N], its maximum length [m], and the smallest force drawn [N]."""
 ARROW_HEIGHT = 0.15
 """Height of the arrow above the hand, as the arm often lies along the force [m]."""
 FOOTPRINT_HEIGHT = 0.006
 """Height of the footprint above the floor [m]."""
-VERDICTS = {"": SOFT_INK, "feasible": GOOD, "partly": PART, "infeasible": BAD}
-"""Colors of the footprint by the verdict on the base pose."""
 
 
 def home_values(robot: Robot) -> dict[str, float]:
@@ -108,7 +107,7 @@ class RobotView:
             surface = joined((link.body, link.handle))
             node = self._api.add_mesh_simple(
                 f"{self.name}/l{k}", *surface.arrays, color=rgb(color or own), flat_shading=True,
-                opacity=opacity, cast_shadow=opacity is None,
+                opacity=opacity, cast_shadow=opacity is None, receive_shadow=False,
             )  # fmt: skip
             self._links.append((link.link, node))
         self._draw_footprint()
@@ -216,6 +215,6 @@ class RobotView:
         self._spheres = self._api.add_batched_meshes_simple(
             f"{self.name}/spheres", np.asarray(ball.vertices, np.float32),
             np.asarray(ball.faces, np.uint32), turned, centers,
-            batched_scales=self.robot.spheres.radius, batched_colors=rgb(PART), opacity=0.45,
+            batched_scales=self.robot.spheres.radius, batched_colors=rgb(SPHERES), opacity=0.45,
             cast_shadow=False,
         )  # fmt: skip

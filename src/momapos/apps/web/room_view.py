@@ -12,8 +12,11 @@ from momapos.apps import plots
 from momapos.core.geometry import invert, signed_area
 from momapos.model.scene import Scene, SceneObject
 
+from . import colors
 from .bodies import Surface, facing, joined, link_surfaces, world_surface
+from .colors import Color, rgb
 from .crowd import ColoredSurface, ObjectBatches
+from .looks import HANDLE, LIGHT, Look, material
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -29,18 +32,8 @@ MAX_TRIANGLES = 500
 """In a large room, an object with more triangles is drawn as its hulls, or as its box [-]."""
 FLOOR_MARGIN = 1.0
 """Margin of the floor around the objects of a room without an outline [m]."""
-SMALL_VOLUME = 0.02
-"""Objects with a smaller bounding box get another color: cups, fruit [m^3]."""
-SMALL_OBJECT = "#c8b28a"
 MARK_MARGIN = 0.004
 """A marked shape is drawn larger by this on each side [m]."""
-
-Color = tuple[int, int, int]
-
-
-def rgb(color: str) -> Color:
-    """Convert a color "#rrggbb" to three numbers up to 255."""
-    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
 def place(handle: Any, T: Float[np.ndarray, "4 4"]) -> None:
@@ -84,6 +77,7 @@ class RoomView:
         self._moved: dict[str, float] = {}
         self._carried: np.ndarray | None = None
         self._collision = False
+        self._look = LIGHT
         self._root: Any = None
         self.scene: Scene | None = None
         self.active = ""
@@ -94,6 +88,18 @@ class RoomView:
         if self._root is None:
             self._root = self._api.add_frame(self.name, show_axes=False)
         self._root.visible = visible
+
+    def set_look(self, look: Look) -> None:
+        """Draw floor and walls in the colors of a look."""
+        if look is self._look:
+            return
+        self._look = look
+        for node in self._nodes.get(_FLOOR, ()):
+            node.color = rgb(look.floor)
+        walls = {o.name for o in self.scene.objects if o.category == "wall"} if self.scene else ()
+        for name in walls:
+            for node in self._nodes.get(name, ()):
+                node.color = rgb(look.wall)
 
     def remove(self) -> None:
         """Remove the room."""
@@ -195,7 +201,7 @@ class RoomView:
                     surface = joined((own.body, own.handle)).moved(poses[own.link])
                     self._marks.append(self._mesh(
                         f"{self.name}/mark{len(self._marks)}", enlarged(surface, MARK_MARGIN),
-                        rgb(plots.BAD), opacity=0.75,
+                        rgb(colors.INFEASIBLE), opacity=0.75,
                     ))  # fmt: skip
 
     # ------------------------------------------------------------------------------------ parts
@@ -212,7 +218,9 @@ class RoomView:
             polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
         surface = Surface(corners, triangulated(polygon))
-        floor = self._mesh(f"{self.name}/floor", surface, rgb(plots.FLOOR), shaded=not large(scene))
+        floor = self._mesh(
+            f"{self.name}/floor", surface, rgb(self._look.floor), shaded=not large(scene)
+        )
         self._nodes[_FLOOR] = [floor]
 
     def _draw(self, item: SceneObject) -> None:
@@ -229,16 +237,18 @@ class RoomView:
         else:
             parts = self._parts(item, active=active, collision=self._collision)
             self._nodes[item.name] = [
-                self._mesh(f"{root}/p{k}", part.surface, part.color) for k, part in enumerate(parts)
+                self._mesh(f"{root}/p{k}", one.surface, one.color, shaded=item.category == "wall")
+                for k, one in enumerate(parts)
             ]
-        for node in self._nodes[item.name]:
-            self._listen(node, item.name)
+        if item.category != "wall":  # it would catch clicks even where it is not drawn
+            for node in self._nodes[item.name]:
+                self._listen(node, item.name)
 
     def _draw_links(self, item: SceneObject, root: str) -> None:
         poses, moving = item.link_poses(), _moving(item)
-        color, dark = _colors(item, active=True)
+        color, dark = _colors(item, self._look, active=True)
         for k, link in enumerate(link_surfaces(item.model, collision=self._collision)):
-            body = plots.PART if link.link in moving else color
+            body = colors.PART if link.link in moving else color
             for part, surface, own in (("body", link.body, body), ("h", link.handle, dark)):
                 if len(surface.faces):
                     node = self._mesh(f"{root}/l{k}{part}", surface, rgb(own))
@@ -261,7 +271,7 @@ class RoomView:
         if item.category == "wall" and self.scene is not None:
             middle = plots.room_bounds(self.scene).mean(0)
             body = facing(body, np.append(middle, 1.0))
-        both = zip((body, handles), _colors(item, active=active), strict=True)
+        both = zip((body, handles), _colors(item, self._look, active=active), strict=True)
         return [ColoredSurface(item.name, one, rgb(color)) for one, color in both if len(one.faces)]
 
     def _listen(self, node: Any, name: str) -> None:
@@ -271,9 +281,9 @@ class RoomView:
 
     def _mesh(
         self, name: str, surface: Surface, color: Color, *, opacity: float | None = None,
-        shaded: bool = True,
+        shaded: bool = False,
     ) -> Any:  # fmt: skip
-        """Draw a surface; `shaded` ones receive shadows."""
+        """Draw a surface; `shaded` ones receive shadows, which give others stripes."""
         return self._api.add_mesh_simple(
             name, *surface.arrays, color=color, flat_shading=True, opacity=opacity,
             cast_shadow=opacity is None, receive_shadow=shaded,
@@ -289,13 +299,13 @@ def _moving(item: SceneObject) -> set[str]:
     return {link for joint in item.model.joints for link in item.model.moved_by(joint)}
 
 
-def _colors(item: SceneObject, *, active: bool) -> tuple[str, str]:
+def _colors(item: SceneObject, look: Look, *, active: bool) -> tuple[str, str]:
+    """Return the colors of an object and of its handles."""
     if active:  # an object without joints moves as a whole
-        return (plots.TARGET if item.model.joints else plots.PART), plots.TARGET_EDGE
+        return (colors.TARGET if item.model.joints else colors.PART), HANDLE
     if item.category == "wall":
-        return plots.WALL, plots.WALL
-    small = np.prod(np.ptp(item.bounds, axis=0)) < SMALL_VOLUME
-    return (SMALL_OBJECT if small else plots.FURNITURE), plots.FURNITURE_EDGE
+        return look.wall, look.wall
+    return material(item), HANDLE
 
 
 def triangulated(polygon: Float[np.ndarray, "k 2"]) -> np.ndarray:

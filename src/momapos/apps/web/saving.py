@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,13 +116,17 @@ def render(
     """
     width, height = size
     try:
-        image: np.ndarray = client.get_render(
-            height=height, width=width, transport_format="png", timeout=timeout
-        )
-    except (RuntimeError, TimeoutError) as error:
+        with warnings.catch_warnings():  # viser warns of a browser that has disconnected
+            warnings.simplefilter("ignore")
+            image: np.ndarray = client.get_render(
+                height=height, width=width, transport_format="png", timeout=timeout
+            )
+    except (RuntimeError, TimeoutError, OSError, ValueError, SyntaxError) as error:
         raise InputError(
             "the browser sent no image; keep the page open and in front until it is done"
         ) from error
+    if image.shape != (height, width, 4):
+        raise InputError(f"the browser sent an image of another size than {width} x {height}")
     # A browser sends transparent black where nothing is drawn.
     opacity = image[..., 3:] / 255.0
     return (image[..., :3] * opacity + BACKGROUND * (1.0 - opacity)).astype(np.uint8)

@@ -11,10 +11,10 @@ from momapos.apps.plots import INK
 from momapos.core.geometry import rotation
 from momapos.model.urdf import Boxes
 
+from .colors import rgb
 from .map_layers import box_edges
 from .panel import CLOUDS, POINTS, Panel
 from .point_order import spread_order
-from .room_view import rgb
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

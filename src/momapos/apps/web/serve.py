@@ -13,6 +13,7 @@ from viser import _messages as messages
 
 from momapos.core import Cache, InputError
 
+from .incoming import Gate
 from .opened import Opened, OpenedScan
 from .origin import own_pages_only
 from .page import Page
@@ -74,13 +75,15 @@ def open_server(host: str, port: int) -> Server:
         InputError: The port is in use, or the address does not belong to this machine.
     """
     check_free(host, port)
-    with quiet(), own_pages_only(host):
+    gate = Gate()
+    with quiet(), own_pages_only(host, gate.admits):
         server = Server(host=host, port=port, label="momapos", verbose=False)
     if port and server.get_port() != port:  # taken meanwhile; viser then uses another port
         with quiet():
             server.stop()
         raise _in_use(port)
     refuse_files(server)
+    gate.server = server
     set_theme(server.gui)
     server.scene.world_axes.visible = False
     return server

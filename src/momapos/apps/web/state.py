@@ -13,13 +13,13 @@ from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
 from momapos.workflows.scene_check import SceneReport
 
+from .card import Card
 from .panel import Panel
 from .playback import Playable
 from .probe import Probe
 from .question import Question, RobotArms
 from .robot_view import RobotView
 from .room_view import RoomView
-from .words import escaped
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -76,14 +76,14 @@ class PageState:
     drawing: AbstractContextManager[Any] = field(default_factory=threading.RLock)
     """Held by a thread while it checks that its request is still current, and draws."""
 
-    def show_text(self, text: str) -> None:
-        """Show a result as Markdown."""
-        self.panel.result.content = text
+    def show(self, card: Card) -> None:
+        """Show a result."""
+        self.panel.card.show(card)
 
     def fail(self, reason: str) -> None:
         """Show and log an error."""
         LOG.warning("momapos: %s", reason)
-        self.show_text(f"**Error:** {escaped(reason)}")
+        self.show(Card("Error", "bad", notes=(reason,)))
 
     def show_room(self) -> None:
         """Draw the room of the question, which differs from the one of a later task of a tour."""

@@ -13,12 +13,17 @@ from momapos.model.records import PlacementPlan
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 
-from .cameras import look_at
+from .cameras import frame
+from .card import Card
+from .light import DAY, DAY_INTENSITY, lamps
+from .looks import LIGHT, sky
 from .map_layers import draw_path
 from .playback import RATE, Playable, Story
 from .robot_view import RobotView
-from .room_view import RoomView
+from .room_view import RoomView, large
 from .serve import open_server, quiet
+from .static_overlay import phases, with_overlay
+from .words import plan_card, target_text
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -26,6 +31,8 @@ if TYPE_CHECKING:
 ENDINGS = (".html", ".htm")
 PAUSE_AT_END = 1.5
 """Time for which the last moment stays before the motion repeats [s]."""
+CLOSE = 0.85
+"""Distance of the camera relative to the one at which robot and object fit [-]."""
 SPEED = 2.0
 """Playback speed, where 1 is real time [-]."""
 
@@ -50,6 +57,7 @@ def write_page(
     *,
     story: Playable | None = None,
     active: str | None = None,
+    card: Card | None = None,
 ) -> None:
     """Write a solved plan as a page that plays it in a loop.
 
@@ -60,12 +68,13 @@ def write_page(
         path: An HTML file; its folder is created if needed.
         story: The motion to play; by default that of the plan.
         active: The object that moves; by default that of the plan.
+        card: The answer in words; by default that of the plan.
 
     Raises:
         InputError: The plan is not solved, or the file cannot be written.
     """
     check_page(path)
-    content = page_of(scene, robot, plan, story, active)
+    content = page_of(scene, robot, plan, story, active, card)
     try:
         write_atomic(path, content.encode())
     except OSError as error:
@@ -78,12 +87,21 @@ def page_of(
     plan: PlacementPlan,
     story: Playable | None = None,
     active: str | None = None,
+    card: Card | None = None,
 ) -> str:
     """Return the page as HTML; see `write_page`."""
     story = story or Story.of(plan, robot, scene)
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
-        look_at(server, scene)
+        bases = np.array([story.at(story.duration).base])
+        target = target_text(plan.task) if active in (None, plan.task.object) else str(active)
+        frame(server, scene, target, bases, close=CLOSE)
+        lamps(server.scene, LIGHT, plain=large(scene))
+        server.scene.configure_default_lights(enabled=False, cast_shadow=False)
+        server.scene.configure_environment_map(
+            None if large(scene) else DAY, environment_intensity=DAY_INTENSITY
+        )
+        server.scene.set_background_image(sky(LIGHT), format="png")
         room, robot_view = RoomView(server.scene), RobotView(server.scene)
         room.show(scene, active or plan.task.object)
         robot_view.show(robot, story.at(0.0).base)
@@ -91,11 +109,19 @@ def page_of(
         if plan.base_path is not None:
             draw_path(server.scene, "/path", plan.base_path)
         recording = server.get_scene_serializer()
+        words = []
         for seconds in _times(story.duration):
-            story.at(seconds).show(room, robot_view)
+            moment = story.at(seconds)
+            moment.show(room, robot_view)
+            words.append(moment.phase)
             recording.insert_sleep(1.0 / RATE)
         recording.insert_sleep(PAUSE_AT_END)
-        html: str = recording.as_html()
+        html: str = with_overlay(
+            recording.as_html(),
+            card or plan_card(plan, scene),
+            phases(words, 1.0 / RATE),
+            PAUSE_AT_END,
+        )
     finally:
         with quiet():
             server.stop()

@@ -1,4 +1,4 @@
-"""Answers and findings as Markdown."""
+"""Answers and findings in words."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from collections.abc import Sequence
 
 from momapos.apps.plots import task_text, value_text
 from momapos.model.records import PlacementPlan, Task
+from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
+from momapos.planning.grasps import slides
 from momapos.simulation import RunRecord
 from momapos.workflows.scene_check import (
     FindingKind,
     SceneReport,
     Severity,
     finding_lines,
-    summary,
 )
 
+from .card import Card, Tone
 from .probe import Finding, Probe
 
 MAX_FINDINGS = 2
@@ -27,13 +29,12 @@ STATUS = {
     "solved": "Solved", "assumed": "Assumed, not solved", "infeasible": "No feasible base pose",
     "timeout": "Out of time",
 }  # fmt: skip
+TONE: dict[str, Tone] = {
+    "solved": "good", "assumed": "part", "infeasible": "bad", "timeout": "bad",
+}  # fmt: skip
 
 RUN_OUTCOMES = {"done": "Succeeded", "moved as assumed": "Moved as assumed", "failed": "Failed"}
-
-
-def escaped(text: str) -> str:
-    """Escape text, such as names from a file, for Markdown."""
-    return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-.!|" else c for c in text)
+RUN_TONES: dict[str, Tone] = {"done": "good", "moved as assumed": "part", "failed": "bad"}
 
 
 def pose_text(pose: tuple[float, float, float]) -> str:
@@ -41,70 +42,93 @@ def pose_text(pose: tuple[float, float, float]) -> str:
     return f"x {pose[0]:.3f} m, y {pose[1]:.3f} m, yaw {math.degrees(pose[2]):.1f}°"
 
 
-def check_text(report: SceneReport) -> str:
-    """List what is wrong in a scene, and what its reader assumed; "" if there is nothing."""
-    if not report.findings:
-        return ""
+def check_lines(report: SceneReport) -> list[str]:
+    """List what is wrong in a scene, and what its reader assumed."""
     main = [
         one
         for one in report.findings
         if one.severity is not Severity.NOTE or one.kind is FindingKind.READER
     ]
-    lines = finding_lines(main, most=MAX_FINDINGS)
-    return f"\n\nScene: {summary(report)}" + "".join(f"\n- {escaped(x.strip())}" for x in lines)
+    return [line.strip() for line in finding_lines(main, most=MAX_FINDINGS)]
 
 
-def answer_text(answer: PlacementResult) -> str:
+def answer_card(answer: PlacementResult) -> Card:
     """Describe an answer: the base pose and the motion, or why there is none."""
     plan = answer.plan
     what, how = task_text(answer)
     status = STATUS[plan.status]
     if plan.status == "infeasible" and plan.base_pose is not None:
         status = "Not feasible from here"
-    lines = [f"**{status}**", f"{escaped(what)} {escaped(how)}", ""]
+    facts: list[tuple[str, str]] = []
+    notes: list[str] = []
     if plan.motion is not None and plan.base_pose is not None:
         if plan.assumption is not None:
-            lines.append(f"- assumed joint type: {escaped(str(plan.assumption))}")
+            notes.append(f"assumed joint type: {plan.assumption}")
             if not plan.assumption.is_first:
-                lines.append(f"- most probable: {escaped(plan.assumption.instead)}")
-        lines.append(f"- base pose: {pose_text(plan.base_pose)}")
+                notes.append(f"most probable: {plan.assumption.instead}")
+        facts.append(("base pose", pose_text(plan.base_pose)))
         if plan.navigation_cost is not None:
-            lines.append(f"- driving length: {plan.navigation_cost:.2f} m")
-        lines += [f"- grasp: {escaped(words)}" for words in answer.holds]
-        lines += [f"- latch: {escaped(answer.latch)}"] if answer.latch else []
-        lines.append("- collision-free: base, arm and moving part along the whole motion")
-        lines += tolerance_lines(plan)
-        lines += [f"- note: {escaped(words)}" for words in answer.notes]
+            facts.append(("drive", f"{plan.navigation_cost:.2f} m"))
+        facts += [("grasp", words) for words in answer.holds]
+        facts += [("latch", answer.latch)] if answer.latch else []
+        facts.append(("checked", "no collision along the whole motion"))
+        facts += tolerance_facts(plan)
+        notes += answer.notes
     elif plan.feasible_to is not None and plan.feasible_from is not None:
         to = value_text(answer, plan.feasible_to)
-        lines.append(f"- feasible to {to} from {pose_text(plan.feasible_from)}")
+        facts.append(("feasible", f"to {to} from {pose_text(plan.feasible_from)}"))
+    counts = plan.candidates
+    details = [("candidates", f"{counts.sampled} sampled, {counts.checked} fully checked")]
     total = plan.timing.get("total", 0.0)
     stages = sorted(
-        ((t, name) for name, t in plan.timing.items() if name not in ("total", "tolerance")),
-        reverse=True,
+        ((name, t) for name, t in plan.timing.items() if name not in ("total", "tolerance")),
+        key=lambda stage: -stage[1],
     )
-    slowest = ", ".join(f"{name} {1000 * t:.0f}" for t, name in stages[:3])
-    lines.append(f"- time: {1000 * total:.0f} ms ({slowest})")
-    counts = plan.candidates
-    lines.append(f"- candidates: {counts.sampled} sampled, {counts.checked} fully checked")
-    ranked = sorted(counts.rejections.items(), key=lambda item: -item[1])
-    lines += [f"  - {count} {escaped(reason)}" for reason, count in ranked[:MAX_ROWS]]
+    slowest = ", ".join(f"{name} {1000 * t:.0f}" for name, t in stages[:3])
+    details.append(("time", f"{1000 * total:.0f} ms ({slowest})"))
+    ranked = [(count, reason) for reason, count in counts.rejections.items()]
+    ranked.sort(key=lambda row: -row[0])
     if len(ranked) > MAX_ROWS:
-        rest = sum(count for _, count in ranked[MAX_ROWS:])
-        lines.append(f"  - {rest} for {len(ranked) - MAX_ROWS} other reasons")
-    return "\n".join(lines)
+        rest = sum(count for count, _ in ranked[MAX_ROWS:])
+        ranked[MAX_ROWS:] = [(rest, f"for {len(ranked) - MAX_ROWS} other reasons")]
+    return Card(
+        status,
+        TONE[plan.status],
+        f"{what} {how}",
+        tuple(facts),
+        tuple(notes),
+        tuple(details),
+        tuple(ranked),
+    )
 
 
-def tolerance_lines(plan: PlacementPlan) -> list[str]:
+def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
+    """Describe a solved plan."""
+    task, to = plan.task, ""
+    known = any(item.name == task.object for item in scene.objects)  # not in a run elsewhere
+    if known and task.joint is not None and task.to is not None:
+        value = f"{task.to:.2f} m" if slides(scene, task) else f"{math.degrees(task.to):.0f}°"
+        to = f" to {value}"
+    facts = [] if plan.base_pose is None else [("base pose", pose_text(plan.base_pose))]
+    if plan.navigation_cost is not None:
+        facts.append(("drive", f"{plan.navigation_cost:.2f} m"))
+    facts += [
+        ("checked", "no collision along the whole motion"),
+        *tolerance_facts(plan),
+    ]
+    title = f"{task.verb} {target_text(task)}{to} with {plan.robot_name}"
+    return Card(STATUS[plan.status], TONE[plan.status], title, tuple(facts))
+
+
+def tolerance_facts(plan: PlacementPlan) -> list[tuple[str, str]]:
     """Describe the tolerance of the base pose; nothing where it is not measured."""
-    found, spent = plan.tolerance, plan.timing.get("tolerance")
+    found = plan.tolerance
     if found is None:
         return []
-    took = "" if spent is None else f", {1000 * spent:.0f} ms"
     if found.radius == 0.0:
-        return [f"- tolerance: none, replanning failed from a pose nearby{took}"]
+        return [("tolerance", "none, replanning failed from a pose nearby")]
     offset = f"±{100 * found.radius:g} cm, ±{math.degrees(found.turn):.1f}°"
-    return [f"- tolerance: {offset} (replanned from {found.samples} sampled poses{took})"]
+    return [("tolerance", f"{offset} ({found.samples} sampled poses)")]
 
 
 def target_text(task: Task) -> str:
@@ -112,55 +136,55 @@ def target_text(task: Task) -> str:
     return task.object if task.joint is None else f"{task.object}/{task.joint}"
 
 
-def run_text(record: RunRecord) -> str:
+def run_card(record: RunRecord) -> Card:
     """Describe a run in simulation."""
     task = record.true_task or record.task
-    outcome = RUN_OUTCOMES[record.verdict]
-    what = f"{task.verb} {target_text(task)} with {record.robot}"
-    lines = [f"**{outcome}** in simulation", escaped(what), ""]
-    if record.reason:
-        lines.append(f"- reason: {escaped(record.reason)}")
-    lines.append(f"- driven: {record.driven:.2f} m")
+    facts: list[tuple[str, str]] = [("driven", f"{record.driven:.2f} m")]
+    notes = [record.reason] if record.reason else []
     attempts = (*record.failed, *((record.execution,) if record.execution else ()))
     for k, one in enumerate(attempts, 1):
-        number = f"attempt {k}: " if len(attempts) > 1 else ""
-        lines += [
-            f"- {number}{escaped(one.ending)}",
-            f"  - moved from {one.start:.3f} to {one.reached:.3f}, goal {one.asked:.3f}",
-            f"  - grip: {escaped(one.hold)}, at most {one.load.force:.0f} N, slip "
-            f"{1000 * one.slip.position:.1f} mm",
-        ]
-        lines += [
-            f"  - collision: {escaped(hit.one)} and {escaped(hit.other)}, {hit.force:.0f} N"
+        number = f"attempt {k}" if len(attempts) > 1 else "attempt"
+        facts += [
+            (number, one.ending),
+            ("moved", f"from {one.start:.3f} to {one.reached:.3f}, goal {one.asked:.3f}"),
+            ("grip", f"{one.hold}, at most {one.load.force:.0f} N, slip "
+             f"{1000 * one.slip.position:.1f} mm"),
+        ]  # fmt: skip
+        facts += [
+            ("collision", f"{hit.one} and {hit.other}, {hit.force:.0f} N")
             for hit in one.collisions[:MAX_ROWS]
         ]
-    return "\n".join(lines)
+    return Card(
+        f"{RUN_OUTCOMES[record.verdict]} in simulation", RUN_TONES[record.verdict],
+        f"{task.verb} {target_text(task)} with {record.robot}", tuple(facts), tuple(notes),
+    )  # fmt: skip
 
 
-def tour_text(plans: Sequence[PlacementPlan]) -> str:
+def tour_card(plans: Sequence[PlacementPlan]) -> Card:
     """List the tasks of a tour and their base poses."""
     driven = sum(plan.navigation_cost or 0.0 for plan in plans)
-    lines = [f"**Solved**: {len(plans)} tasks, {driven:.2f} m driven", ""]
+    facts = []
     for number, plan in enumerate(plans, start=1):
         at = "" if plan.base_pose is None else f" from {pose_text(plan.base_pose)}"
-        lines.append(f"{number}. {plan.task.verb} {escaped(target_text(plan.task))}{at}")
-    if any(plan.task.verb == "pick" for plan in plans[:-1]):
-        lines += ["", "A picked object is drawn at its old place when the next task begins."]
-    return "\n".join(lines)
+        facts.append((f"{number}.", f"{plan.task.verb} {target_text(plan.task)}{at}"))
+    picks = any(plan.task.verb == "pick" for plan in plans[:-1])
+    notes = ("A picked object is drawn at its old place when the next task begins.",) * picks
+    title = f"{len(plans)} tasks, {driven:.2f} m driven"
+    return Card("Solved", "good", title, tuple(facts), notes)
 
 
-def finding_text(finding: Finding, probe: Probe, seconds: float) -> str:
+def finding_card(finding: Finding, probe: Probe, seconds: float) -> Card:
     """Describe what the check of a dragged base found."""
     x, y, yaw = finding.base.tolist()
-    lines = [f"**{verdict_text(finding, probe)}**", "", f"- at {pose_text((x, y, yaw))}"]
-    if not finding.feasible:
-        lines.append(f"- {escaped(str(finding.outcome))}")
+    facts = [("base pose", pose_text((x, y, yaw)))]
     if finding.in_the_way:
-        lines.append(f"- obstacles: {escaped(', '.join(finding.in_the_way))}")
-    if not finding.complete:
-        lines.append("- not all grasps tried yet")
-    lines.append(f"- answered in {1000 * seconds:.0f} ms")
-    return "\n".join(lines)
+        facts.append(("in the way", ", ".join(finding.in_the_way)))
+    facts.append(("time", f"answered in {1000 * seconds:.0f} ms"))
+    notes = [] if finding.feasible else [str(finding.outcome)]
+    notes += [] if finding.complete else ["not all grasps tried yet"]
+    tones: dict[str, Tone] = {"feasible": "good", "partly": "part", "infeasible": "bad"}
+    tone = tones[verdict_of(finding)]
+    return Card(verdict_text(finding, probe), tone, "", tuple(facts), tuple(notes))
 
 
 def verdict_text(finding: Finding, probe: Probe) -> str:

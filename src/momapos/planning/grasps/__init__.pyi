@@ -3,6 +3,7 @@ from .config import MotionConfig as MotionConfig
 from .hand_boxes import hand_of as hand_of
 from .handle_records import Handle as Handle
 from .handles import held_thickness as held_thickness
+from .handles import opening_direction as opening_direction
 from .motion_record import TaskMotion as TaskMotion
 from .part_facts import PartFacts as PartFacts
 from .part_facts import part_facts_of as part_facts_of
