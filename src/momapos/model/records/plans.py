@@ -86,7 +86,7 @@ class Hold:
 @compare_by_content
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The robot's motion at one base pose."""
+    """The robot's motion for a task: at one base pose, or with a base that moves."""
 
     approach: Float[np.ndarray, "a n"]
     """Arm states from home to the grasp [rad] or [m]."""
@@ -107,9 +107,17 @@ class Motion:
     latch_q: Float[np.ndarray, " m"] | None = None
     """Value of the object's latch at each state [rad] or [m]; None if no latch is turned. The hand
     holds the latch from the first state on, and the first hold begins where the part moves."""
+    base: Float[np.ndarray, "m 3"] | None = None
+    """Base pose at each manipulation state: x [m], y [m], yaw [rad], without jumps of a turn; None
+    if the base stands still. Outside the holds the hand is free, also before the first one."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
+
+    @property
+    def moves_base(self) -> bool:
+        """Return whether the base moves during the manipulation."""
+        return self.base is not None
 
     @property
     def grasps(self) -> tuple[Hold, ...]:
@@ -254,6 +262,11 @@ class PlacementPlan:
     def feasible(self) -> bool:
         """Whether there is a base pose and a motion in the planned scene: solved or assumed."""
         return self.status in ("solved", "assumed")
+
+    @property
+    def moves_base(self) -> bool:
+        """Whether the base moves during the manipulation."""
+        return self.motion is not None and self.motion.moves_base
 
     @property
     def assumes(self) -> str:
