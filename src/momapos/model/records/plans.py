@@ -136,6 +136,8 @@ class ArmPathResult:
     q: Float[np.ndarray, "d n"] | None
     """Arm states at every step of the motion; None if no grasp has a path."""
     outcome: PoseOutcome
+    bases: Float[np.ndarray, "d 3"] | None = None
+    """Base pose at every step; None if the base stands."""
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ class Feasibility:
             grasps: Grasp modes to try, best first, if that path cannot be completed.
         """
         assert screened.q is not None
-        motion, outcome = self._complete(base, screened.q, screened.grasp)
+        motion, outcome = self._complete(base, screened.q, screened.grasp, screened.bases)
         others = grasps[grasps != screened.grasp]
         for chunk in np.split(others, range(_WIDER, len(others), _WIDER)):
             if motion is not None or not len(chunk):
@@ -93,7 +93,7 @@ class Feasibility:
                 strict=False,
             ):  # fmt: skip
                 if path.q is not None and motion is None:
-                    motion, outcome = self._complete(base, path.q, grasp)
+                    motion, outcome = self._complete(base, path.q, grasp, path.bases)
         return Attempt(motion, outcome)
 
     def screen(
@@ -131,7 +131,10 @@ class Feasibility:
                 undecided[i] &= path.status != FOUND
             first, width = first + width, _WIDER * width
         return [
-            ArmPathResult(grasp, None if path is None else path.q, self._outcome(path, int(code)))
+            ArmPathResult(
+                grasp, None if path is None else path.q, self._outcome(path, int(code)),
+                None if path is None else path.bases,
+            )  # fmt: skip
             for (grasp, path), code in zip(best, home, strict=True)
         ]
 
@@ -142,16 +145,19 @@ class Feasibility:
         pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
 
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
-            if self.out_of_time():
-                return None
-            given = self.robot, self.world, self.motion, bases[part], grasps[part]
-            if self.robot.chain.size < FULL_DOF:
-                return find_short_paths(*given)
-            return find_paths(*given, self._hand)
+            return None if self.out_of_time() else self._search(bases[part], grasps[part])
 
         found = list(_threads().map(work, pieces))
         done = [paths for paths in found if paths is not None]
         return [path for paths in done for path in paths] if len(done) == len(found) else None
+
+    def _search(
+        self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
+    ) -> list[ArmPath]:
+        given = self.robot, self.world, self.motion, bases, grasps
+        if self.robot.chain.size < FULL_DOF:
+            return find_short_paths(*given)
+        return find_paths(*given, self._hand)
 
     @cached_property
     def _hand(self) -> HandCodes:
@@ -178,9 +184,13 @@ class Feasibility:
         return self.motion.task.verb == "place"
 
     def _complete(
-        self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
+        self,
+        base: Float[np.ndarray, "3"],
+        q: Float[np.ndarray, "d n"],
+        grasp: int,
+        bases: Float[np.ndarray, "d 3"] | None,
     ) -> tuple[Motion | None, PoseOutcome]:
-        """Add the approach from home and run the exact check."""
+        """Add the approach from home and run the exact check; the base may move after the grasp."""
         chain, hold = self.robot.chain, self.motion.grasp_step
         spheres = self.robot.spheres.by_hulls
         if self._carrying:
@@ -197,16 +207,17 @@ class Feasibility:
         if path is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
-        Ts_world_tool = self._tools(q, base)
+        Ts_world_tool = self._tools(q, base if bases is None else bases)
         steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
         steps = steps[hold:]
         motion = Motion(
             chain.joint_values(approach), chain.joint_values(q[steps]),
             self.motion.object_q[steps], Ts_world_tool[steps], holds=holds,
             latch_q=None if self.motion.latch_q is None else self.motion.latch_q[steps],
+            base=None if bases is None else bases[steps],
         )  # fmt: skip
         if self.home_again:
-            home = self.path_home(base, q[-1], grasp)
+            home = self.path_home(base if bases is None else bases[-1], q[-1], grasp)
             if home is None:
                 return None, PoseOutcome(PoseStatus.NO_WAY_HOME)
             motion = replace(motion, home=home)
@@ -268,7 +279,9 @@ class Feasibility:
         bounded = partial(checker, load=loads.of_hand(carried))
         return plan_with_clearance(*ends, bounded, config=config, seed=seed)
 
-    def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
+    def _tools(
+        self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"]
+    ) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
 
     def _outcome(self, path: ArmPath | None, at_home: int) -> PoseOutcome:
