@@ -119,6 +119,12 @@ class Motion:
         """Return whether the base moves during the manipulation."""
         return self.base is not None
 
+    def base_poses(self, base_pose: Sequence[float]) -> Float[np.ndarray, "m 3"]:
+        """Return the base pose at each manipulation state; `base_pose` if the base stands still."""
+        if self.base is not None:
+            return self.base
+        return np.tile(np.asarray(base_pose, float), (len(self.q), 1))
+
     @property
     def grasps(self) -> tuple[Hold, ...]:
         """Return the phases in which the hand holds the part or its latch, in order."""
@@ -269,6 +275,14 @@ class PlacementPlan:
     def moves_base(self) -> bool:
         """Whether the base moves during the manipulation."""
         return self.motion is not None and self.motion.moves_base
+
+    @property
+    def final_base_pose(self) -> tuple[float, float, float] | None:
+        """Base pose after the manipulation: x [m], y [m], yaw [rad]; None without a base pose."""
+        if self.motion is None or self.motion.base is None:
+            return self.base_pose
+        x, y, yaw = self.motion.base[-1].tolist()
+        return x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw)))
 
     @property
     def assumes(self) -> str:
