@@ -11,16 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import all_inside, place_points, rotation
+from momapos.core.geometry import all_inside, invert, place_points, pose_planar, rotation
 from momapos.model.collision import FLOOR, FREE, base_hits, base_hits_moving
+from momapos.model.kinematics import solve_ik
 from momapos.model.records import PoseOutcome, PoseStatus, ReachScorer
 from momapos.model.robots import Robot
-from momapos.planning.arm_motion import ArmPath, DrivingArm, Feasibility, find_paths, fitted_bases
+from momapos.planning.arm_motion import ArmPath, DrivingArm, Feasibility, find_paths
 from momapos.planning.grasps import FULL_DOF, TaskMotion, no_turning
 from momapos.planning.placement import (
     BasePoseRule,
@@ -43,6 +44,10 @@ DIRECTIONS = 8
 """Number of directions in which an omnidirectional base moves in the families [-]."""
 SLIDE = 0.8
 """How far the base of a short arm slides to either side, less than the reach of such arms [m]."""
+MAX_FITTED_GRASPS = 4
+"""Largest number of grasps to which a base pose is fitted [-]."""
+_GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
+"""Its multiples modulo 1 are spread evenly, for any count [-]."""
 _BLOCK = 4096
 """Base poses whose paths are checked together [-]."""
 
@@ -137,27 +142,24 @@ class MovingFeasibility(Feasibility):
         return score
 
 
-def search_moving(setup: SearchSetup, place: PlaceConfig) -> tuple[Search, MovingFeasibility | None]:
+def search_moving(setup: SearchSetup, place: PlaceConfig) -> Search:
     """Search base poses from which the base moves with the part.
 
     Args:
         setup: A query that no fixed base pose solves.
         place: How to search.
-
-    Returns:
-        The search, and the check that found its base pose.
     """
     every, rng = Search(), np.random.default_rng(setup.query.seed)
-    found = list(_families(setup))
-    ways = [replace(place, rounds=1, grid=False), *([replace(place, rounds=0)] if place.grid else [])]
+    problems = [_problem(setup, check) for check in _families(setup)]
+    ways = [replace(place, rounds=1, grid=False)]
+    if place.grid:
+        ways.append(replace(place, rounds=0))
     for how in ways:
-        for check in found:
-            problem = _problem(setup, check)
-            one = search(problem, how, rng)
-            every.merge(one)
+        for problem in problems:
+            every.merge(search(problem, how, rng))
             if every.motion is not None or every.timed_out:
-                return every, check
-    return every, None
+                return every
+    return every
 
 
 def _families(setup: SearchSetup) -> Iterator[MovingFeasibility]:
@@ -207,15 +209,31 @@ def _problem(setup: SearchSetup, check: MovingFeasibility) -> Problem:
         home_is_free=None,
         departure=None,
         rules=tuple(rules),
-        fit=None if check.arm is None else _fit(setup.query.robot, motion),
+        fit=None if check.arm is None else partial(_fitted, setup.query.robot, motion),
     )
 
 
-def _fit(robot: Robot, motion: TaskMotion):
-    """Return the fit of base poses from which a short arm takes hold."""
-    begin = replace(
-        motion,
-        Ts_world_tool=motion.Ts_world_tool[:, : motion.grasp_step + 1],
-        waypoint_steps=motion.waypoint_steps[:2],
-    )
-    return lambda poses: fitted_bases(robot, begin, poses)
+def _fitted(
+    robot: Robot, motion: TaskMotion, poses: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Shift base poses so that a short arm takes hold from there, each with one of the grasps.
+
+    Returns:
+        The shifted poses, and the grasp of each; -1 for an unchanged pose without one.
+    """
+    arm = DrivingArm(robot, np.eye(3)[:2], SLIDE)
+    grasps = len(motion.Ts_world_tool)
+    poses, own = poses.copy(), np.full(len(poses), -1)
+    for turn in range(min(grasps, MAX_FITTED_GRASPS)):
+        left = np.flatnonzero(own < 0)
+        share = (_GOLDEN_RATIO * left + turn / MAX_FITTED_GRASPS) % 1.0
+        chosen = (share * grasps).astype(np.int64)
+        Ts = invert(pose_planar(poses[left])) @ motion.Ts_world_tool[chosen, motion.grasp_step]
+        q, count = solve_ik(arm.chain, arm.ik, Ts)
+        rows = np.flatnonzero(count > 0)
+        away = np.hypot(q[rows, :, 0], q[rows, :, 1])
+        best = q[rows, np.nanargmin(away, axis=1), :2] if len(rows) else np.zeros((0, 2))
+        R = rotation(poses[left[rows], 2])
+        poses[left[rows], :2] += np.einsum("nij,nj->ni", R, best)
+        own[left[rows]] = chosen[rows]
+    return poses, own

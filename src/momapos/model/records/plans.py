@@ -155,6 +155,8 @@ class Attempt:
     farthest: float | None = None
     """The farthest joint value with a motion [rad] or [m]: the task's value, or a smaller one if
     that has no motion. None if no value works, or it was not requested."""
+    base: Float[np.ndarray, "3"] | None = None
+    """Where the motion begins, if the base moves: x [m], y [m], yaw [rad]."""
 
     @property
     def reason(self) -> str:

@@ -94,7 +94,8 @@ class Feasibility:
             ):  # fmt: skip
                 if path.q is not None and motion is None:
                     motion, outcome = self._complete(base, path.q, grasp, path.bases)
-        return Attempt(motion, outcome)
+        moved = motion is not None and motion.base is not None
+        return Attempt(motion, outcome, base=motion.base[0] if moved else None)
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
@@ -132,9 +133,11 @@ class Feasibility:
             first, width = first + width, _WIDER * width
         return [
             ArmPathResult(
-                grasp, None if path is None else path.q, self._outcome(path, int(code)),
+                grasp,
+                None if path is None else path.q,
+                self._outcome(path, int(code)),
                 None if path is None else path.bases,
-            )  # fmt: skip
+            )
             for (grasp, path), code in zip(best, home, strict=True)
         ]
 
@@ -192,6 +195,11 @@ class Feasibility:
     ) -> tuple[Motion | None, PoseOutcome]:
         """Add the approach from home and run the exact check; the base may move after the grasp."""
         chain, hold = self.robot.chain, self.motion.grasp_step
+        begin = hold
+        if bases is not None:
+            base = bases[0]
+            # A base that moves before the grasp does so in the manipulation.
+            begin = hold if (bases[: hold + 1] == base).all() else 0
         spheres = self.robot.spheres.by_hulls
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
@@ -206,10 +214,14 @@ class Feasibility:
         )  # fmt: skip
         if path is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
-        approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
+        approach = np.concatenate([interpolate(path), q[1 : begin + 1]])
         Ts_world_tool = self._tools(q, base if bases is None else bases)
         steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
-        steps = steps[hold:]
+        steps = steps[begin:]
+        holds = tuple(
+            replace(one, first=one.first + hold - begin, last=one.last + hold - begin)
+            for one in holds
+        )
         motion = Motion(
             chain.joint_values(approach), chain.joint_values(q[steps]),
             self.motion.object_q[steps], Ts_world_tool[steps], holds=holds,

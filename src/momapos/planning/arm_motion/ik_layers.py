@@ -42,8 +42,6 @@ MAX_STEP = 0.8
 """Largest joint step between waypoints [rad]."""
 PRISMATIC_SCALE = 4.0
 """Weight of a prismatic joint's travel in joint steps [rad/m]."""
-MAX_EARLY_SLIDE = 0.003
-"""The base of a driving arm counts as at rest if it slides no farther before the grasp [m]."""
 NOWHERE, CUT_OFF, OVERLOADED = FREE, FREE - 10, FREE - 9
 """Failures without a collision: out of reach, too far from the neighboring waypoints, or beyond
 what the motors and the base bear."""
@@ -99,8 +97,6 @@ class Standing(NamedTuple):
     """The arm without the slides."""
     slides: F2
     """Directions of the slides in the frame of the base; none if it stands."""
-    grasp_step: int
-    """The base rests up to this step."""
 
 
 class Waypoints(NamedTuple):
@@ -175,7 +171,7 @@ def solve_layers(
     locked[ik.active] = 0.0
     return Layers(*_solve_layers(
         Jobs(np.ascontiguousarray(paths), np.ascontiguousarray(grasps)),
-        Standing(chain_arrays(standing_arm(robot).chain), slides_of(robot), motion.grasp_step),
+        Standing(chain_arrays(standing_arm(robot).chain), slides_of(robot)),
         Waypoints(
             order, waypoints, step, motion.value[step], motion.holding[step],
             np.ascontiguousarray(motion.Ts_world_tool),
@@ -256,17 +252,14 @@ def _load_in_base(force, point, base, memory):
 
 
 @kernel
-def _slide(q, at, standing, step, here):
-    """Write the base pose of a state; return whether the base slides only after the grasp."""
+def _slide(q, at, standing, here):
+    """Write the base pose of a state."""
     here[0], here[1], here[2] = at[0], at[1], at[2]
     c, s = np.cos(at[2]), np.sin(at[2])
     for k in range(len(standing.slides)):
-        if step <= standing.grasp_step and abs(q[k]) > MAX_EARLY_SLIDE:
-            return False
         x, y = standing.slides[k, 0] * q[k], standing.slides[k, 1] * q[k]
         here[0] += c * x - s * y
         here[1] += s * x + c * y
-    return True
 
 
 @kernel
@@ -310,8 +303,7 @@ def _solve_layer(
                     if code == NOWHERE:
                         code = CUT_OFF
                     continue
-                if not _slide(q, base, standing, path.step[w], here):
-                    continue
+                _slide(q, base, standing, here)
                 q_arm = q[lead:]
                 _load_in_base(force, point, here, load)
                 stability = state_loads(q_arm, standing.chain, robot, load[0], load[1], bearing)
