@@ -33,7 +33,7 @@ def with_other_use(
         return fixed
     words = "no single base pose serves this task"
     if use in ("stops", "auto"):
-        found, to = plan_stops(query, fixed, answer)
+        found = plan_stops(query, fixed, answer)
         if found is not None:
             return _noted(found, f"{words}; the robot stops {_stops(found.plan)} times")
     if use in ("moving", "auto"):

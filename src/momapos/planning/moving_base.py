@@ -11,18 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import all_inside, invert, place_points, pose_planar, rotation
+from momapos.core.geometry import all_inside, place_points, rotation
 from momapos.model.collision import FLOOR, FREE, base_hits, base_hits_moving
-from momapos.model.kinematics import solve_ik
 from momapos.model.records import PoseOutcome, PoseStatus, ReachScorer
-from momapos.model.robots import Robot
 from momapos.planning.arm_motion import ArmPath, DrivingArm, Feasibility, find_paths
-from momapos.planning.grasps import FULL_DOF, TaskMotion, no_turning
+from momapos.planning.grasps import FULL_DOF, no_turning
 from momapos.planning.placement import (
     BasePoseRule,
     GraspModeScorer,
@@ -33,6 +31,7 @@ from momapos.planning.placement import (
     search,
 )
 
+from .moving_starts import ShortArmStarts
 from .search_setup import SearchSetup
 
 if TYPE_CHECKING:
@@ -44,10 +43,6 @@ DIRECTIONS = 8
 """Number of directions in which an omnidirectional base moves in the families [-]."""
 SLIDE = 0.8
 """How far the base of a short arm slides to either side, less than the reach of such arms [m]."""
-MAX_FITTED_GRASPS = 4
-"""Largest number of grasps to which a base pose is fitted [-]."""
-_GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
-"""Its multiples modulo 1 are spread evenly, for any count [-]."""
 _BLOCK = 4096
 """Base poses whose paths are checked together [-]."""
 
@@ -209,31 +204,5 @@ def _problem(setup: SearchSetup, check: MovingFeasibility) -> Problem:
         home_is_free=None,
         departure=None,
         rules=tuple(rules),
-        fit=None if check.arm is None else partial(_fitted, setup.query.robot, motion),
+        fit=None if check.arm is None else ShortArmStarts(setup.query.robot, motion),
     )
-
-
-def _fitted(
-    robot: Robot, motion: TaskMotion, poses: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Shift base poses so that a short arm takes hold from there, each with one of the grasps.
-
-    Returns:
-        The shifted poses, and the grasp of each; -1 for an unchanged pose without one.
-    """
-    arm = DrivingArm(robot, np.eye(3)[:2], SLIDE)
-    grasps = len(motion.Ts_world_tool)
-    poses, own = poses.copy(), np.full(len(poses), -1)
-    for turn in range(min(grasps, MAX_FITTED_GRASPS)):
-        left = np.flatnonzero(own < 0)
-        share = (_GOLDEN_RATIO * left + turn / MAX_FITTED_GRASPS) % 1.0
-        chosen = (share * grasps).astype(np.int64)
-        Ts = invert(pose_planar(poses[left])) @ motion.Ts_world_tool[chosen, motion.grasp_step]
-        q, count = solve_ik(arm.chain, arm.ik, Ts)
-        rows = np.flatnonzero(count > 0)
-        away = np.hypot(q[rows, :, 0], q[rows, :, 1])
-        best = q[rows, np.nanargmin(away, axis=1), :2] if len(rows) else np.zeros((0, 2))
-        R = rotation(poses[left[rows], 2])
-        poses[left[rows], :2] += np.einsum("nij,nj->ni", R, best)
-        own[left[rows]] = chosen[rows]
-    return poses, own

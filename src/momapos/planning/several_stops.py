@@ -34,7 +34,7 @@ STRETCHES = 8
 
 def plan_stops(
     query: PlacementQuery, infeasible: PlacementResult, answer: Answer
-) -> tuple[PlacementResult | None, float | None]:
+) -> PlacementResult | None:
     """Plan the fewest stops that move a part to the task's value, at most `MAX_STOPS`.
 
     Each stretch but the last is the longest that one base pose serves: what a shorter one leaves is
@@ -46,22 +46,22 @@ def plan_stops(
         answer: Answers a question from one base pose.
 
     Returns:
-        The answer, if there is one, and the farthest value reached; None for none.
+        The answer, or None if there is none.
     """
     task, legs, at = query.task, [], query
     if task.joint is None or task.to is None or infeasible.prepared.blocked:
-        return None, None
+        return None
     while len(legs) < MAX_STOPS:
         again = query.config.motion.home_again
         last = _leg(query, at, task.to, answer, again=again) if legs else None
         if last is not None:
-            return _joined(query, infeasible, [*legs, last]), task.to
+            return _joined(query, infeasible, [*legs, last])
         leg = None if len(legs) + 1 == MAX_STOPS else _longest(query, at, answer)
         if leg is None:
-            return None, legs[-1].plan.task.to if legs else None
+            return None
         legs.append(leg)
         at = _after(at, leg)
-    return None, legs[-1].plan.task.to
+    return None
 
 
 def _after(query: PlacementQuery, leg: PlacementResult) -> PlacementQuery:
