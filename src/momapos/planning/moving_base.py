@@ -17,15 +17,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import all_inside, place_points, rotation
-from momapos.model.collision import FLOOR, FREE, base_hits, base_hits_moving
+from momapos.model.collision import FLOOR, FREE, CollisionWorld, base_hits, base_hits_moving
 from momapos.model.records import PoseOutcome, PoseStatus, ReachScorer
-from momapos.planning.arm_motion import ArmPath, DrivingArm, Feasibility, find_paths
-from momapos.planning.grasps import FULL_DOF, no_turning
+from momapos.model.robots import Robot
+from momapos.planning.arm_motion import ArmPath, DrivingArm, find_paths
+from momapos.planning.grasps import FULL_DOF, TaskMotion, no_turning
 from momapos.planning.placement import (
     BasePoseRule,
     GraspModeScorer,
     GraspModeScores,
     PlaceConfig,
+    PoseRule,
     Problem,
     Search,
     search,
@@ -66,24 +68,26 @@ class BaseShift:
         return out
 
 
-@dataclass(frozen=True)
-class MovingFeasibility(Feasibility):
-    """Checks base poses from which the base moves; poses are those at the grasp."""
+@dataclass(frozen=True, eq=False)
+class MovingBase:
+    """One way in which the base moves; base poses are those where it begins."""
 
+    robot: Robot
+    world: CollisionWorld
+    motion: TaskMotion
+    clearance: float
+    """Distance that the base keeps from everything [m]."""
+    floor_polygon: Float[np.ndarray, "k 2"] | None
     shift: BaseShift | None = None
     """The base path; None for an arm that takes the base as joints."""
     arm: DrivingArm | None = None
     """That arm."""
-    clearance: float = 0.0
-    """Distance that the base keeps from everything [m]."""
-    floor_polygon: Float[np.ndarray, "k 2"] | None = None
 
-    def _search(
-        self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
-    ) -> list[ArmPath]:
+    def find(self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]) -> list[ArmPath]:
+        """Search an arm path for each pair of base pose and grasp, see `find_paths`."""
         paths = bases if self.shift is None else self.shift.paths(bases)
         arm = self.arm or self.robot
-        return find_paths(arm, self.world, self.motion, paths, grasps, self._hand, self.hits)
+        return find_paths(arm, self.world, self.motion, paths, grasps, {}, self.hits)
 
     def hits(
         self, bases: Float[np.ndarray, "d 3"], value: Int[np.ndarray, " d"]
@@ -145,11 +149,11 @@ def search_moving(setup: SearchSetup, place: PlaceConfig) -> Search:
         place: How to search.
     """
     every, rng = Search(), np.random.default_rng(setup.query.seed)
-    problems = [_problem(setup, check) for check in _families(setup)]
-    ways = [replace(place, rounds=1, grid=False)]
+    problems = [_problem(setup, way) for way in _ways(setup)]
+    plans = [replace(place, rounds=1, grid=False)]
     if place.grid:
-        ways.append(replace(place, rounds=0))
-    for how in ways:
+        plans.append(replace(place, rounds=0))
+    for how in plans:
         for problem in problems:
             every.merge(search(problem, how, rng))
             if every.motion is not None or every.timed_out:
@@ -157,21 +161,17 @@ def search_moving(setup: SearchSetup, place: PlaceConfig) -> Search:
     return every
 
 
-def _families(setup: SearchSetup) -> Iterator[MovingFeasibility]:
+def _ways(setup: SearchSetup) -> Iterator[MovingBase]:
     """Yield the ways in which the base may move, simple ones first."""
-    prepared, robot, feasible = setup.prepared, setup.query.robot, setup.feasible
-    motion = prepared.motion
-    if prepared.infeasible_reason or robot.drive is None or motion.latch_q is not None:
+    prepared, robot = setup.prepared, setup.query.robot
+    motion, geometry = prepared.motion, prepared.geometry
+    if prepared.infeasible_reason or motion.latch_q is not None:
         return
-    make = MovingFeasibility(
-        **{name: getattr(feasible, name) for name in Feasibility.__dataclass_fields__},
-        clearance=prepared.geometry.clearance,
-        floor_polygon=prepared.geometry.floor_polygon,
-    )
+    way = MovingBase(robot, prepared.world, motion, geometry.clearance, geometry.floor_polygon)
     if robot.chain.size < FULL_DOF:
         axes = np.eye(3)[: 2 if robot.drive == "omni" else 1]
         rigid = replace(motion, turning=no_turning(len(motion.Ts_world_tool)))
-        yield replace(make, motion=rigid, arm=DrivingArm(robot, axes, SLIDE))
+        yield replace(way, motion=rigid, arm=DrivingArm(robot, axes, SLIDE))
         return
     span = motion.object_q - motion.object_q[motion.grasp_step]
     share = np.clip(span / span[-1], 0.0, 1.0)
@@ -179,30 +179,31 @@ def _families(setup: SearchSetup) -> Iterator[MovingFeasibility]:
     for travel in TRAVELS:
         for angle in angles:
             along = travel * np.array([np.cos(angle), np.sin(angle)])
-            yield replace(make, shift=BaseShift(np.round(along, 9), share))
+            yield replace(way, shift=BaseShift(np.round(along, 9), share))
 
 
-def _problem(setup: SearchSetup, check: MovingFeasibility) -> Problem:
+def _problem(setup: SearchSetup, way: MovingBase) -> Problem:
     """Return the search's problem for one way in which the base moves."""
-    prepared, motion = setup.prepared, check.motion
+    prepared, motion = setup.prepared, way.motion
     begin = motion.waypoint_steps[:2]
     geometry = replace(
         prepared.geometry,
         Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, begin]),
         sweep=motion.moving.at(int(motion.value[0])),
     )
-    rules = [setup.passage]
-    if check.shift is not None:
-        rules.append(BasePoseRule(check.keeps, PoseOutcome(PoseStatus.BASE_BLOCKED)))
+    rules: list[PoseRule] = [setup.passage]
+    if way.shift is not None:
+        rules.append(BasePoseRule(way.keeps, PoseOutcome(PoseStatus.BASE_BLOCKED)))
+    check = replace(setup.feasible, motion=motion, find=way.find)
     return replace(
         setup.problem,
         geometry=geometry,
-        mode_scorers=(check.scorer,),
+        mode_scorers=(way.scorer,),
         screen=check.screen,
         attempt=setup.accepted(check),
         infeasible_reason=setup.passage.no_way(geometry),
         home_is_free=None,
         departure=None,
         rules=tuple(rules),
-        fit=None if check.arm is None else ShortArmStarts(setup.query.robot, motion),
+        fit=None if way.arm is None else ShortArmStarts(setup.query.robot, motion),
     )

@@ -40,9 +40,7 @@ from .task_loads import TaskLoads
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-BaseCodes: TypeAlias = (
-    "Callable[[Float[np.ndarray, 'd 3'], Int[np.ndarray, ' d']], Int[np.ndarray, ' d']]"
-)
+BaseCodes: TypeAlias = "Callable[[Float[np.ndarray, 'd 3'], Int[np.ndarray, ' d']], np.ndarray]"
 """Returns what the base hits at poses, given the index of the part's value at each, as a code."""
 HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
 """Collision codes of the hand at every step of a motion, by grasp; for grasps that do not turn."""

@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 
 Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
 """The exact check: return None if a motion is valid, else the reason why not."""
+FindPaths: TypeAlias = "Callable[[Float[np.ndarray, 'j 3'], Int[np.ndarray, ' j']], list[ArmPath]]"
+"""Searches an arm path for each pair of base pose and grasp mode."""
 _BATCH = 256
 """Pairs of base pose and grasp mode that a thread processes together [-]."""
 _WIDER = 4
@@ -71,6 +73,8 @@ class Feasibility:
     """Called between batches."""
     home_again: bool = False
     """Whether the arm returns home at the end."""
+    find: FindPaths | None = None
+    """Searches arm paths for a base that moves; None for a base that stands."""
 
     def __call__(
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
@@ -157,6 +161,8 @@ class Feasibility:
     def _search(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
     ) -> list[ArmPath]:
+        if self.find is not None:
+            return self.find(bases, grasps)
         given = self.robot, self.world, self.motion, bases, grasps
         if self.robot.chain.size < FULL_DOF:
             return find_short_paths(*given)

@@ -24,4 +24,5 @@ from .problem import PoseMask as PoseMask
 from .problem import Problem as Problem
 from .problem import Search as Search
 from .region import BasePoseRule as BasePoseRule
+from .region import PoseRule as PoseRule
 from .shortlist import BASE_OUTCOMES as BASE_OUTCOMES
