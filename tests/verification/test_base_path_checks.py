@@ -19,7 +19,7 @@ from momapos.verification.plan_check import verify_files
 
 SIDEWAYS, TIGHT = (
     "base path moves sideways, which its drive cannot",
-    "base path turns tighter than the base can",
+    "base path turns tighter than its drive can",
 )
 
 

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from door_case import BASE, JOINTS, OPEN, arm_path, make_case, tool_poses
-from tests import optional
-from tests.real import TOOLS
+from independent_check import INDEPENDENT_NAMES, independent_verdicts
 from tests.shapes import unchecked
 
 from momapos.core.errors import TaskError, UnknownNameError
@@ -33,27 +26,6 @@ from momapos.verification.report import Limits
 from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.sweep import deepest
 from mutations import MUTATIONS
-
-RUN_INDEPENDENT = """
-import json, sys, types
-from pathlib import Path
-import verify_plan
-options = types.SimpleNamespace(skip_approach=False, allow_hinge_grasp=False)
-for path in map(Path, sys.argv[1:]):
-    report, _ = verify_plan.verify(json.loads(path.read_text()), path.parent, None, options)
-    print(json.dumps({check["check"]: (check["ok"], check["value"]) for check in report.checks}))
-"""
-
-INDEPENDENT_NAMES = {
-    "q, object_q, T_world_tool have equal length >= 2": (
-        "same number (2 or more) of q, object_q, T_world_tool"
-    ),
-    "moved part collision with the scene": "moved part in the room",
-    "base collision with the scene": "base in the scene",
-    "arm collision with the scene": "arm in the scene",
-    "robot self-collision": "robot in itself",
-}
-"""Names of checks that the independent checker spells differently."""
 
 
 @pytest.fixture(scope="module")
@@ -136,17 +108,6 @@ def test_the_independent_checker_allows_the_same_initial_overlap(tmp_path: Path)
         (ours,) = (check for check in verify_files(path).checks if check.name == collision)
         other = theirs[INDEPENDENT_NAMES[collision]][0]
         assert ours.ok == other == (key[0] == "leaves"), key
-
-
-def independent_verdicts(plans: Mapping[Any, Path]) -> list[dict[str, tuple[bool, float]]]:
-    """Return verdict and value of each check of the independent checker, for each plan."""
-    command = [sys.executable, "-c", RUN_INDEPENDENT, *map(str, plans.values())]
-    other = subprocess.run(
-        command, capture_output=True, text=True, cwd=optional.there(TOOLS, "independent checker"),
-        env={**os.environ, "PYTHONPATH": "."},
-    )  # fmt: skip
-    assert other.returncode == 0, other.stderr
-    return [json.loads(line) for line in other.stdout.splitlines()]
 
 
 def test_non_finite_numbers_are_rejected(world: PlanVerifier, motion: Motion) -> None:

@@ -119,7 +119,7 @@ MALFORMED: dict[str, tuple[str, str]] = {
     "a list": ("[]", "object"),
     "a scene": ('{"format": "momapos-scene", "version": 1}', "momapos-plan"),
     "no format": ("{}", "momapos-plan"),
-    "a later version": (text(lambda d: d.update(version=2)), "version 2"),
+    "a later version": (text(lambda d: d.update(version=3)), "version 3"),
     "version as text": (text(lambda d: d.update(version="1")), "version '1'"),
     "version as truth": (text(lambda d: d.update(version=True)), "version True"),
     "NaN": (WHOLE.replace("0.7", "NaN", 1), "invalid JSON"),

@@ -66,7 +66,7 @@ def test_the_answer_has_a_path_that_verification_accepts(
     report = verify_files(tmp_path / "drawer.json")
     assert report.valid
     names = [check.name for check in report.checks]
-    assert "base path turns tighter than the base can" in names
+    assert "base path turns tighter than its drive can" in names
     # The same path is not valid for a base that turns less.
     lazy = replace(plan, robot_min_turning_radius=2 * robot.min_turning_radius)
     write_plan(lazy, tmp_path / "lazy.json")

@@ -2,6 +2,7 @@ from .advice import with_advice as with_advice
 from .base_pose_check import BasePoseChecks as BasePoseChecks
 from .base_pose_check import check_pose as check_pose
 from .base_pose_check import plan_at_pose as plan_at_pose
+from .config import BaseUse as BaseUse
 from .config import PipelineConfig as PipelineConfig
 from .floor_survey import FloorSurvey as FloorSurvey
 from .floor_survey import survey_floor as survey_floor

@@ -116,6 +116,7 @@ class BasePaths:
             found = check(base, screened, ways)
             if found.motion is None:
                 return found
+            base = base if found.base is None else found.base
             with self.query.watch.stage("path"):
                 path = self._paths[base.tobytes()] = plan_path(nav_map, self.start, base)
             if path is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from momapos.core import InputError, refuse_above, refuse_below
 from momapos.planning.arm_motion import PlannerConfig
@@ -12,6 +13,7 @@ from momapos.planning.placement import PlaceConfig
 
 MAX_SAMPLES, MAX_BATCHES, MAX_GROUP = 100_000, 12, 1_000
 """Bounds of the counts of the paper's method [-]."""
+BaseUse = Literal["fixed", "stops", "moving", "auto"]
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,9 @@ class PipelineConfig:
     paper: PaperConfig = field(default_factory=PaperConfig)
     baselines: BaselineConfig = field(default_factory=BaselineConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
+    base: BaseUse = "fixed"
+    """Whether the base stands at one pose, may stop up to three times where none serves the task
+    (stops), may move while the hand holds (moving), or whichever works first (auto)."""
     arm_clearance: float = 0.003
     """Distance that the arm's spheres keep from everything [m]."""
     timeout: float = 120.0

@@ -14,6 +14,7 @@ from momapos.planning.grasps import TaskMotion, hand_path, task_motion
 from momapos.planning.importance import Selection, rank
 from momapos.planning.placement import OURS, search
 
+from .base_use import with_other_use
 from .max_opening_plan import plan_max_opening
 from .narrower_hands import with_narrower_hand
 from .query import PlacementQuery
@@ -48,6 +49,11 @@ def plan_placement(query: PlacementQuery) -> PlacementResult:
 
 def plan_to_value(query: PlacementQuery) -> PlacementResult:
     """Answer the query for the value that its task names."""
+    return with_other_use(query, _from_one_pose(query), _from_one_pose)
+
+
+def _from_one_pose(query: PlacementQuery) -> PlacementResult:
+    """Answer the query with a base that stands at one pose."""
     scene, robot, task, config = query.scene, query.robot, query.task, query.config
     watch = query.watch
     with watch.stage("importance"):
@@ -71,7 +77,7 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
         plan=replace(result.plan, key_objects=selection.record(), timing=watch.timing),
     )
     infeasible = result.plan.status == "infeasible"
-    return with_narrower_hand(query, answer, plan_to_value) if infeasible else answer
+    return with_narrower_hand(query, answer, _from_one_pose) if infeasible else answer
 
 
 def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> PlacementResult:

@@ -100,6 +100,10 @@ class SearchSetup:
         for two, again in two_grasp_searches(self.two_grasps(), place):
             yield self.with_grasps(two), again
 
+    def accepted(self, check: AttemptPose) -> AttemptPose:
+        """Extend a check by the path to the base pose and by base-pose robustness."""
+        return _accepted(check, self.drives, self.robust)
+
     def with_grasps(self, variant: SlidingHook | TwoGrasps) -> Problem:
         """Return the problem, solved with more than one grasp."""
         attempt = _accepted(variant, self.drives, self.robust)

@@ -17,7 +17,12 @@ from momapos.model.records import Motion, MotionLoads, PlacementPlan, Task
 from momapos.model.scene import ResistanceConfig, Scene
 
 from . import path_checks as paths
-from .base_path_checks import base_path_checks, wheel_checks
+from .base_path_checks import (
+    base_path_checks,
+    known_base_checks,
+    moving_base_checks,
+    wheel_checks,
+)
 from .exact_shapes import Shapes
 from .floor_contact import depths_below_floor, dips
 from .latch_checks import known_latch_checks, latch_checks
@@ -26,7 +31,7 @@ from .moved_part import split
 from .outline_note import outside_note
 from .overlaps import Overlaps
 from .part_sweep import part_sweep_check
-from .polygon import outside
+from .polygon import farthest_outside
 from .report import DEFAULT, Check, Limits, Report, at_most
 from .robot_collision_model import RobotDescription, robot_collision_model
 from .robot_efforts import robot_efforts
@@ -50,7 +55,8 @@ class _Placed:
     Ts_body: Float[np.ndarray, "s r 4 4"]
     """Bodies of the robot."""
     Ts_tool: Float[np.ndarray, "s 4 4"]
-    Ts_base: Float[np.ndarray, "1 b 4 4"]
+    Ts_base: Float[np.ndarray, "#s b 4 4"]
+    """One pose of each shape if the base stands still."""
     Ts_arm: Float[np.ndarray, "s a 4 4"]
     Ts_part: Float[np.ndarray, "s p 4 4"]
 
@@ -69,6 +75,7 @@ class PlanVerifier:
         self.scene = scene
         self.task = task
         self.robot_model = robot_collision_model(robot)
+        self._drive, self._radius = robot.drive, robot.min_turning_radius
         self.part, self.fixed, own = split(scene, task)
         self.part_sweep = part_sweep_check(self.part, self.fixed, own, limits)
         self._efforts = robot_efforts(
@@ -101,11 +108,11 @@ class PlanVerifier:
         return self.part_sweep.first_hit(goal)
 
     def check(self, base_pose: tuple[float, float, float], motion: Motion) -> Report:
-        """Check a motion at a base pose.
+        """Check a motion from a base pose on.
 
         Args:
-            base_pose: x [m], y [m], yaw [rad] of the base link on the floor.
-            motion: The motion of the arm and the object.
+            base_pose: x [m], y [m], yaw [rad] of the base link on the floor, at the approach.
+            motion: The motion of the arm and the object, and of the base if it moves.
         """
         checks, placed = self._checks(base_pose, motion)
         if placed is None:
@@ -132,7 +139,8 @@ class PlanVerifier:
     ) -> MeasuredLoads:
         force, point = self._hand_load.along(motion, placed.path, placed.Ts_tool)
         needs = self._efforts.efforts(placed.Ts_body, force, point)
-        stability = self._efforts.stability(base_pose, placed.Ts_body, force, point)
+        bases = base_pose if placed.path.base is None else placed.path.base
+        stability = self._efforts.stability(bases, placed.Ts_body, force, point)
         none = np.zeros((1, 3))
         at_first = self._efforts.stability(base_pose, placed.Ts_body[:1], none, none)
         if at_first is not None and at_first[0] < self.limits.stability:
@@ -149,6 +157,7 @@ class PlanVerifier:
         """Return all checks, and the poses; no poses if the motion is not well formed."""
         checks = list(paths.number_checks(self.part, motion, base_pose))
         checks += known_latch_checks(self.part, motion)
+        checks += known_base_checks(base_pose, motion, self._drive)
         if all(check.ok for check in checks):
             checks += paths.hold_checks(self.part, motion)
         if not all(check.ok for check in checks):
@@ -209,8 +218,9 @@ class PlanVerifier:
 
     def _placed(self, base_pose: tuple[float, float, float], motion: Motion) -> _Placed:
         path = paths.dense_path(motion, self.limits.step)
-        Ts_body = self.robot_model.body_poses(base_pose, path.q)
-        Ts_tool, Ts_base, Ts_arm = self.robot_model.poses(Ts_body)
+        bases = base_pose if path.base is None else path.base
+        Ts_body = self.robot_model.body_poses(bases, path.q)
+        Ts_tool, Ts_base, Ts_arm = self.robot_model.poses(Ts_body, base_moves=motion.moves_base)
         Ts = paths.part_poses(self.part, self.task.verb, path, Ts_tool)
         return _Placed(path, Ts_body, Ts_tool, Ts_base, Ts_arm, self.part.placed_at(Ts))
 
@@ -222,17 +232,18 @@ class PlanVerifier:
         yield from paths.joint_checks(robot, motion, limits)
         yield from paths.home_checks(motion, limits)
         yield from time_checks(robot, motion, limits)
+        yield from moving_base_checks(path, motion, self._drive, self._radius, limits)
         yield from paths.tool_checks(Ts_planned, motion, limits)
         yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
         yield paths.reach_check(part, self.task.verb, motion, Ts_planned, limits)
         Ts_way, where = self._part_path(placed.Ts_part, path)
         yield self._part_check(Ts_way, where)
         yield self._part_above_floor(Ts_way, where)
-        yield self._base_check(placed.Ts_base, Ts_way, where)
+        yield self._base_check(placed, Ts_way, where)
         yield self._arm_check(placed.Ts_arm, placed.Ts_part, path)
         yield self._self_check(placed.Ts_base, placed.Ts_arm, path)
         yield _above_floor(self._arm, placed.Ts_arm, path, limits)
-        yield from self._on_floor(placed.Ts_base)
+        yield from self._on_floor(placed)
 
     def _part_path(
         self, Ts_part: Float[np.ndarray, "s p 4 4"], path: paths.DensePath
@@ -278,21 +289,23 @@ class PlanVerifier:
         )
 
     def _base_check(
-        self,
-        Ts_base: Float[np.ndarray, "1 b 4 4"],
-        Ts_way: Float[np.ndarray, "w p 4 4"],
-        where: Callable[[int], str],
+        self, placed: _Placed, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
     ) -> Check:
-        """Check the base against the scene, and against the part on its whole path."""
-        fixed, part = self.fixed, self.part
+        """Check the base against the scene, and against the part on its whole path.
+
+        A base that moves is checked against the part where it is at that state.
+        """
+        fixed, part, path = self.fixed, self.part, placed.path
+        at: Callable[[int], str] = lambda _: "all states"  # noqa: E731
+        if path.base is not None:
+            Ts_way, where, at = placed.Ts_part, path.where, path.where
         found = Overlaps(self.limits.penetration)
         found.add(
-            self._base, Ts_base, fixed, fixed.Ts_body_shape[None],
-            self._base_fixed, lambda _: "all states",
-        )  # fmt: skip
+            self._base, placed.Ts_base, fixed, fixed.Ts_body_shape[None], self._base_fixed, at
+        )
         found.add(
-            part.shapes, Ts_way, self._base, Ts_base, self._part_base, where, swapped=True,
-        )  # fmt: skip
+            part.shapes, Ts_way, self._base, placed.Ts_base, self._part_base, where, swapped=True
+        )
         return found.check("base collision with the scene")
 
     def _arm_check(
@@ -310,7 +323,7 @@ class PlanVerifier:
 
     def _self_check(
         self,
-        Ts_base: Float[np.ndarray, "1 b 4 4"],
+        Ts_base: Float[np.ndarray, "#s b 4 4"],
         Ts_arm: Float[np.ndarray, "s a 4 4"],
         path: paths.DensePath,
     ) -> Check:
@@ -326,17 +339,15 @@ class PlanVerifier:
         )
         return float(depth.max(initial=0.0))
 
-    def _on_floor(self, Ts_base: Float[np.ndarray, "1 b 4 4"]) -> Iterator[Check]:
+    def _on_floor(self, placed: _Placed) -> Iterator[Check]:
         polygon = self.scene.floor_polygon
         if polygon is None:
             return
-        outlines = [self._base.outline(index) for index in range(len(self._base))]
-        points = [x @ T[:2, :3].T + T[:2, 3] for x, T in zip(outlines, Ts_base[0], strict=True)]
-        balls = np.repeat(self._base.ball, [len(x) for x in outlines])
-        gaps = outside(polygon, np.concatenate([np.empty((0, 2)), *points])) + balls
-        worst = float(gaps.max(initial=0.0))
+        worst, state = farthest_outside(polygon, self._base, placed.Ts_base)
         limit = self.limits.floor_edge
-        yield at_most("base outside the floor polygon", 1000 * worst, 1000 * limit, "mm")
+        moves = placed.path.base is not None and worst > limit
+        detail = placed.path.where(state) if moves else ""
+        yield at_most("base outside the floor polygon", 1000 * worst, 1000 * limit, "mm", detail)
 
     def _notes(self, placed: _Placed, gripper_depth: float) -> tuple[str, ...]:
         path, outside = placed.path, self._outside(placed)

@@ -75,17 +75,17 @@ def bodies_of(model: Articulated) -> LinkBodies:
 
 
 def body_poses(
-    bodies: LinkBodies, values: Values, T_world_root: Float[np.ndarray, "4 4"]
+    bodies: LinkBodies, values: Values, T_world_root: Float[np.ndarray, "*#s 4 4"]
 ) -> Float[np.ndarray, "s b 4 4"]:
     """Return world poses of all bodies for a batch of states.
 
     Args:
         bodies: The model.
         values: Joint values [rad] or [m], one per joint or one per state; other joints are at rest.
-        T_world_root: Pose of the root link.
+        T_world_root: Pose of the root link, one for all states or one for each.
     """
-    count = max((np.size(value) for value in values.values()), default=1)
-    poses = [T_world_root[None]]
+    poses = [T_world_root.reshape(-1, 4, 4)]
+    count = max([len(poses[0]), *(np.size(value) for value in values.values())])
     for body in range(1, len(bodies)):
         joint = bodies.joints[body]
         assert joint is not None

@@ -42,6 +42,8 @@ class DensePath:
     """Number of states in the approach."""
     latch_q: Float[np.ndarray, " s"] | None = None
     """Value of the latch [rad] or [m]; None if no latch is turned."""
+    base: Float[np.ndarray, "s 3"] | None = None
+    """x [m], y [m], yaw [rad] of the base at each state; None if it stands still."""
 
     @property
     def planned(self) -> Int[np.ndarray, " m"]:
@@ -60,6 +62,19 @@ def from_grasp(motion: Motion) -> Float[np.ndarray, "s n"]:
     return motion.q if motion.home is None else np.concatenate([motion.q, motion.home])
 
 
+def _coordinates(motion: Motion) -> Float[np.ndarray, "s c"]:
+    """Return what moves from the grasp on: the arm and, with a moving base, base and part.
+
+    Base and part rest during the path home.
+    """
+    q = from_grasp(motion)
+    if motion.base is None:
+        return q
+    others = np.column_stack([motion.base, motion.object_q])
+    rest = np.tile(others[-1], (len(q) - len(others), 1))
+    return np.column_stack([q, np.concatenate([others, rest])])
+
+
 def home_checks(motion: Motion, limits: Limits) -> Iterator[Check]:
     """Check that the path home ends where the approach starts."""
     if motion.home is not None and len(motion.approach):
@@ -69,7 +84,7 @@ def home_checks(motion: Motion, limits: Limits) -> Iterator[Check]:
 
 def count_states(motion: Motion, step: float) -> float:
     """Return how many states `dense_path` would have."""
-    both = motion.approach, from_grasp(motion)
+    both = motion.approach, _coordinates(motion)
     return float(sum(_pieces(q, step).sum() + 1 for q in both if len(q)))
 
 
@@ -81,9 +96,11 @@ def count_cuts(values: Float[np.ndarray, " s"], step: float, least: int) -> floa
 def dense_path(motion: Motion, step: float) -> DensePath:
     """Interpolate states so that no joint moves more than a step [rad] or [m].
 
-    The object's joint rests during the path home.
+    A moving base, and the part that moves with it, don't move more either. The object's joint rests
+    during the path home.
     """
-    q, at = _densify(from_grasp(motion), step)
+    whole, at = _densify(_coordinates(motion), step)
+    q, base = whole[:, : motion.q.shape[1]], None
     before, at_before = q[:0], at[:0]
     if len(motion.approach):
         before, at_before = _densify(motion.approach, step)
@@ -92,12 +109,16 @@ def dense_path(motion: Motion, step: float) -> DensePath:
         held = np.interp(at, np.arange(len(values)), values)
         return np.concatenate([np.full(len(before), values[0]), held])
 
+    if motion.base is not None:
+        first = np.tile(motion.base[0], (len(before), 1))
+        base = np.concatenate([first, whole[:, q.shape[1] :][:, :3]])
     return DensePath(
         q=np.concatenate([before, q]),
         object_q=along(motion.object_q),
         at=np.concatenate([at_before, at]),
         approach=len(before),
         latch_q=None if motion.latch_q is None else along(motion.latch_q),
+        base=base,
     )
 
 
@@ -144,7 +165,7 @@ def number_checks(
         min(lengths) == max(lengths) >= least,
         str(lengths),
     )
-    extra = tuple(a for a in (motion.home, motion.latch_q) if a is not None)
+    extra = tuple(a for a in (motion.home, motion.latch_q, motion.base) if a is not None)
     if motion.home is not None:
         yield verdict("path home is not empty", len(motion.home) > 0)
     arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool, *extra)

@@ -26,6 +26,10 @@ class UrdfArm:
     tool_link: str
     moved_joints: tuple[str, ...]
     disabled: frozenset[frozenset[str]]
+    drive: str | None = None
+    """How the base drives; None in older plans, whose base stands still."""
+    min_turning_radius: float | None = None
+    """Least turning radius of a car-like base [m]."""
 
 
 def verify_files(
@@ -134,4 +138,7 @@ def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None, cache: Cache | None
     disabled = frozenset() if srdf is None else read_srdf(srdf)
     record = read_urdf(urdf, cache=cache, visuals=False, actuated=True)
     model = Articulated(record, plan.robot_rest, cache)
-    return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)
+    return UrdfArm(
+        model, plan.base_link, plan.tool_link, plan.joints, disabled,
+        plan.robot_drive, plan.robot_min_turning_radius,
+    )  # fmt: skip

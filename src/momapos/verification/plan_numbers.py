@@ -11,7 +11,7 @@ from momapos.model.records import Motion, PlacementPlan
 from momapos.model.scene import Scene, with_assumptions
 
 from . import path_checks as paths
-from .base_path_checks import base_path_checks
+from .base_path_checks import base_path_checks, known_base_checks
 from .exact_check import PlanVerifier
 from .latch_checks import known_latch_checks, latch_checks
 from .report import Check, at_most
@@ -52,11 +52,13 @@ def _checks(verifier: PlanVerifier, plan: PlacementPlan) -> Iterator[Check]:
     assert base is not None
     yield from paths.number_checks(verifier.part, motion, base)
     yield from known_latch_checks(verifier.part, motion)
+    yield from known_base_checks(base, motion, plan.robot_drive)
     yield from paths.hold_checks(verifier.part, motion)
     yield from joint_number_checks(verifier, motion)
     states = paths.count_states(motion, limits.step)
     yield at_most("states to check", states, limits.states)
-    Ts_tool, _, _ = verifier.robot_model.poses(verifier.robot_model.body_poses(base, motion.q))
+    bases = base if motion.base is None else motion.base
+    Ts_tool, _, _ = verifier.robot_model.poses(verifier.robot_model.body_poses(bases, motion.q))
     yield from paths.tool_checks(Ts_tool, motion, limits)
     if plan.start is not None and plan.base_path is not None:
         yield from base_path_checks(plan.base_path, np.array([plan.start, base]), limits)

@@ -34,6 +34,10 @@ class RobotDescription(Protocol):
     def moved_joints(self) -> tuple[str, ...]: ...
     @property
     def disabled(self) -> frozenset[frozenset[str]]: ...
+    @property
+    def drive(self) -> str | None: ...
+    @property
+    def min_turning_radius(self) -> float | None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,21 +66,24 @@ class RobotCollisionModel:
     arm_arm_pairs: Int[np.ndarray, "r 2"]
 
     def body_poses(
-        self, base_pose: Sequence[float], q: Float[np.ndarray, "s n"]
+        self, base_pose: Sequence[float] | Float[np.ndarray, "s 3"], q: Float[np.ndarray, "s n"]
     ) -> Float[np.ndarray, "s r 4 4"]:
-        """Return world poses of all bodies."""
+        """Return world poses of all bodies, with the base at one pose or at a pose per state."""
         values = {name: q[:, i] for i, name in enumerate(self.joints)}
         T_world_root = pose_planar(np.array(base_pose)) @ self.T_base_root
         return body_poses(self.bodies, values, T_world_root)
 
     def poses(
-        self, Ts: Float[np.ndarray, "s r 4 4"]
+        self, Ts: Float[np.ndarray, "s r 4 4"], *, base_moves: bool = False
     ) -> tuple[
-        Float[np.ndarray, "s 4 4"], Float[np.ndarray, "1 b 4 4"], Float[np.ndarray, "s a 4 4"]
+        Float[np.ndarray, "s 4 4"], Float[np.ndarray, "#s b 4 4"], Float[np.ndarray, "s a 4 4"]
     ]:
-        """Return world poses of the tool, of the base's shapes and of the arm's, from bodies'."""
+        """Return world poses of the tool, of the base's shapes and of the arm's, from bodies'.
+
+        The base's shapes have one pose unless the base moves.
+        """
         T_tool = Ts[:, self.tool_body] @ self.T_body_tool
-        return T_tool, self.base.placed(Ts[:1]), self.arm.placed(Ts)
+        return T_tool, self.base.placed(Ts if base_moves else Ts[:1]), self.arm.placed(Ts)
 
 
 def robot_collision_model(robot: RobotDescription) -> RobotCollisionModel:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -74,14 +75,15 @@ class RobotEfforts:
 
     def stability(
         self,
-        base_pose: tuple[float, float, float],
+        base_pose: Sequence[float] | Float[np.ndarray, "s 3"],
         Ts: Float[np.ndarray, "s b 4 4"],
         force: Float[np.ndarray, "s 3"],
         point: Float[np.ndarray, "s 3"],
     ) -> Float[np.ndarray, " s"] | None:
         """Return how far inside the support the floor's reaction acts at each state [m].
 
-        None if masses or wheels are unknown; negative where the robot tips over.
+        None if masses or wheels are unknown; negative where the robot tips over. The base is at
+        one pose or at a pose per state.
         """
         if self.support is None:
             return None
@@ -93,7 +95,7 @@ class RobotEfforts:
         # The reaction (0, 0, up) at (x, y, 0) has the moment (y up, -x up, 0).
         reaction = np.column_stack([moment[:, 1], -moment[:, 0]]) / up[:, None]
         T = pose_planar(np.array(base_pose))
-        local = (reaction - T[:2, 3]) @ T[:2, :2]
+        local = np.einsum("...i,...ij->...j", reaction - T[..., :2, 3], T[..., :2, :2])
         return np.where(up > 0.0, -outside(self.support, local), -np.inf)
 
 

@@ -71,13 +71,13 @@ def _sequence(tour: TourFile, plans: list[PlacementPlan], allow_assumed: bool) -
             _joints_after(before) == _joints(after),
             f"{_joints(after)}, previous plan leaves {_joints_after(before)}",
         )  # fmt: skip
-        ends = np.array([before.base_pose or [np.nan] * 3, after.start or [np.nan] * 3])
+        ends = np.array([before.final_base_pose or [np.nan] * 3, after.start or [np.nan] * 3])
         off = float(np.abs(np.diff(ends, axis=0)).max())
         yield at_most(f"{name}: base starts where the previous plan ends", off, 1e-6, "rad|m")
         came_home = before.motion is not None and before.motion.home is not None
         yield verdict(f"{name}: arm has returned home", came_home)
         if stops[number - 1] == stops[number - 2]:
-            stays = before.base_pose == after.base_pose
+            stays = before.final_base_pose == after.base_pose
             yield verdict(f"{name}: base stays at its stop", stays)
 
 

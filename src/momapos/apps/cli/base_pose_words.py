@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import get_args
 
 from momapos.core import TaskError, parse_quantity
+from momapos.planning import BaseUse
 
 
 def parse_pose(text: str, name: str) -> list[float]:
@@ -21,6 +23,14 @@ def parse_pose(text: str, name: str) -> list[float]:
     if not yaw.unit and abs(yaw.value) > 2 * math.pi:
         raise TaskError(f"{name} {text!r}: a yaw of {yaw.value:g} rad; did you mean {yaw.text}deg?")
     return [x.length(f"{name}: X"), y.length(f"{name}: Y"), yaw.angle(f"{name}: YAW")]
+
+
+def parse_base(text: str) -> BaseUse:
+    """Parse how --base lets the base serve a task."""
+    for use in get_args(BaseUse):
+        if text == use:
+            return use  # type: ignore[no-any-return]
+    raise TaskError(f"--base {text!r} is none of {', '.join(get_args(BaseUse))}")
 
 
 def parse_robust(text: str) -> tuple[float, float]:

@@ -42,6 +42,7 @@ ObjectArg = Annotated[Positional[str], arg(metavar="OBJECT")]
 PoseArg = Annotated[Text, optional("X,Y,YAW")]
 ValueArg = Annotated[Text, optional("VALUE")]
 RobustArg = Annotated[Text, optional("LENGTH,ANGLE")]
+BaseArg = Annotated[Text, optional("fixed|stops|moving|auto")]
 BoxArg = Annotated[Text, optional("LxWxH")]
 if TYPE_CHECKING:
     JointsArg = tuple[str, ...]

@@ -14,7 +14,7 @@ from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene, refuse_unknown_object
 from momapos.planning.placement import OURS
 
-from .base_pose_words import parse_pose, parse_robust
+from .base_pose_words import parse_base, parse_pose, parse_robust
 from .configuration import (
     NO_SETTINGS,
     PIPELINE,
@@ -25,6 +25,7 @@ from .loading import load_arms_with_maps, load_scene_with_joints, other_robots
 from .options import (
     EXIT_STATUS,
     AreasArg,
+    BaseArg,
     Flag,
     JointsArg,
     ObjectArg,
@@ -69,6 +70,9 @@ class Options(SearchOptions):
     """Longest drive, such as 3m."""
     robust: RobustArg = None
     """Require that replanning succeeds from all base poses this near, such as 0.05m,3deg."""
+    base: BaseArg = None
+    """How the base may serve a task that no single pose serves: stops (up to three), moving (while
+    the hand holds), or auto (whichever works first) (default: fixed)."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = 100
@@ -90,9 +94,11 @@ class Options(SearchOptions):
 
         Raises:
             InputError: A setting is unknown, or out of range.
-            TaskError: --robust is not a length and an angle.
+            TaskError: --robust is not a length and an angle, or --base not a known word.
         """
         config = self.load_config(self.settings, SETTINGS).pipeline
+        if self.base is not None:
+            config = replace(config, base=parse_base(self.base))
         if self.robust is None:
             return config
         radius, turn = parse_robust(self.robust)
@@ -284,6 +290,8 @@ def _read_query(options: Options, scene: Scene, config: PipelineConfig) -> _ArmQ
         raise TaskError("--at checks one base pose; leave out areas, --facing and --most-driving")
     if at is not None and options.robust is not None:
         raise TaskError("--at checks one base pose and reports its tolerance; leave out --robust")
+    if at is not None and options.base is not None:
+        raise TaskError("--at checks one base pose; leave out --base")
     return _ArmQuery(start, at, region, config, options.seed)
 
 

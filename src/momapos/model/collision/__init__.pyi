@@ -15,6 +15,7 @@ from .arm_collision import scratch_of as scratch_of
 from .base_collision import BoxBetween as BoxBetween
 from .base_collision import OrientedBox as OrientedBox
 from .base_collision import base_hits as base_hits
+from .base_collision import base_hits_moving as base_hits_moving
 from .base_collision import boxes_apart as boxes_apart
 from .collision_world import CELL as CELL
 from .collision_world import CollisionWorld as CollisionWorld

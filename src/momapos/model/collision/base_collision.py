@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core.compiled import F1, F2, entry, kernel
+from momapos.core.compiled import F1, F2, F3, F4, I1, entry, kernel
 from momapos.model.kinematics import BoxArrays
-from momapos.model.urdf import Boxes
+from momapos.model.urdf import Boxes, MovingBoxes
 
 from .arm_collision import FREE
 
@@ -140,6 +140,44 @@ def base_hits(
         clearance,
     )
     return np.append(near, FREE)[hits]
+
+
+@entry
+def _hit_moving(
+    bases: F2, value: I1, base: BoxArrays, center: F3, rotation: F4, half: F3, clearance: float
+) -> np.ndarray:
+    out = np.empty(len(bases), np.int64)
+    for n in range(len(bases)):
+        v = value[n]
+        boxes = BoxArrays(center[v], rotation[v], half[v])
+        out[n] = _hit(bases[n : n + 1], base, boxes, clearance)[0]
+    return out
+
+
+def base_hits_moving(
+    bases: Float[np.ndarray, "n 3"],
+    value: Int[np.ndarray, " n"],
+    base: Boxes,
+    moving: MovingBoxes,
+    *,
+    clearance: float,
+) -> Int[np.ndarray, " n"]:
+    """Return the index of the first moving box that each base pose hits, or FREE.
+
+    Args:
+        bases: Base poses (x [m], y [m], yaw [rad]).
+        value: Index of the joint's value at each.
+        base: The base in its own frame.
+        moving: The moving boxes in the world frame.
+        clearance: Required distance [m].
+    """
+    return _hit_moving(
+        np.ascontiguousarray(bases, float),
+        np.ascontiguousarray(value),
+        BoxArrays(base.center, base.rotation, base.half),
+        *map(np.ascontiguousarray, (moving.center, moving.rotation, moving.half)),
+        clearance,
+    )
 
 
 def _near(

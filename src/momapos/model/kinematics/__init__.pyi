@@ -7,6 +7,7 @@ from .chain import chain_limits as chain_limits
 from .chain import forward as forward
 from .chain import rotate_by as rotate_by
 from .chain import stand_at_origin as stand_at_origin
+from .chain import with_base_slides as with_base_slides
 from .chain import with_tool_turn as with_tool_turn
 from .closed_forms import MAX_BRANCHES as MAX_BRANCHES
 from .closed_forms import NUMERIC as NUMERIC

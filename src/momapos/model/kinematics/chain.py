@@ -239,6 +239,32 @@ def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upp
     )
 
 
+def with_base_slides(chain: Chain, directions: Float[np.ndarray, "k 3"], travel: float) -> Chain:
+    """Return a chain that begins with slides of the base.
+
+    Args:
+        chain: The chain.
+        directions: Unit directions in which the base slides, in its own frame.
+        travel: How far it slides to either side [m].
+    """
+    count = len(directions)
+    names = tuple(f"base slide {k}" for k in range(count))
+    return replace(
+        chain,
+        names=(*names, *chain.names),
+        joints=(*names, *chain.joints),
+        dof=np.concatenate([np.arange(count), chain.dof + count]),
+        ratio=np.concatenate([np.ones(count), chain.ratio]),
+        offset=np.concatenate([np.zeros(count), chain.offset]),
+        h=np.vstack([directions, chain.h]),
+        d=np.vstack([np.zeros((count, 3)), chain.d]),
+        slides=np.concatenate([np.ones(count, bool), chain.slides]),
+        lower=np.concatenate([np.full(count, -travel), chain.lower]),
+        upper=np.concatenate([np.full(count, travel), chain.upper]),
+        velocity=np.concatenate([np.full(count, np.inf), chain.velocity]),
+    )
+
+
 def _between(model: Articulated, tool_link: str, names: Sequence[str]) -> list[Joint]:
     """Return the joints that move with the given ones and carry the tool, base to tool."""
     return [

@@ -1,4 +1,4 @@
-"""Closed-form inverse kinematics of six-joint arms with parallel or intersecting axes.
+"""Closed-form inverse kinematics of six-joint arms: parallel or intersecting axes, or slides.
 
 Source: Elias and Wen, IK-Geo: Unified robot inverse kinematics using subproblem decomposition
 (2022).
@@ -12,12 +12,13 @@ from momapos.core.compiled import kernel
 
 from .subproblems import add, cross, dot, mul, mul_t, neg, rot, row, sp1, sp3, sp4, sub
 
-NUMERIC, WRIST_PARALLEL, WRIST_MEETING, THREE_PARALLEL = 0, 1, 2, 3
+NUMERIC, WRIST_PARALLEL, WRIST_MEETING, THREE_PARALLEL, SLIDES = 0, 1, 2, 3, 4
 NAMES = {
     NUMERIC: "numerical, seeded",
     WRIST_PARALLEL: "closed form: spherical wrist, axes 2 and 3 parallel",
     WRIST_MEETING: "closed form: spherical wrist, axes 1 and 2 meet",
     THREE_PARALLEL: "closed form: axes 2, 3 and 4 parallel",
+    SLIDES: "closed form: three slides, then three revolute axes",
 }
 MAX_BRANCHES = 8
 """Largest number of solutions of any of these arms for one tool pose [-]."""
@@ -64,25 +65,61 @@ def spherical(kind, h, o, c0, R06, c, out):
     """Write all branches of an arm with a spherical wrist; return the count."""
     count = _first_three_wrist(kind, h, o, c0, c, out)
     h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
-    h4, h5, h6 = row(h, 3), row(h, 4), row(h, 5)
+    h5, h6 = row(h, 4), row(h, 5)
     total = count
     for i in range(count):
         q1, q2, q3 = out[i, 0], out[i, 1], out[i, 2]
         x6 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h6))))
         x5 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h5))))
-        n5, a5, b5 = sp4(h4, h6, h5, dot(h4, x6))
-        if n5 == 0:
+        if not _last_three(h, x5, x6, i, total, out):
             out[i, 4] = np.nan
             continue
-        for j in range(2):
-            q5 = a5 if j == 0 else b5
-            k = i if j == 0 else total
-            out[k, 0], out[k, 1], out[k, 2], out[k, 4] = q1, q2, q3, q5
-            out[k, 3] = sp1(rot(h5, q5, h6), x6, h4)
-            # Given q4: if axes 4 and 6 align, only the sum of both angles is determined.
-            out[k, 5] = sp1(h5, rot(h5, -q5, rot(h4, -out[k, 3], x5)), h6)
+        out[total, 0], out[total, 1], out[total, 2] = q1, q2, q3
         total += 1
     return total
+
+
+@kernel
+def _last_three(h, x5, x6, i, k, out):
+    """Write both values of joints 4 to 6 that turn axes 5 and 6 to x5 and x6 to rows i and k.
+
+    Returns whether there are any.
+    """
+    h4, h5, h6 = row(h, 3), row(h, 4), row(h, 5)
+    found, a5, b5 = sp4(h4, h6, h5, dot(h4, x6))
+    for j in range(found):
+        at, q5 = (i, a5) if j == 0 else (k, b5)
+        out[at, 3], out[at, 4] = sp1(rot(h5, q5, h6), x6, h4), q5
+        # Given q4: if axes 4 and 6 align, only the sum of both angles is determined.
+        out[at, 5] = sp1(h5, rot(h5, -q5, rot(h4, -out[at, 3], x5)), h6)
+    return found > 0
+
+
+@kernel
+def slides_and_wrist(h, o, R06, c, out):
+    """Write both branches of three slides before three revolute axes; return the count.
+
+    Args:
+        h: Directions of the slides [m/m], then unit axes.
+        o: Points on the axes in rows 4 to 6.
+        R06: The turn of joints 4 to 6.
+        c: Where the point on axis 6 must be.
+        out: Output (8, 6).
+    """
+    if not _last_three(h, mul(R06, row(h, 4)), mul(R06, row(h, 5)), 0, 1, out):
+        return 0
+    s1, s2, s3 = row(h, 0), row(h, 1), row(h, 2)
+    o4, o5, o6 = row(o, 3), row(o, 4), row(o, 5)
+    across = cross(s2, s3)
+    volume = dot(s1, across)
+    for i in range(2):
+        tip = add(sub(o5, o4), rot(row(h, 4), out[i, 4], sub(o6, o5)))
+        left = sub(c, add(o4, rot(row(h, 3), out[i, 3], tip)))
+        # Cramer's rule.
+        out[i, 0] = dot(left, across) / volume
+        out[i, 1] = dot(s1, cross(left, s3)) / volume
+        out[i, 2] = dot(s1, cross(s2, left)) / volume
+    return 2
 
 
 @kernel

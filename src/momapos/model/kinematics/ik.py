@@ -14,7 +14,15 @@ import numpy as np
 from momapos.core.compiled import F3, entry, kernel
 
 from .chain import Chain, chain_arrays, chain_limits
-from .closed_forms import MAX_BRANCHES, NUMERIC, THREE_PARALLEL, spherical, three_parallel
+from .closed_forms import (
+    MAX_BRANCHES,
+    NUMERIC,
+    SLIDES,
+    THREE_PARALLEL,
+    slides_and_wrist,
+    spherical,
+    three_parallel,
+)
 from .ik_model import SEED_LENGTH, IkModel, build_ik, ik_arrays
 from .kernel_records import ArmArrays, IkScratch, NewtonRule
 from .newton_steps import newton, newton_scratch
@@ -171,6 +179,8 @@ def _branches(s, R_target, p_target, ik, branches, R06):
         c = (p_target[0] + shift[0], p_target[1] + shift[1], p_target[2] + shift[2])
     if kind == THREE_PARALLEL:
         found = three_parallel(h[s], o[s], c0, R06, c, branches)
+    elif kind == SLIDES:
+        found = slides_and_wrist(h[s], o[s], R06, c, branches)
     else:
         found = spherical(kind, h[s], o[s], c0, R06, c, branches)
     if ik.reverse:

@@ -2,9 +2,9 @@
 
 Closed forms exist for six revolute joints with a spherical wrist (axes 4, 5, 6 meet) whose second
 and third axes are parallel or whose first two meet, for the same as seen from the tool (spherical
-shoulder), and for three parallel axes (2, 3, 4) with 5 and 6 meeting (Universal Robots). Longer
-arms have their extra joints locked at sampled values. All other arms use damped Newton steps from
-the seeds with the nearest tool poses.
+shoulder), for three parallel axes (2, 3, 4) with 5 and 6 meeting (Universal Robots), and for three
+slides before three revolute axes. Longer arms have their extra joints locked at sampled values. All
+other arms use damped Newton steps from the seeds with the nearest tool poses.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from .closed_forms import (
     MAX_BRANCHES,
     NAMES,
     NUMERIC,
+    SLIDES,
     THREE_PARALLEL,
     WRIST_MEETING,
     WRIST_PARALLEL,
@@ -32,6 +33,8 @@ from .kernel_records import IkArrays
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+_MIN_VOLUME = 0.1
+"""Three slides span space if their directions span at least this volume [-]."""
 _MAX_DEVIATION = 5e-3
 """Largest deviation from the ideal geometry of a closed form [m] or [rad]."""
 MIN_FREEDOMS = 4
@@ -116,6 +119,9 @@ def build_ik(
             model = _closed_form(chain, np.array(active), samples_per_joint, max_samples)
             if model is not None:
                 return model
+    slides = slides_and_wrist(chain)
+    if slides is not None:
+        return _with_slides(chain, np.array(slides), samples_per_joint, max_samples)
     return _numeric(chain)
 
 
@@ -210,21 +216,84 @@ def _closed_form(chain: Chain, active: np.ndarray, count: int, most: int) -> IkM
     turned = [(h[::-1], o[::-1]) if reverse else (h, o) for h, o, _, _ in placed]
     if any(_classify(h, o) != kind for h, o in turned):
         return None
+    h, o = (np.array(part) for part in zip(*turned, strict=True))
+    wrist = np.array([_meeting(h[4:], o[4:])[0] for h, o in turned])
+    o = np.array([_points(kind, h, o) for h, o in turned])
+    tools = [(R, p) for _, _, R, p in placed]
+    return _of_axes(
+        chain, kind, reverse, active[::-1] if reverse else active, samples, h, o, wrist, tools
+    )
+
+
+def slides_and_wrist(chain: Chain) -> tuple[int, ...] | None:
+    """Return three slides that span space and the last three revolute joints, if they come after.
+
+    Among several such slides, those near the tool are chosen: the others are locked.
+    """
+    alone = np.bincount(chain.dof, minlength=chain.size) == 1
+    wrist = np.flatnonzero(~chain.prismatic & alone)[-3:]
+    last = {int(k): int(np.flatnonzero(chain.dof == k)[-1]) for k in range(chain.size)}
+    slides = np.flatnonzero(chain.prismatic).tolist()
+    if len(wrist) < 3 or any(last[k] > chain.leads[wrist[0]] for k in slides):
+        return None
+    directions = _slide_directions(chain, np.zeros(chain.size))
+    for three in itertools.combinations(slides[::-1], 3):
+        if abs(np.linalg.det(directions[list(three)])) > _MIN_VOLUME:
+            return (*sorted(three), *wrist.tolist())
+    return None
+
+
+def _slide_directions(chain: Chain, sample: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    """Return how the tool moves with each prismatic degree of freedom at a sample [m/m]."""
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
+    stand_at_origin(R, p)
+    forward(sample, chain_arrays(chain), R, p)
+    h = chain.ratio[:, None] * np.einsum("mij,mj->mi", R[:-1], chain.h)
+    out = np.zeros((chain.size, 3))
+    np.add.at(out, chain.dof[chain.slides], h[chain.slides])
+    return out
+
+
+def _with_slides(chain: Chain, active: np.ndarray, count: int, most: int) -> IkModel:
+    """Return the closed form of three slides before three revolute joints."""
+    samples = _samples(chain, sorted(set(range(chain.size)) - set(active.tolist())), count, most)
+    placed = [_axes_at(chain, sample, active) for sample in samples]
+    h, o = np.array([h for h, _, _, _ in placed]), np.array([o for _, o, _, _ in placed])
+    h[:, :3] = [_slide_directions(chain, sample)[active[:3]] for sample in samples]
+    spans = np.abs(np.linalg.det(h[:, :3])) > _MIN_VOLUME
+    tools = [(R, p) for _, _, R, p in placed]
+    model = _of_axes(chain, SLIDES, False, active, samples, h, o, o[:, 5], tools)
+    names = ("samples", "h", "o", "wrist", "R_tool", "p_tool")
+    return replace(model, **{name: getattr(model, name)[spans] for name in names})
+
+
+def _of_axes(
+    chain: Chain,
+    kind: int,
+    reverse: bool,
+    active: np.ndarray,
+    samples: np.ndarray,
+    h: np.ndarray,
+    o: np.ndarray,
+    wrist: np.ndarray,
+    tools: list[tuple[np.ndarray, np.ndarray]],
+) -> IkModel:
+    """Return the inverse kinematics of a closed form, with seeds where joints are locked."""
     seeds, poses = _seeds(chain, FALLBACK_SEEDS)
     return IkModel(
         kind=kind,
         reverse=reverse,
-        active=(active[::-1] if reverse else active).astype(np.int64),
+        active=active.astype(np.int64),
         prismatic=chain.prismatic,
         samples=samples,
-        h=np.array([h for h, _ in turned]),
-        o=np.array([_points(kind, h, o) for h, o in turned]),
-        wrist=np.array([_meeting(h[4:], o[4:])[0] for h, o in turned]),
-        R_tool=np.array([R for _, _, R, _ in placed]),
-        p_tool=np.array([p for _, _, _, p in placed]),
+        h=h,
+        o=o,
+        wrist=wrist,
+        R_tool=np.array([R for R, _ in tools]),
+        p_tool=np.array([p for _, p in tools]),
         seeds=seeds,
         seed_poses=poses,
-        tries=FALLBACK_TRIES if locked else 0,
+        tries=FALLBACK_TRIES if chain.size > len(active) else 0,
     )
 
 

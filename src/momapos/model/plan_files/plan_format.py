@@ -1,4 +1,4 @@
-"""Read and write plan files (momapos-plan, version 1)."""
+"""Read and write plan files (momapos-plan, versions 1 and 2)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ from .named_files import portable_name, sha256, sha256_of, write_text
 from .plan_candidates import candidates_to_dict, read_candidates
 from .plan_motion import motion_to_dict, read_array, read_motion
 
-FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
+FORMAT, TOUR = "momapos-plan", "momapos-tour"
+VERSION, MOVING_VERSION = 1, 2
+"""Version of a plan at one base pose, and of a plan whose base moves."""
 MAX_BYTES = 20_000_000
 """Largest plan file; 20,000 states, the limit of the exact check, take about 10 MB [bytes]."""
 
@@ -46,7 +48,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
     """Convert a plan to the dictionary of its file; paths stay as they are."""
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": MOVING_VERSION if plan.moves_base else VERSION,
         "scene": plan.scene,
         "scene_joints": {name: dict(joints) for name, joints in plan.scene_joints.items()},
         "scene_hypotheses": {name: dict(taken) for name, taken in plan.scene_hypotheses.items()},
@@ -188,13 +190,13 @@ def read_plan(path: str | Path) -> PlacementPlan:
         raise FileFormatError(
             f'{path}: not a plan; "format" must be {FORMAT!r}, not {head.format!r:.60}'
         )
-    if head.version != VERSION or isinstance(head.version, bool):
+    if head.version not in (VERSION, MOVING_VERSION) or isinstance(head.version, bool):
         raise FileFormatError(
             f"{path}: version {head.version!r:.60} of the plan format is not supported; this "
-            f"momapos reads version {VERSION}"
+            f"momapos reads versions {VERSION} and {MOVING_VERSION}"
         )
     data = _decode(content, members.Plan, path)
-    _check(data, path)
+    _check(data, path, head.version)
     return _record(data, path)
 
 
@@ -237,7 +239,7 @@ def _decode(content: bytes, kind: type[Any], path: Path) -> Any:
         ) from error
 
 
-def _check(data: members.Plan, path: Path) -> None:
+def _check(data: members.Plan, path: Path, version: int) -> None:
     """Check what the types do not express."""
 
     def need(met: bool, message: str) -> None:
@@ -254,6 +256,15 @@ def _check(data: members.Plan, path: Path) -> None:
     need(
         data.robot.drive != "car" or data.robot.min_turning_radius is not None,
         "robot.min_turning_radius is missing; a robot with the drive 'car' needs it [m]",
+    )
+    moves_base = data.manipulation is not None and data.manipulation.base is not None
+    need(
+        version == MOVING_VERSION or not moves_base,
+        f"manipulation.base needs version {MOVING_VERSION}, not {version}",
+    )
+    need(
+        not moves_base or data.robot.drive is not None,
+        "robot.drive is missing; a plan whose base moves needs it",
     )
     need(len(set(data.joints)) == len(data.joints), "joints contains a joint twice")
     need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")

@@ -49,6 +49,7 @@ class Manipulation(msgspec.Struct):
     q: list[list[float]]
     object_q: list[float]
     T_world_tool: list[list[list[float]]]
+    base: list[tuple[float, float, float]] | None = None
     latch_q: list[float] | None = None
     times: list[float] | None = None
     holds: list[tuple[int, int]] = []

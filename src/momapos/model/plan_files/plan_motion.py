@@ -28,6 +28,7 @@ def motion_to_dict(motion: Motion | None) -> dict[str, Any]:
         "manipulation": {
             "q": motion.q.tolist(),
             "object_q": motion.object_q.tolist(),
+            **({} if motion.base is None else {"base": motion.base.tolist()}),
             **({} if motion.latch_q is None else {"latch_q": motion.latch_q.tolist()}),
             "times": _list(motion.times),
             "T_world_tool": motion.Ts_world_tool.tolist(),
@@ -55,6 +56,12 @@ def read_motion(data: members.Plan, path: Path) -> Motion | None:
         latch_q = read_array(motion.latch_q, (), path, "manipulation.latch_q")
         if len(latch_q) != len(q):
             raise FileFormatError(f"{path}: manipulation.latch_q must have {len(q)} values")
+    base = None
+    if motion.base is not None:
+        base = read_array(motion.base, (3,), path, "manipulation.base", "x, y and yaw")
+        base[:, 2] = np.unwrap(base[:, 2])
+        if len(base) != len(q):
+            raise FileFormatError(f"{path}: manipulation.base must have {len(q)} poses")
     if not len(q) == len(object_q) == len(Ts_world_tool):
         raise FileFormatError(
             f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
@@ -69,6 +76,7 @@ def read_motion(data: members.Plan, path: Path) -> Motion | None:
         times=_times(motion.times, len(motion.q), path, "manipulation.times"),
         holds=read_holds(motion, path),
         latch_q=latch_q,
+        base=base,
         home=None if data.home is None else read_array(data.home, (n,), path, "home"),
     )
 

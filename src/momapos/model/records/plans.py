@@ -86,7 +86,7 @@ class Hold:
 @compare_by_content
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The robot's motion at one base pose."""
+    """The robot's motion for a task: at one base pose, or with a base that moves."""
 
     approach: Float[np.ndarray, "a n"]
     """Arm states from home to the grasp [rad] or [m]."""
@@ -107,9 +107,23 @@ class Motion:
     latch_q: Float[np.ndarray, " m"] | None = None
     """Value of the object's latch at each state [rad] or [m]; None if no latch is turned. The hand
     holds the latch from the first state on, and the first hold begins where the part moves."""
+    base: Float[np.ndarray, "m 3"] | None = None
+    """Base pose at each manipulation state: x [m], y [m], yaw [rad], without jumps of a turn; None
+    if the base stands still. Outside the holds the hand is free, also before the first one."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
+
+    @property
+    def moves_base(self) -> bool:
+        """Return whether the base moves during the manipulation."""
+        return self.base is not None
+
+    def base_poses(self, base_pose: Sequence[float]) -> Float[np.ndarray, "m 3"]:
+        """Return the base pose at each manipulation state; `base_pose` if the base stands still."""
+        if self.base is not None:
+            return self.base
+        return np.tile(np.asarray(base_pose, float), (len(self.q), 1))
 
     @property
     def grasps(self) -> tuple[Hold, ...]:
@@ -128,6 +142,8 @@ class ArmPathResult:
     q: Float[np.ndarray, "d n"] | None
     """Arm states at every step of the motion; None if no grasp has a path."""
     outcome: PoseOutcome
+    bases: Float[np.ndarray, "d 3"] | None = None
+    """Base pose at every step; None if the base stands."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +155,8 @@ class Attempt:
     farthest: float | None = None
     """The farthest joint value with a motion [rad] or [m]: the task's value, or a smaller one if
     that has no motion. None if no value works, or it was not requested."""
+    base: Float[np.ndarray, "3"] | None = None
+    """Where the motion begins, if the base moves: x [m], y [m], yaw [rad]."""
 
     @property
     def reason(self) -> str:
@@ -254,6 +272,19 @@ class PlacementPlan:
     def feasible(self) -> bool:
         """Whether there is a base pose and a motion in the planned scene: solved or assumed."""
         return self.status in ("solved", "assumed")
+
+    @property
+    def moves_base(self) -> bool:
+        """Whether the base moves during the manipulation."""
+        return self.motion is not None and self.motion.moves_base
+
+    @property
+    def final_base_pose(self) -> tuple[float, float, float] | None:
+        """Base pose after the manipulation: x [m], y [m], yaw [rad]; None without a base pose."""
+        if self.motion is None or self.motion.base is None:
+            return self.base_pose
+        x, y, yaw = self.motion.base[-1].tolist()
+        return x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw)))
 
     @property
     def assumes(self) -> str:

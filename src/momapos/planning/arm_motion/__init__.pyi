@@ -1,3 +1,6 @@
+from .arm_models import DrivingArm as DrivingArm
+from .arm_path import ArmPath as ArmPath
+from .arm_path import find_paths as find_paths
 from .arm_planner import RESOLUTION as RESOLUTION
 from .arm_planner import brief_config as brief_config
 from .arm_planner import interpolate as interpolate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -21,6 +22,7 @@ from momapos.model.kinematics import (
 from momapos.model.records import PoseOutcome
 from momapos.planning.grasps import TaskMotion
 
+from .arm_models import ArmModel, hand_poses, robot_of, split_states, standing_arm
 from .hand_clearance import arm_spheres, hand_hits_along
 from .ik_layers import (
     CUT_OFF,
@@ -34,11 +36,12 @@ from .ik_layers import (
 )
 from .ik_layers import OVERLOADED as OVERLOADED_LAYER
 from .task_loads import TaskLoads
-from .turning_arm import ArmModel, hand_poses, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+BaseCodes: TypeAlias = "Callable[[Float[np.ndarray, 'd 3'], Int[np.ndarray, ' d']], np.ndarray]"
+"""Returns what the base hits at poses, given the index of the part's value at each, as a code."""
 HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
 """Collision codes of the hand at every step of a motion, by grasp; for grasps that do not turn."""
 UNREACHABLE, HIT, BROKEN, FOUND, OVERLOADED = 0, 1, 2, 3, 4
@@ -62,6 +65,8 @@ class ArmPath:
     """Code of the obstacle that was hit, or FREE."""
     q: Float[np.ndarray, "d n"] | None = None
     """Arm states at every step of the motion."""
+    bases: Float[np.ndarray, "d 3"] | None = None
+    """Base pose at every step; None if the base stands."""
     overload: PoseOutcome | None = None
     """What a motor or the base would have to bear, if OVERLOADED."""
 
@@ -70,11 +75,12 @@ def find_paths(
     robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
-    bases: Float[np.ndarray, "j 3"],
+    bases: Float[np.ndarray, "j *d 3"],
     modes: Int[np.ndarray, " j"],
     hand: HandCodes,
+    stands: BaseCodes | None = None,
 ) -> list[ArmPath]:
-    """Search an arm path for each pair of base pose and grasp mode.
+    """Search an arm path for each pair of base pose, or base path, and grasp mode.
 
     A grasp mode is the index of a grasp or, after those, of a group of grasps between which the
     hand turns. Waypoints that fail most, the ends and the middle, are solved first; a pair ends at
@@ -82,9 +88,10 @@ def find_paths(
 
     Args:
         robot, world, motion: Arm, obstacles and task motion.
-        bases: Base poses.
+        bases: Base poses, each for the whole motion or one for every step of it.
         modes: The grasp mode at each.
         hand: Cache of the hand's collision codes, which is extended.
+        stands: What a base that moves hits; None for base poses that stand clear.
     """
     waypoint_of = np.unique(motion.layer_of, return_index=True)[1]
     order = np.array(_ends_first(len(waypoint_of)))
@@ -93,7 +100,7 @@ def find_paths(
     )
     loads = TaskLoads(robot_of(robot), motion)
     return [
-        _connect(robot, world, loads, bases[j], _Graph.of(layers, motion, j), hand)
+        _connect(robot, world, loads, bases[j], _Graph.of(layers, motion, j), hand, stands)
         if passed == len(order)
         else _failure(layers, j, int(order[passed]), loads)
         for j, passed in enumerate(layers.passed.tolist())
@@ -152,9 +159,11 @@ def _connect(
     base: np.ndarray,
     graph: _Graph,
     hand: HandCodes,
+    stands: BaseCodes | None,
 ) -> ArmPath:
     """Find the shortest path through the waypoints of one job, fill it densely, and check it."""
     chain, grasps, motion = robot.chain, graph.grasps, loads.motion
+    standing = standing_arm(robot)
     full_turn, scale = full_turns(chain), joint_scale(chain)
     # The turn of the hand is an additional joint of the path.
     states = np.column_stack([graph.q, motion.turning.angles[grasps]])
@@ -179,16 +188,20 @@ def _connect(
         arm = arm_arrays(chain, robot.ik)
         bad = _track(q, motion.waypoint_steps, targets, arm, scale, dense)
         if bad < 0:
+            here, own = split_states(robot, base, dense)
             codes = check(
-                world, chain, arm_spheres(robot_of(robot)), dense, np.tile(base, (len(dense), 1)),
+                world, standing.chain, arm_spheres(robot_of(robot)), own, here,
                 motion.value, motion.holding,
             )  # fmt: skip
             if (codes == FREE).all():
-                codes = _hand_codes(robot, world, motion, base, dense, tools, grasps[chosen], hand)
-            borne = loads.at(base, dense, int(grasps[chosen[0]]), np.arange(len(dense)))
+                codes = _hand_codes(robot, world, motion, here, own, tools, grasps[chosen], hand)
+            if stands is not None and (codes == FREE).all():
+                codes = stands(here, motion.value)
+            borne = loads.at(here, own, int(grasps[chosen[0]]), np.arange(len(dense)))
             bad_states = np.flatnonzero((codes != FREE) | borne.refused)
             if not len(bad_states):
-                return ArmPath(FOUND, count, count, FREE, dense)
+                moved = None if stands is None else here
+                return ArmPath(FOUND, count, count, FREE, own, moved)
             bad = int(bad_states[0])
             waypoint = int(number[np.searchsorted(motion.waypoint_steps, bad)])
             if codes[bad] != FREE:
@@ -219,10 +232,12 @@ def _hits(
     step = np.repeat(motion.waypoint_steps, np.diff(graph.first))
 
     def check_those(nodes: Int[np.ndarray, " k"]) -> None:
+        at = base if base.ndim == 1 else base[step[nodes]]
+        here, states = split_states(robot, at, graph.q[nodes])
         graph.checked[nodes] = True
         graph.banned[nodes] |= check(
-            world, robot.chain, arm_spheres(robot_of(robot)), graph.q[nodes],
-            np.tile(base, (len(nodes), 1)), motion.value[step[nodes]], motion.holding[step[nodes]],
+            world, standing_arm(robot).chain, arm_spheres(robot_of(robot)), states, here,
+            motion.value[step[nodes]], motion.holding[step[nodes]],
         ) != FREE  # fmt: skip
 
     check_those(chosen[~graph.checked[chosen]])
@@ -236,7 +251,7 @@ def _hand_codes(
     robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
-    base: Float[np.ndarray, "3"],
+    bases: Float[np.ndarray, "d 3"],
     states: Float[np.ndarray, "d n"],
     tools: Float[np.ndarray, "d 4 4"],
     grasps: Int[np.ndarray, " w"],
@@ -248,11 +263,12 @@ def _hand_codes(
     base pose.
     """
     grasp = int(grasps[0])
-    still = robot is robot_of(robot) and bool((grasps == grasp).all())
+    standing = standing_arm(robot)
+    still = standing is robot_of(robot) and bool((grasps == grasp).all())
     if still and grasp in known:
         return known[grasp]
     codes = hand_hits_along(
-        robot_of(robot), world, motion, hand_poses(robot, base, states, tools),
+        robot_of(robot), world, motion, hand_poses(standing, bases, states, tools),
         np.arange(len(states)), np.full(len(states), motion.grasps.width[grasp]),
     )  # fmt: skip
     if still:

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 
 Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
 """The exact check: return None if a motion is valid, else the reason why not."""
+FindPaths: TypeAlias = "Callable[[Float[np.ndarray, 'j 3'], Int[np.ndarray, ' j']], list[ArmPath]]"
+"""Searches an arm path for each pair of base pose and grasp mode."""
 _BATCH = 256
 """Pairs of base pose and grasp mode that a thread processes together [-]."""
 _WIDER = 4
@@ -72,6 +74,8 @@ class Feasibility:
     """Called between batches."""
     home_again: bool = False
     """Whether the arm returns home at the end."""
+    find: FindPaths | None = None
+    """Searches arm paths for a base that moves; None for a base that stands."""
 
     def __call__(
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
@@ -84,7 +88,7 @@ class Feasibility:
             grasps: Grasp modes to try, best first, if that path cannot be completed.
         """
         assert screened.q is not None
-        motion, outcome = self._complete(base, screened.q, screened.grasp)
+        motion, outcome = self._complete(base, screened.q, screened.grasp, screened.bases)
         others = grasps[grasps != screened.grasp]
         for chunk in np.split(others, range(_WIDER, len(others), _WIDER)):
             if motion is not None or not len(chunk):
@@ -94,8 +98,9 @@ class Feasibility:
                 strict=False,
             ):  # fmt: skip
                 if path.q is not None and motion is None:
-                    motion, outcome = self._complete(base, path.q, grasp)
-        return Attempt(motion, outcome)
+                    motion, outcome = self._complete(base, path.q, grasp, path.bases)
+        moved = motion is not None and motion.base is not None
+        return Attempt(motion, outcome, base=motion.base[0] if moved else None)
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
@@ -132,7 +137,12 @@ class Feasibility:
                 undecided[i] &= path.status != FOUND
             first, width = first + width, _WIDER * width
         return [
-            ArmPathResult(grasp, None if path is None else path.q, self._outcome(path, int(code)))
+            ArmPathResult(
+                grasp,
+                None if path is None else path.q,
+                self._outcome(path, int(code)),
+                None if path is None else path.bases,
+            )
             for (grasp, path), code in zip(best, home, strict=True)
         ]
 
@@ -143,16 +153,21 @@ class Feasibility:
         pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
 
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
-            if self.out_of_time():
-                return None
-            given = self.robot, self.world, self.motion, bases[part], grasps[part]
-            if self.robot.chain.size < FULL_DOF:
-                return find_short_paths(*given)
-            return find_paths(*given, self._hand)
+            return None if self.out_of_time() else self._search(bases[part], grasps[part])
 
         found = list(_threads().map(work, pieces))
         done = [paths for paths in found if paths is not None]
         return [path for paths in done for path in paths] if len(done) == len(found) else None
+
+    def _search(
+        self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
+    ) -> list[ArmPath]:
+        if self.find is not None:
+            return self.find(bases, grasps)
+        given = self.robot, self.world, self.motion, bases, grasps
+        if self.robot.chain.size < FULL_DOF:
+            return find_short_paths(*given)
+        return find_paths(*given, self._hand)
 
     @cached_property
     def _hand(self) -> HandCodes:
@@ -179,10 +194,19 @@ class Feasibility:
         return self.motion.task.verb == "place"
 
     def _complete(
-        self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
+        self,
+        base: Float[np.ndarray, "3"],
+        q: Float[np.ndarray, "d n"],
+        grasp: int,
+        bases: Float[np.ndarray, "d 3"] | None,
     ) -> tuple[Motion | None, PoseOutcome]:
-        """Add the approach from home and run the exact check."""
+        """Add the approach from home and run the exact check; the base may move after the grasp."""
         chain, hold = self.robot.chain, self.motion.grasp_step
+        begin = hold
+        if bases is not None:
+            base = bases[0]
+            # A base that moves before the grasp does so in the manipulation.
+            begin = hold if (bases[: hold + 1] == base).all() else 0
         spheres = self.robot.spheres.by_hulls
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
@@ -197,17 +221,22 @@ class Feasibility:
         )  # fmt: skip
         if path is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
-        approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
-        Ts_world_tool = self._tools(q, base)
+        approach = np.concatenate([interpolate(path), q[1 : begin + 1]])
+        Ts_world_tool = self._tools(q, base if bases is None else bases)
         steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
-        steps = steps[hold:]
+        steps = steps[begin:]
+        holds = tuple(
+            replace(one, first=one.first + hold - begin, last=one.last + hold - begin)
+            for one in holds
+        )
         motion = Motion(
             chain.joint_values(approach), chain.joint_values(q[steps]),
             self.motion.object_q[steps], Ts_world_tool[steps], holds=holds,
             latch_q=None if self.motion.latch_q is None else self.motion.latch_q[steps],
+            base=None if bases is None else bases[steps],
         )  # fmt: skip
         if self.home_again:
-            home = self.path_home(base, q[-1], grasp)
+            home = self.path_home(base if bases is None else bases[-1], q[-1], grasp)
             if home is None:
                 return None, PoseOutcome(PoseStatus.NO_WAY_HOME)
             motion = replace(motion, home=home)
@@ -269,7 +298,9 @@ class Feasibility:
         bounded = partial(checker, load=loads.of_hand(carried))
         return plan_with_clearance(*ends, bounded, config=config, seed=seed)
 
-    def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
+    def _tools(
+        self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"]
+    ) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
 
     def _outcome(self, path: ArmPath | None, at_home: int) -> PoseOutcome:

@@ -20,8 +20,8 @@ from momapos.model.kinematics import build_ik, fit_bases, with_tool_turn
 from momapos.model.robots import Robot
 from momapos.planning.grasps import TaskMotion, no_turning
 
+from .arm_models import ArmModel, TurningArm
 from .arm_path import UNREACHABLE, ArmPath, find_paths
-from .turning_arm import ArmModel, TurningArm
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

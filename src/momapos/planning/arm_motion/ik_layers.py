@@ -14,11 +14,13 @@ from momapos.model.kinematics import (
     MAX_BRANCHES,
     ArmArrays,
     Chain,
+    ChainArrays,
     CollisionArrays,
     LoadArrays,
     TaskState,
     arm_arrays,
     begin_pose,
+    chain_arrays,
     ik_scratch,
     load_excess,
     load_scratch,
@@ -29,9 +31,9 @@ from momapos.model.kinematics import (
 )
 from momapos.planning.grasps import TaskMotion
 
+from .arm_models import ArmModel, robot_of, slides_of, standing_arm
 from .hand_clearance import arm_spheres
 from .task_loads import load_arrays
-from .turning_arm import ArmModel, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -82,10 +84,19 @@ class JointSteps(NamedTuple):
 class Jobs(NamedTuple):
     """Pairs of base pose and grasp mode."""
 
-    bases: F2
-    """Base pose of each: x [m], y [m], yaw [rad]."""
+    bases: F3
+    """Base pose of each, at every step or one for all: x [m], y [m], yaw [rad]."""
     grasps: I2
     """Grasps of each mode, padded with -1."""
+
+
+class Standing(NamedTuple):
+    """The arm on a base that slides with its first degrees of freedom."""
+
+    chain: ChainArrays
+    """The arm without the slides."""
+    slides: F2
+    """Directions of the slides in the frame of the base; none if it stands."""
 
 
 class Waypoints(NamedTuple):
@@ -135,7 +146,7 @@ def solve_layers(
     robot: ArmModel,
     world: CollisionWorld,
     motion: TaskMotion,
-    bases: Float[np.ndarray, "j 3"],
+    bases: Float[np.ndarray, "j *d 3"],
     grasps: Int[np.ndarray, "j k"],
     waypoints: Int[np.ndarray, " l"],
     order: Int[np.ndarray, " o"],
@@ -148,17 +159,19 @@ def solve_layers(
 
     Args:
         robot, world, motion: Arm, obstacles and task motion.
-        bases: Base pose of each job.
+        bases: Base pose of each job, or one at every step of the motion.
         grasps: Grasps of each job's mode, padded with -1.
         waypoints: Indices into the coarse waypoints, ascending.
         order: Indices into these, in the order in which they are solved.
     """
     step, chain, ik = motion.waypoint_steps[waypoints], robot.chain, robot.ik
+    paths = bases[:, None] if bases.ndim == 2 else bases
     scale = joint_scale(chain)
     locked = scale.copy()
     locked[ik.active] = 0.0
     return Layers(*_solve_layers(
-        Jobs(np.ascontiguousarray(bases), np.ascontiguousarray(grasps)),
+        Jobs(np.ascontiguousarray(paths), np.ascontiguousarray(grasps)),
+        Standing(chain_arrays(standing_arm(robot).chain), slides_of(robot)),
         Waypoints(
             order, waypoints, step, motion.value[step], motion.holding[step],
             np.ascontiguousarray(motion.Ts_world_tool),
@@ -239,12 +252,25 @@ def _load_in_base(force, point, base, memory):
 
 
 @kernel
+def _slide(q, at, standing, here):
+    """Write the base pose of a state."""
+    here[0], here[1], here[2] = at[0], at[1], at[2]
+    c, s = np.cos(at[2]), np.sin(at[2])
+    for k in range(len(standing.slides)):
+        x, y = standing.slides[k, 0] * q[k], standing.slides[k, 1] * q[k]
+        here[0] += c * x - s * y
+        here[1] += s * x + c * y
+
+
+@kernel
 def _solve_layer(
-    j, looked, used, jobs, path, arm, robot, room, steps, found, scratch, placed, memory
+    j, looked, used, jobs, standing, path, arm, robot, room, steps, found, scratch, placed, memory
 ):
     """Fill in the configurations of a job at one waypoint; return their number and a code."""
-    R, p, solutions, limits, load, bearing = memory
-    base, w = jobs.bases[j], path.order[looked]
+    R, p, solutions, limits, load, bearing, here = memory
+    w = path.order[looked]
+    at, lead = min(path.step[w], jobs.bases.shape[1] - 1), len(standing.slides)
+    base = jobs.bases[j, at]
     full_turn, n, samples = steps.full_turn, len(steps.full_turn), arm.ik.samples
     state = TaskState(path.value[w], path.holding[w])
     low, high = _around(w, path.order, looked, path.place)
@@ -263,7 +289,7 @@ def _solve_layer(
         if grasp < 0:
             break
         _tool_in_base(path.Ts_world_tool[grasp, path.step[w]], base, R, p)
-        _load_in_base(path.force[grasp, path.step[w]], path.point[grasp, path.step[w]], base, load)
+        force, point = path.force[grasp, path.step[w]], path.point[grasp, path.step[w]]
         begin_pose(scratch)
         for s in range(sample_count(arm.ik)):
             # Locked joints are known, so most samples need no inverse kinematics.
@@ -277,7 +303,10 @@ def _solve_layer(
                     if code == NOWHERE:
                         code = CUT_OFF
                     continue
-                stability = state_loads(q, arm.chain, robot, load[0], load[1], bearing)
+                _slide(q, base, standing, here)
+                q_arm = q[lead:]
+                _load_in_base(force, point, here, load)
+                stability = state_loads(q_arm, standing.chain, robot, load[0], load[1], bearing)
                 excess, where = load_excess(bearing.efforts, stability, robot)
                 if excess > 0.0:
                     if excess < found.excess[j]:
@@ -286,7 +315,9 @@ def _solve_layer(
                         code = OVERLOADED
                     continue
                 known = count == 0
-                hit = check_one(q, base, state, arm.chain, room, placed) if known else FREE
+                hit = FREE
+                if known:
+                    hit = check_one(q_arm, here, state, standing.chain, room, placed)
                 if hit == FREE:
                     for k in range(n):
                         found.q[used + count, k] = q[k]
@@ -301,6 +332,7 @@ def _solve_layer(
 @entry
 def _solve_layers(
     jobs: Jobs,
+    standing: Standing,
     path: Waypoints,
     arm: ArmArrays,
     robot: LoadArrays,
@@ -314,10 +346,11 @@ def _solve_layers(
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),
     )
-    scratch, placed = ik_scratch(arm), scratch_of(len(arm.chain.slides), room.spheres)
+    joints = len(standing.chain.slides)
+    scratch, placed = ik_scratch(arm), scratch_of(joints, room.spheres)
     memory = (
-        np.empty((3, 3)), np.empty(3), np.empty((MAX_BRANCHES, n)), np.empty(2),
-        np.empty((2, 3)), load_scratch(len(arm.chain.slides), n),
+        np.empty((3, 3)), np.empty(3), np.empty((MAX_BRANCHES, n)), np.empty(2), np.empty((2, 3)),
+        load_scratch(joints, n - len(standing.slides)), np.empty(3),
     )  # fmt: skip
     excess, where = np.full(count, np.inf), np.zeros(count, np.int64)
     # The arrays always have space for one job at one waypoint.
@@ -331,8 +364,9 @@ def _solve_layers(
                 checked = np.append(checked, checked)
             found = Found(q, grasps, checked, first, counts, excess, where)
             added, code = _solve_layer(
-                j, looked, used, jobs, path, arm, robot, room, steps, found, scratch, placed, memory
-            )
+                j, looked, used, jobs, standing, path, arm, robot, room, steps, found, scratch,
+                placed, memory,
+            )  # fmt: skip
             if added == 0:
                 codes[j] = code
                 break

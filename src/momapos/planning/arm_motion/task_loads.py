@@ -14,7 +14,7 @@ from momapos.model.kinematics import LoadArrays
 from momapos.model.robots import Robot, RobotLoads, StateLoads, robot_loads
 from momapos.planning.grasps import TaskMotion
 
-from .turning_arm import ArmModel, robot_of
+from .arm_models import ArmModel, robot_of, standing_arm
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -34,7 +34,7 @@ class TaskLoads:
 
     def at(
         self,
-        base: Float[np.ndarray, "3"],
+        base: Float[np.ndarray, "*s 3"],
         q: Float[np.ndarray, "s n"],
         grasp: int,
         steps: Int[np.ndarray, " s"],
@@ -42,15 +42,15 @@ class TaskLoads:
         """Return the loads at steps of the motion.
 
         Args:
-            base: Base pose x [m], y [m], yaw [rad].
+            base: Base pose x [m], y [m], yaw [rad], or one at each state.
             q: Values of the degrees of freedom; further ones are ignored.
             grasp: The grasp.
             steps: The step of the motion at each state.
         """
         force, point = (x[grasp, steps] for x in self.motion.hand_loads)
-        turned, moved = force.copy(), point - [base[0], base[1], 0.0]
-        R = rotation(float(base[2]))
-        turned[:, :2], moved[:, :2] = force[:, :2] @ R, moved[:, :2] @ R
+        turned, moved, R = force.copy(), point.copy(), rotation(base[..., 2])
+        moved[:, :2] -= base[..., :2]
+        turned[:, :2], moved[:, :2] = ((x[:, None, :2] @ R)[:, 0] for x in (force, moved))
         return self.limits.at(q[:, : self.robot.chain.size], turned, moved)
 
     def free(
@@ -81,7 +81,7 @@ class TaskLoads:
 
 def load_arrays(arm: ArmModel) -> LoadArrays:
     """Return an arm's masses and limits for kernels; a turn of the hand needs nothing."""
-    arrays, chain = robot_loads(robot_of(arm)).arrays, arm.chain
+    arrays, chain = robot_loads(robot_of(arm)).arrays, standing_arm(arm).chain
     more = chain.last + 1 - len(arrays.mass)
     if not more:
         return arrays

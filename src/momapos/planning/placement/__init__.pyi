@@ -9,6 +9,7 @@ from .config import Method as Method
 from .config import PlaceConfig as PlaceConfig
 from .grasp_scores import MIN_MODE_SCORE as MIN_MODE_SCORE
 from .grasp_scores import GraspModeScorer as GraspModeScorer
+from .grasp_scores import GraspModeScores as GraspModeScores
 from .grasp_scores import grasp_mode_scorers as grasp_mode_scorers
 from .grasp_scores import turning_grasp_scorer as turning_grasp_scorer
 from .grasp_scores import two_grasp_scorer as two_grasp_scorer
@@ -24,4 +25,5 @@ from .problem import PoseMask as PoseMask
 from .problem import Problem as Problem
 from .problem import Search as Search
 from .region import BasePoseRule as BasePoseRule
+from .region import PoseRule as PoseRule
 from .shortlist import BASE_OUTCOMES as BASE_OUTCOMES

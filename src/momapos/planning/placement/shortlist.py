@@ -201,6 +201,7 @@ def complete(
         left.outcomes[left.row[i]] = result.outcome
         if result.motion is None:
             continue
+        pose = pose if result.base is None else result.base
         if problem.departure is None or problem.departure(pose):
             found.base, found.motion, found.cost = pose, result.motion, travel
             return

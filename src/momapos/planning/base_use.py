@@ -1,0 +1,67 @@
+"""Let the base stop several times, or move, where no single base pose serves a task."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeAlias
+
+from momapos.model.records import PlacementPlan
+from momapos.planning.grasps import task_motion
+
+from .moving_base import search_moving
+from .query import PlacementQuery
+from .result import PlacementResult
+from .search_setup import prepare_search
+from .several_stops import plan_stops
+
+Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
+
+
+def with_other_use(
+    query: PlacementQuery, fixed: PlacementResult, answer: Answer
+) -> PlacementResult:
+    """Return the answer with several stops or a moving base, if the query allows it and one works.
+
+    Args:
+        query: The question, about the joint of an object.
+        fixed: Its answer from one base pose; returned unless it is infeasible.
+        answer: Answers a question from one base pose.
+    """
+    use, task = query.config.base, query.task
+    if fixed.plan.status != "infeasible" or task.joint is None or use == "fixed":
+        return fixed
+    words = "no single base pose serves this task"
+    if use in ("stops", "auto"):
+        found = plan_stops(query, fixed, answer)
+        if found is not None:
+            return _noted(found, f"{words}; the robot stops {_stops(found.plan)} times")
+    if use in ("moving", "auto"):
+        moved = plan_moving(query)
+        if moved.plan.status != "infeasible":
+            return _noted(moved, f"{words}; the base moves with the part")
+    return fixed
+
+
+def plan_moving(query: PlacementQuery) -> PlacementResult:
+    """Answer the query with a base that moves while the hand holds the part."""
+    scene, watch = query.scene, query.watch
+    with watch.stage("model"):
+        motion = task_motion(scene, query.robot, query.task, query.config.motion)
+    setup = prepare_search(query, scene, motion)
+    with watch.stage("search"):
+        found = search_moving(setup, query.config.place)
+    answer = setup.result(found)
+    return replace(answer, plan=replace(answer.plan, timing=watch.timing))
+
+
+def _stops(plan: PlacementPlan) -> int:
+    """Return at how many base poses the hand holds the part."""
+    motion = plan.motion
+    assert motion is not None
+    assert motion.base is not None
+    return len({motion.base[hold.first].tobytes() for hold in motion.grasps})
+
+
+def _noted(answer: PlacementResult, note: str) -> PlacementResult:
+    return replace(answer, plan=replace(answer.plan, notes=(*answer.notes, note)))

@@ -1,0 +1,130 @@
+"""Laws of answers in which the base moves while the hand holds the part."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.records.plans import Motion
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_use import plan_moving
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.moving_base import BaseShift
+from momapos.planning.moving_starts import ShortArmStarts
+from momapos.planning.query import PlacementQuery
+from momapos.planning.result import PlacementResult
+from momapos.verification.plan_check import verify_files
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+def moving(scene: Scene, robot: str, item: str, joint: str) -> PlacementResult:
+    task = make_task(scene, "open", item, joint)
+    query = PlacementQuery.of(scene, load_robot(robot), task, clock=time.process_time)
+    return plan_moving(query)
+
+
+def known(answer: PlacementResult) -> tuple[Motion, np.ndarray]:
+    motion = answer.plan.motion
+    assert motion is not None
+    assert motion.base is not None
+    return motion, motion.base
+
+
+@pytest.mark.parametrize(
+    ("robot", "item", "joint"),
+    [
+        ("stretch", "microwave", "door_hinge"),
+        ("hsr", "cabinet_right", "drawer_top_slide"),
+        ("segway_ur5e", "cabinet_right", "drawer_top_slide"),
+    ],
+)
+def test_a_moving_base_opens_the_part_and_the_file_is_valid(
+    kitchen: Scene, tmp_path: Path, robot: str, item: str, joint: str
+) -> None:
+    """Stretch and HSR open neither from one base pose."""
+    answer = moving(kitchen, robot, item, joint)
+    assert answer.plan.status == "solved"
+    motion, base = known(answer)
+    assert answer.plan.base_pose == pytest.approx(tuple(base[0]))
+    assert np.ptp(base[:, :2], axis=0).max() > 0.05
+    np.testing.assert_array_equal(base[:, 2], base[0, 2])
+    write_plan(answer.plan, tmp_path / "plan.json")
+    np.testing.assert_allclose(known_base(tmp_path / "plan.json"), base)
+    report = verify_files(tmp_path / "plan.json")
+    assert report.valid, report
+    held = motion.grasps[0]
+    assert motion.object_q[held.first] == motion.object_q[0]
+    assert motion.object_q[held.last] == pytest.approx(answer.plan.task.to)
+
+
+def known_base(path: Path) -> np.ndarray:
+    motion = read_plan(path).motion
+    assert motion is not None
+    assert motion.base is not None
+    return motion.base
+
+
+def test_a_differential_base_moves_along_its_heading(kitchen: Scene) -> None:
+    _, base = known(moving(kitchen, "stretch", "microwave", "door_hinge"))
+    ahead = np.array([np.cos(base[0, 2]), np.sin(base[0, 2])])
+    step = np.diff(base[:, :2], axis=0)
+    np.testing.assert_allclose(step - np.outer(step @ ahead, ahead), 0.0, atol=1e-9)
+
+
+def test_a_base_that_follows_the_part_rests_until_the_grasp(kitchen: Scene) -> None:
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
+    motion = task_motion(kitchen, load_robot("segway_ur5e"), task, PipelineConfig().motion)
+    share = np.linspace(0.0, 1.0, len(motion.object_q))
+    shift = BaseShift(np.array([0.4, 0.0]), share)
+    paths = shift.paths(np.array([[1.0, 2.0, np.pi / 2]]))
+    np.testing.assert_allclose(paths[0, 0], [1.0, 2.0, np.pi / 2])
+    np.testing.assert_allclose(paths[0, -1], [1.0, 2.4, np.pi / 2])
+    answer = moving(kitchen, "segway_ur5e", "cabinet_right", "drawer_top_slide")
+    found, base = known(answer)
+    first = found.grasps[0].first
+    assert (base[: first + 1] == base[0]).all()
+    progress = np.linalg.norm(base[:, :2] - base[0, :2], axis=1)
+    assert (np.diff(progress) >= 0.0).all()
+
+
+def test_a_handle_that_is_too_high_has_no_start(kitchen: Scene) -> None:
+    """Stretch lifts its hand to 1.3 m, and the handle of a wall cabinet is at 1.5 m."""
+    task = make_task(kitchen, "open", "wall_cabinet", "door_left_hinge")
+    robot = load_robot("stretch")
+    motion = task_motion(kitchen, robot, task, PipelineConfig().motion)
+    starts = ShortArmStarts(robot, motion)
+    assert not starts.possible.any()
+    poses = np.array([[1.0, 1.0, 0.3], [2.0, 1.0, -2.0]])
+    shifted, grasp = starts(poses)
+    np.testing.assert_array_equal(shifted, poses)
+    assert (grasp == -1).all()
+    assert moving(kitchen, "stretch", "wall_cabinet", "door_left_hinge").plan.status == "infeasible"
+
+
+def test_starts_put_the_hand_at_its_grasp(kitchen: Scene) -> None:
+    task = make_task(kitchen, "open", "microwave", "door_hinge")
+    robot = load_robot("stretch")
+    motion = task_motion(kitchen, robot, task, PipelineConfig().motion)
+    starts = ShortArmStarts(robot, motion)
+    yaw = np.linspace(-np.pi, np.pi, 24, endpoint=False)
+    position = motion.Ts_world_tool[0, motion.grasp_step, :2, 3]
+    poses, grasps = starts(np.column_stack([np.tile(position, (24, 1)), yaw]))
+    found = grasps >= 0
+    assert found.any()
+    np.testing.assert_array_equal(poses[:, 2], yaw)
+    q, count = starts._solve(poses[found], grasps[found], motion.grasp_step)
+    assert (count > 0).all()
+    nearest = np.nanmin(np.hypot(q[..., 0], q[..., 1]), axis=1)
+    np.testing.assert_allclose(nearest, 0.0, atol=1e-6)
