@@ -33,6 +33,7 @@ from .files import parse_xml as parse_xml
 from .files import read_bytes_bounded as read_bytes_bounded
 from .files import read_text_bounded as read_text_bounded
 from .files import read_xml as read_xml
+from .saved_arrays import load_array as load_array
 from .stopwatch import Clock as Clock
 from .stopwatch import Stopwatch as Stopwatch
 from .torch_files import load_tensors as load_tensors

@@ -14,9 +14,11 @@ from momapos.perception.detection import WITHOUT_DOORS
 from momapos.perception.reconstruction import (
     GivenModel,
     furniture_model,
+    is_predicted_urdf,
     moved_piece,
     opened_piece,
     place_model,
+    read_predicted_urdf,
     weighted_by_height,
     weighted_by_label,
 )
@@ -71,11 +73,14 @@ def decide(
         return replace(box, reason="no front found in the images")
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
     own = given.get(item.name, given.get(item.label))
-    if own is not None:
+    if own is not None and not is_predicted_urdf(own.path):
         model, warnings = place_model(item, facing, own)
         warnings = (*box.warnings, *warnings)
         return replace(box, view=view, source=PartSource.GIVEN, model=model, warnings=warnings)
-    parts, source = _parts(view, item, tools)
+    if own is None:
+        parts, source = _parts(view, item, tools)
+    else:
+        parts, source = read_predicted_urdf(own.path), PartSource.GIVEN
     if not parts:
         return replace(box, view=view, reason="no doors or drawers found on its front")
     faces = box_faces(item.box)

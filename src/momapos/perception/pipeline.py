@@ -30,14 +30,17 @@ from momapos.perception.reconstruction import (
     build_scene,
 )
 from momapos.perception.segmentation import (
+    MIN_POINTS,
     ClassicalSegmenter,
     boxes,
+    boxes_in_images,
     drop_fragments,
     find_room,
     inside,
     pointed_at,
     wall_detections,
     with_coverage,
+    without_duplicates,
 )
 from momapos.perception.views import KnownFront, split_row
 
@@ -109,8 +112,15 @@ def survey(
         cloud = complete(cloud, frames, walls, config.voxel)
         leaves = open_leaves(cloud, frames, walls)
         cloud, frames, known = close_leaves(leaves, cloud, frames, tools, config)
-        instances = [item for item in tools.segment(cloud) if item.label not in BUILDING]
+        read = boxes_in_images(found or {}, frames) or tools.segment(cloud)
+        single = without_duplicates(read, len(cloud.points))
+        instances = [item for item in single if item.label not in BUILDING]
         detections = boxes(cloud, instances, room)
+        lost = {
+            "repeat another mask": len(read) - len(single),
+            "are parts of the building": len(single) - len(instances),
+            f"have fewer than {MIN_POINTS} points": len(instances) - len(detections),
+        }
     with watch.stage("rows"):
         progress("splitting rows of cabinets", 0.3)
         instances, rows = split_rows(detections, cloud, frames, tools.look, known)
@@ -125,7 +135,7 @@ def survey(
         detected, names = detections_of(frames, tools.detect, found)
         seen = Survey(
             cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves,
-            detected if config.views == "first" else found, watch.seconds,
+            detected if config.views == "first" else found, watch.seconds, _said(lost, len(read)),
         )  # fmt: skip
         detections = with_labels(
             detections, cloud, frames, detected, names, labels,
@@ -183,7 +193,10 @@ def model_room(
         build_scene([d.detection for d in decisions], models, floor_outline(seen.cloud), out)
     timing = {**seen.timing, **watch.seconds}
     timing["total"] = sum(timing.values())
-    return Modeled(out, seen.cloud, seen.frames, seen.T_scene_scan, tuple(decisions), timing)
+    return Modeled(
+        out, seen.cloud, seen.frames, seen.T_scene_scan, tuple(decisions), timing,
+        warnings=seen.warnings,
+    )  # fmt: skip
 
 
 # ----------------------------------------------------------------------------- geometry of the room
@@ -194,6 +207,13 @@ def _transformed(
 ) -> tuple[Cloud, tuple[Frame, ...]]:
     upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
     return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
+
+
+def _said(lost: Mapping[str, int], count: int) -> tuple[str, ...]:
+    """Return one line about instances that are no objects of the scene; none if all are."""
+    parts = [f"{number} {why}" for why, number in lost.items() if number]
+    kept = count - sum(lost.values())
+    return (f"{kept} of {count} instances are objects: {', '.join(parts)}",) if parts else ()
 
 
 def split_rows(

@@ -9,7 +9,7 @@ import pytest
 
 import momapos.perception.reconstruction
 from momapos.apps.cli.main import main
-from momapos.apps.cli.scan import ScanOptions, stand_ins
+from momapos.apps.cli.scan_options import ScanOptions, stand_ins
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.model.scene.scene_files import load_scene
 

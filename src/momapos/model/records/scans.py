@@ -122,6 +122,9 @@ class ImageDetection:
     """Left, top, right, bottom [px]."""
     label: str
     score: float
+    corners: tuple[tuple[float, float, float], ...] | None = None
+    """Corners of its 3-D box in the camera's frame [m], in Omni3D's order: 1, 3 and 4 are adjacent
+    to 0; None from detectors without 3-D boxes."""
 
 
 @dataclass(frozen=True, eq=False)
