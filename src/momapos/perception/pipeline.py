@@ -74,7 +74,7 @@ def cloud_after(after: Scan, seen: Survey, config: ScanConfig) -> Cloud:
         InputError: The scan shows another room, or is empty.
     """
     cloud = after.cloud or fuse(after.frames, config.voxel, config.fusion)
-    T = align_to_gravity(cloud, after.frames)
+    T = align_to_gravity(cloud, after.frames, after.up)
     upright, _ = _transformed(cloud, (), T)
     try:
         T = register(seen.cloud, upright)
@@ -104,7 +104,8 @@ def survey(
         cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
     with watch.stage("boxes"):
         progress("finding objects", 0.2)
-        T = align_to_gravity(cloud, scan.frames)
+        T = align_to_gravity(cloud, scan.frames, scan.up)
+        turned = _said_up(scan, T)
         cloud, frames = _transformed(cloud, scan.frames, T)
         measured = len(cloud.points)
         room = find_room(cloud)
@@ -133,9 +134,10 @@ def survey(
     with watch.stage("labels"):
         progress("labeling objects", 0.35)
         detected, names = detections_of(frames, tools.detect, found)
+        said = (*turned, *_said(lost, len(read)))
         seen = Survey(
             cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves,
-            detected if config.views == "first" else found, watch.seconds, _said(lost, len(read)),
+            detected if config.views == "first" else found, watch.seconds, said,
         )  # fmt: skip
         detections = with_labels(
             detections, cloud, frames, detected, names, labels,
@@ -207,6 +209,15 @@ def _transformed(
 ) -> tuple[Cloud, tuple[Frame, ...]]:
     upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
     return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
+
+
+def _said_up(scan: Scan, T: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
+    """Return one line if a cloud without cameras is turned; none if its z axis is up."""
+    if scan.frames or scan.up is not None or T[2, 2] > 0.5:
+        return ()
+    axis = int(np.argmax(np.abs(T[2, :3])))
+    sign = "-" if T[2, axis] < 0 else ""
+    return (f"{scan.name}: {sign}{'xyz'[axis]} is taken for up; --up states another axis",)
 
 
 def _said(lost: Mapping[str, int], count: int) -> tuple[str, ...]:

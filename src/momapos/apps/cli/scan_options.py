@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Optional, cast
 
 from tyro.conf import arg
 
@@ -19,8 +19,12 @@ if TYPE_CHECKING:
     from momapos.model.records import ArticulationPredictor, Detector, Scan, Segmenter
     from momapos.perception import Found, ScanConfig, Target, Tools
     from momapos.perception.reconstruction import GivenModel
+    from momapos.perception.recordings import UpAxis
 
 Predictor = Literal["network", "template", "urdformer"]
+PoseDirection = Literal["given", "inverted"]
+CameraAxes = Literal["opencv", "opengl"]
+UP = ("x", "-x", "y", "-y", "z", "-z")
 
 
 @dataclass(frozen=True)
@@ -48,11 +52,19 @@ class ScanOptions:
     max_frames: int = 150
     """Maximum number of images, evenly spaced."""
     depth_scale: Annotated[Number, optional("UNITS")] = None
-    """Units of integer depth per meter (default: 5000 in TUM's folders, else 1000)."""
+    """Units of integer depth per meter (default: 5000 in TUM's folders, else 1000, if it fits)."""
+    poses: Annotated[Optional[PoseDirection], optional("given|inverted")] = None  # noqa: UP045
+    """Poses from camera to world (given) or from world to camera (inverted)."""
+    camera_axes: Annotated[Optional[CameraAxes], optional("opencv|opengl")] = None  # noqa: UP045
+    """Camera axes: x right, y down, z forward (opencv), or x right, y up, z backward (opengl)."""
+    up: Annotated[Text, optional("AXIS")] = None
+    """Axis of the scan's frame that points up: x, -x, y, -y, z or -z."""
 
     def __post_init__(self) -> None:
         if self.categories is not None and self.detections is None:
             raise InputError("--categories names the categories of --detections; give both")
+        if self.up is not None and self.up not in UP:
+            raise InputError(f"--up must be {', '.join(UP[:-1])} or {UP[-1]}, not {self.up!r:.20}")
         if self.depth_scale is not None and not 1e-6 <= self.depth_scale <= 1e9:
             raise InputError(
                 f"--depth-scale must be between 1e-6 and 1e9, not {self.depth_scale:g}"
@@ -73,8 +85,9 @@ def read(source: Path, options: ScanOptions, settings: ScanSettings) -> Scan:
         settings.depth_topic, settings.color_topic, settings.info_topic, settings.fixed_frame
     )
     scan = read_scan(
-        source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics
-    )
+        source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics,
+        poses=options.poses, axes=options.camera_axes, up=cast("UpAxis | None", options.up),
+    )  # fmt: skip
     print_warnings(scan.warnings)
     return scan
 

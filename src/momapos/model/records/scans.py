@@ -72,6 +72,8 @@ class Scan:
     """Skipped input and assumptions, one line each."""
     notes: tuple[str, ...] = ()
     """Measurements of the recording, one line each."""
+    up: Float[np.ndarray, "3"] | None = None
+    """Up in its frame, if the user states it; else it is found."""
 
     def __repr__(self) -> str:
         cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"
