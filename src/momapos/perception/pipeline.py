@@ -48,6 +48,7 @@ from .labels import detections_of, with_labels
 from .modeling import decide, shows_handles, with_observed_motion
 from .open_doors import close_leaves, open_leaves
 from .records import Decision, Found, Modeled, Progress, ScanConfig, Survey, Target, Tools, silent
+from .start_place import start_place
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -118,9 +119,9 @@ def survey(
         instances = [item for item in single if item.label not in BUILDING]
         detections = boxes(cloud, instances, room)
         lost = {
-            "repeat another mask": len(read) - len(single),
-            "are parts of the building": len(single) - len(instances),
-            f"have fewer than {MIN_POINTS} points": len(instances) - len(detections),
+            "masks that repeat another": len(read) - len(single),
+            "parts of the building": len(single) - len(instances),
+            f"with fewer than {MIN_POINTS} points": len(instances) - len(detections),
         }
     with watch.stage("rows"):
         progress("splitting rows of cabinets", 0.3)
@@ -134,7 +135,8 @@ def survey(
     with watch.stage("labels"):
         progress("labeling objects", 0.35)
         detected, names = detections_of(frames, tools.detect, found)
-        said = (*turned, *_said(lost, len(read)))
+        own = isinstance(tools.segment, ClassicalSegmenter)
+        said = turned if own else (*turned, *_said(lost, len(read)))
         seen = Survey(
             cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves,
             detected if config.views == "first" else found, watch.seconds, said,
@@ -192,7 +194,9 @@ def model_room(
         decisions += [Decision(wall, None, None, (), None, "wall") for wall in seen.walls]
     with watch.stage("write"):
         models = {d.detection.name: d.model for d in decisions if d.model is not None}
-        build_scene([d.detection for d in decisions], models, floor_outline(seen.cloud), out)
+        floor = floor_outline(seen.cloud)
+        start = start_place([d.detection.box for d in decisions], floor, seen.frames)
+        build_scene([d.detection for d in decisions], models, floor, out, start=start)
     timing = {**seen.timing, **watch.seconds}
     timing["total"] = sum(timing.values())
     return Modeled(
@@ -222,9 +226,8 @@ def _said_up(scan: Scan, T: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
 
 def _said(lost: Mapping[str, int], count: int) -> tuple[str, ...]:
     """Return one line about instances that are no objects of the scene; none if all are."""
-    parts = [f"{number} {why}" for why, number in lost.items() if number]
-    kept = count - sum(lost.values())
-    return (f"{kept} of {count} instances are objects: {', '.join(parts)}",) if parts else ()
+    parts = ", ".join(f"{number} {why}" for why, number in lost.items() if number)
+    return (f"dropped {sum(lost.values())} of {count} instances: {parts}",) if parts else ()
 
 
 def split_rows(
