@@ -137,9 +137,10 @@ def survey(
         detected, names = detections_of(frames, tools.detect, found)
         own = isinstance(tools.segment, ClassicalSegmenter)
         said = turned if own else (*turned, *_said(lost, len(read)))
+        located = detected if config.views == "first" else found
         seen = Survey(
-            cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves,
-            detected if config.views == "first" else found, watch.seconds, said,
+            cloud, frames, T @ _to_origin(scan), room, tuple(detections), tuple(boards),
+            (*known, *rows), leaves, located, watch.seconds, said,
         )  # fmt: skip
         detections = with_labels(
             detections, cloud, frames, detected, names, labels,
@@ -211,8 +212,16 @@ def model_room(
 def _transformed(
     cloud: Cloud, frames: Sequence[Frame], T: Float[np.ndarray, "4 4"]
 ) -> tuple[Cloud, tuple[Frame, ...]]:
-    upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
+    turned = apply(T, cloud.points), cloud.normals @ T[:3, :3].T
+    upright_cloud = replace(cloud, points=turned[0], normals=turned[1])
     return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
+
+
+def _to_origin(scan: Scan) -> Float[np.ndarray, "4 4"]:
+    """Return the transform from the recording's frame to that of the scan, which may be moved."""
+    T = np.eye(4)
+    T[:3, 3] = 0.0 if scan.origin is None else -scan.origin
+    return T
 
 
 def _said_up(scan: Scan, T: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:

@@ -16,6 +16,9 @@ from .loading import print_warnings
 from .options import LabelsArg, Number, OptionalFile, Text, optional
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Int
+
     from momapos.model.records import ArticulationPredictor, Detector, Scan, Segmenter
     from momapos.perception import Found, ScanConfig, Target, Tools
     from momapos.perception.reconstruction import GivenModel
@@ -138,9 +141,25 @@ def _reader(scan: Scan, path: Path) -> Segmenter:
             raise InputError(
                 f"{path}: masks need a scan with a point cloud, and {scan.name} has none"
             )
-        return read_instances(path, len(cloud.points))
+        rows = cloud.rows
+        if rows is None:
+            return read_instances(path, len(cloud.points))
+        return [
+            item if item.members is None else replace(item, members=_rows_of(rows, item.members))
+            for item in read_instances(path, len(rows))
+        ]
 
     return read
+
+
+def _rows_of(
+    rows: Int[np.ndarray, " file"], members: Int[np.ndarray, " k"]
+) -> Int[np.ndarray, " m"]:
+    """Return the points of a cloud for points of its file."""
+    import numpy as np
+
+    found = np.unique(rows[members])
+    return found[found >= 0]
 
 
 def stand_ins(options: ScanOptions) -> dict[str, str]:

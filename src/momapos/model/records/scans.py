@@ -55,6 +55,11 @@ class Cloud:
     normals: Float[np.ndarray, "n 3"]
     """Unit normals toward the observed side."""
     colors: UInt8[np.ndarray, "n 3"]
+    rows: Int[np.ndarray, " file"] | None = None
+    """Index of the point here for each point of its file, -1 if it has none: it is not finite, or
+    was removed. Points of a large file share one. None if the cloud was not read."""
+    origin: Float[np.ndarray, "3"] | None = None
+    """Point of the file's frame that is the origin here, if the file's points are far away [m]."""
 
     def __repr__(self) -> str:
         return f"<Cloud: {len(self.points)} points>"
@@ -74,6 +79,8 @@ class Scan:
     """Measurements of the recording, one line each."""
     up: Float[np.ndarray, "3"] | None = None
     """Up in its frame, if the user states it; else it is found."""
+    origin: Float[np.ndarray, "3"] | None = None
+    """Point of the recording's frame that is the origin here, if the recording is far away [m]."""
 
     def __repr__(self) -> str:
         cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"

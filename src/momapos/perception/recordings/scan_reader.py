@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -25,7 +25,11 @@ from .conventions import CameraAxes, PoseDirection, Stated, with_conventions
 from .image_folders import find_walk
 from .layouts import MILLIMETERS, find_layout, list_names, read_frames
 from .pose_check import MAX_DRIFT, PoseCheck, check_poses
+from .thinning import FAR
 from .validation import check_depth_unit
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 ACCEPTED = (
     "a folder with frame-000000.color.jpg, .depth.png and .pose.txt (7-Scenes, 3DMatch), or with "
@@ -101,7 +105,7 @@ def _read(path: Path, max_frames: int, stated: Stated, topics: BagTopics | None)
     kind = _kind(path)
     if kind == "cloud":
         cloud, warnings = read_cloud(path)
-        return Scan(path.stem, (), cloud, warnings)
+        return Scan(path.stem, (), cloud, warnings, origin=cloud.origin)
     if kind == "recording":
         return _read_recording(path, path.stem, max_frames, stated, topics)
     raise FileFormatError(f"{path}: not a scan; expected {ACCEPTED}")
@@ -136,11 +140,23 @@ def _read_folder(path: Path, max_frames: int, stated: Stated, topics: BagTopics 
             raise FileFormatError(f"{path}: has neither depth images nor a cloud (scene.ply)")
         return _checked(Scan(name, frames, None, warnings))
     cloud, notes = read_cloud(file, np.array([frame.T_world_camera[:3, 3] for frame in frames]))
-    return Scan(name, frames, cloud, (*warnings, *notes))
+    scan = Scan(name, frames, cloud, (*warnings, *notes))
+    return scan if cloud.origin is None else _moved(scan, cloud.origin)
+
+
+def _moved(scan: Scan, origin: Float[np.ndarray, "3"]) -> Scan:
+    """Return a scan whose frames are seen from another origin."""
+    T = np.eye(4)
+    T[:3, 3] = -origin
+    frames = tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in scan.frames)
+    return replace(scan, frames=frames, origin=origin)
 
 
 def _checked(scan: Scan) -> Scan:
     """Check poses against depth: drop frames with wrong poses, and warn about drift."""
+    middle = np.round(np.median([frame.T_world_camera[:3, 3] for frame in scan.frames], axis=0))
+    if np.abs(middle).max() > FAR:
+        scan = _moved(scan, middle)
     check = check_poses(scan.frames)
     if check is None:
         return scan

@@ -16,6 +16,7 @@ from momapos.core.geometry import (
     bottom,
     corners,
     from_corners,
+    point_spacing,
     to_local,
     top,
 )
@@ -43,8 +44,6 @@ OUTLIER_FACTOR = 1.6
 its points [-]. A cloud fused in voxels of 15 mm gets about `MAX_NEIGHBOR_DISTANCE`."""
 SPACING_PERCENT = 95.0
 """Meshes have few points on planes and many at edges, so the median is too small [%]."""
-SPACING_POINTS = 4_000
-"""Number of points whose neighbors measure the spacing of a cloud [-]."""
 OUTSIDE_PERCENT = 1.0
 """Share of points that may lie outside on each side [%]."""
 FACE_SEARCH = 0.08
@@ -88,7 +87,9 @@ def boxes(cloud: Cloud, instances: Sequence[Instance], room: RoomShell) -> list[
         InputError: Members are not indices of the cloud.
     """
     drawn = []
-    farthest = max(MAX_NEIGHBOR_DISTANCE, OUTLIER_FACTOR * wide_spacing(cloud.points))
+    farthest = max(
+        MAX_NEIGHBOR_DISTANCE, OUTLIER_FACTOR * point_spacing(cloud.points, SPACING_PERCENT)
+    )
     for instance in instances:
         members = _members(cloud, instance, farthest)
         if len(members) >= MIN_POINTS or instance.box is not None:
@@ -166,18 +167,6 @@ def wall_detections(room: RoomShell) -> list[Detection]:
 
 
 # ---------------------------------------------------------------- points
-
-
-def wide_spacing(points: Float[np.ndarray, "n 3"]) -> float:
-    """Return the distance that 95 % of a cloud's points keep to their eight nearest neighbors [m].
-
-    It is the mean over the neighbors; 0 for a cloud of fewer than nine points.
-    """
-    if len(points) < 9:
-        return 0.0
-    sample = points[:: -(-len(points) // SPACING_POINTS)]
-    distances, _ = cKDTree(points).query(sample, k=9)
-    return float(np.percentile(distances[:, 1:].mean(axis=1), SPACING_PERCENT))
 
 
 def _members(cloud: Cloud, instance: Instance, farthest: float) -> Int[np.ndarray, " k"]:
