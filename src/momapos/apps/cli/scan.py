@@ -30,8 +30,10 @@ from .scan_options import (
     scan_config,
     tools_for,
 )
+from .scan_photo import NO_PHOTO, PhotoArgs, is_photo, model
 
 if TYPE_CHECKING:
+    from momapos.model.records import Scan
     from momapos.perception import Modeled
     from momapos.perception.reconstruction import SeenMotion
 
@@ -41,7 +43,7 @@ SETTINGS = ("importance", "scan")
 
 
 def scan_room(
-    source: Annotated[Positional[Path], arg(metavar="DIR")],
+    source: Annotated[Positional[Optional[Path]], arg(metavar="[DIR]")] = None,  # noqa: UP045
     /,
     *,
     out: Annotated[Path, arg(metavar="FILE")],
@@ -53,10 +55,11 @@ def scan_room(
     scorer: ScorerOption = None,
     pictures: Flag = True,
     json: Flag = False,
+    photo: PhotoArgs = NO_PHOTO,
     options: ScanArgs = DEFAULT,
     settings: ConfigArgs = NO_SETTINGS,
 ) -> int:
-    """Build a scene from a scan of a room, for `momapos place`.
+    """Build a scene from a scan of a room, or from one photo of an object, for `momapos place`.
 
     scan_report.json, next to the scene, explains the decisions.
 
@@ -72,19 +75,26 @@ def scan_room(
         scorer: Importance score: reach, deepwalk, distance, size or names, see `momapos rank`.
         pictures: Don't draw an image for each object that explains its model.
         json: Print the report as one JSON object, and nothing else.
+        photo: One object in one photo, instead of a scan.
         options: What is known about the scan.
         settings: Further settings.
     """
-    import json as encoder
-
     from momapos.core import check_outputs
     from momapos.workflows import scan_to_scene
 
     from .console import progress
-    from .scan_report import outputs_of, report_to_dict, write_report
+    from .scan_report import outputs_of
 
     configuration = load_config(settings, SETTINGS, scorer=scorer, alpha=alpha)
     config = scan_config(options, configuration.scan)
+    scans_only = {
+        "after": after, "target": target, "target_at": target_at, "target_pixel": target_pixel,
+        "alpha": alpha, "scorer": scorer,
+    }  # fmt: skip
+    if is_photo(source, photo, options, scans_only):
+        check_outputs(*outputs_of(out, pictures=pictures))
+        return _shown(*model(photo, options, config, out), out, pictures=pictures, json=json)
+    assert source is not None
     given, labels = given_models(options), given_labels(options)
     wanted, detector = find_target(target, target_at, target_pixel), detector_of(options)
     check_outputs(*outputs_of(out, pictures=pictures))
@@ -97,10 +107,19 @@ def scan_room(
             config=config, importance=configuration.importance,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
-    print_warnings(result.warnings)
-    print_warnings(text for decision in result.decisions for text in decision.warnings)
     if later is not None and not any(decision.moved for decision in result.decisions):
         print(f"momapos: {after}: no part moved since {source}", file=sys.stderr)
+    return _shown(result, scan, out, pictures=pictures, json=json)
+
+
+def _shown(result: Modeled, scan: Scan, out: Path, *, pictures: bool, json: bool) -> int:
+    """Write the report and the figures, and print a summary."""
+    import json as encoder
+
+    from .scan_report import report_to_dict, write_report
+
+    print_warnings(result.warnings)
+    print_warnings(text for decision in result.decisions for text in decision.warnings)
     data = report_to_dict(result, scan, result.target)
     folder = write_report(result, data, out, pictures=pictures)
     print(encoder.dumps(data, allow_nan=False) if json else table(result, data, out, folder))

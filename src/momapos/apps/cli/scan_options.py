@@ -254,16 +254,25 @@ def find_target(target: str | None, at: str | None, pixel: str | None) -> Target
     if sum(word is not None for word in (target, at, pixel)) > 1:
         raise InputError("--target, --target-at and --target-pixel exclude each other; give one")
     if at is not None:
-        x, y, z = _finite(at.split(","), 3, "--target-at", at, "X,Y,Z in meters")
+        x, y, z = finite_numbers(at.split(","), 3, "--target-at", at, "X,Y,Z in meters")
         return PointAt((x, y, z))
     if pixel is not None:
         frame, *rest = pixel.rsplit(",", 2)
-        u, v = _finite(rest, 2, "--target-pixel", pixel, "FRAME,U,V, as in frame-000020,310,95")
+        u, v = finite_numbers(
+            rest, 2, "--target-pixel", pixel, "FRAME,U,V, as in frame-000020,310,95"
+        )
         return PixelOf(frame, u, v)
     return target
 
 
-def _finite(words: list[str], count: int, option: str, text: str, wanted: str) -> list[float]:
+def finite_numbers(
+    words: list[str], count: int, option: str, text: str, wanted: str
+) -> list[float]:
+    """Parse the numbers in the value of an option.
+
+    Raises:
+        InputError: One is not a finite number, or there are more or fewer than `count`.
+    """
     try:
         values = [float(word) for word in words]
     except ValueError:
