@@ -132,8 +132,10 @@ def _possible(
     first: Conventions, stated: Stated, depth: float, usual: Conventions
 ) -> Iterable[Conventions]:
     """Return all conventions that the user does not exclude, with depth of a room."""
-    directions = (stated.poses,) if stated.poses else ("given", "inverted")
-    axes = (stated.axes,) if stated.axes else ("opencv", "opengl")
+    directions: tuple[PoseDirection, ...] = (
+        (stated.poses,) if stated.poses else ("given", "inverted")
+    )
+    axes: tuple[CameraAxes, ...] = (stated.axes,) if stated.axes else ("opencv", "opengl")
     scales = (stated.scale,) if stated.scale else (first.scale, *SCALES)
     for direction, way, scale in product(directions, axes, scales):
         low, high = PLAUSIBLE
