@@ -60,7 +60,7 @@ def result(category: int, **changes: Any) -> dict[str, Any]:
     """Return an entry as Detectron2 writes it."""
     entry = {
         "image_id": 0, "category_id": category, "bbox": [1.0, 1.0, 3.0, 2.0], "score": 0.9,
-        "segmentation": {"size": [4, 6], "counts": "PPPP1"},
+        "segmentation": {"size": [1024, 1024], "counts": "PPPP1"},
     }  # fmt: skip
     return {**entry, **changes}
 
@@ -179,3 +179,52 @@ def test_the_boxes_of_omni3d_keep_their_corners_and_need_names(tmp_path: Path) -
         path = written(tmp_path / "bad.json", [result(9, bbox3D=bad)])
         with pytest.raises(FileFormatError, match="bbox3D must be"):
             read_coco(path, frames())
+
+
+def encoded(mask: np.ndarray) -> dict[str, Any]:
+    """Return a mask as pycocotools' `encode` does (rleEncode and rleToString in maskApi.c)."""
+    flat = mask.T.ravel()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flat, [2]])))
+    runs = np.diff(np.concatenate([[0], edges])).tolist()
+    text = ""
+    for k, run in enumerate(runs):
+        value = run - runs[k - 2] if k > 2 else run
+        while True:
+            code = value & 31
+            value >>= 5
+            more = value != (-1 if code & 16 else 0)
+            text += chr(48 + (code | 32 if more else code))
+            if not more:
+                break
+    return {"size": list(mask.shape), "counts": text}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_mask_gives_the_box_that_the_detector_left_empty(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mask = np.zeros((40, 60), int)
+    top, left = rng.integers(0, 20), rng.integers(0, 30)
+    low, right = top + rng.integers(1, 20), left + rng.integers(1, 30)
+    mask[top:low, left:right] = rng.random((low - top, right - left)) < rng.uniform(0.2, 1.2)
+    rows, columns = np.nonzero(mask)
+    zero = [0.0, 0.0, 0.0, 0.0]
+    entries = [result(62, bbox=zero, segmentation=encoded(mask)), result(1)]
+    found = read_coco(written(tmp_path / "a.json", entries), frames()).found["frame-000000"]
+    if len(rows):
+        expected = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+        assert found[0].box == expected
+    assert len(found) == 1 + bool(len(rows))
+
+
+@pytest.mark.parametrize(
+    "mask",
+    [
+        None, [], {"size": [4, 6]}, {"size": [4], "counts": [24]}, {"size": [4, 6], "counts": [5]},
+        {"size": [4, 6], "counts": "\u00ff"}, {"size": [4, 10**9], "counts": [4 * 10**9]},
+        {"size": [4, 6], "counts": [-1, 25]}, {"size": [4, 6], "counts": "o" * 99},
+    ],
+)  # fmt: skip
+def test_a_mask_that_is_none_is_refused_in_one_line(tmp_path: Path, mask: Any) -> None:
+    path = written(tmp_path / "a.json", [result(1, bbox=[0, 0, 0, 0], segmentation=mask)])
+    with pytest.raises(FileFormatError, match="detection 0: bbox is empty and segmentation"):
+        read_coco(path, frames())

@@ -18,6 +18,7 @@ from momapos.model.records import Frame, ImageDetection
 
 from .categories import Categories, categories_of, read_categories, read_json
 from .coco import CATEGORIES, COCO80, label_of_name
+from .mask_boxes import box_of_mask
 
 MAX_DISTANCE = 1e3
 """Of a corner of a 3-D box from the camera [m]."""
@@ -38,10 +39,10 @@ class Results:
 class _Entry:
     image: str
     category: int
-    box: tuple[float, float, float, float]
+    box: tuple[float, float, float, float] | None
+    """None if it is empty."""
     score: float
     corners: Corners | None
-    is_empty: bool
 
 
 def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = None) -> Results:
@@ -57,7 +58,7 @@ def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = Non
             the file, the numbers are COCO's; 3-D boxes then have no labels.
 
     Returns:
-        The detections, without empty boxes.
+        The detections. An empty box is replaced by that of the mask; without one it is left out.
 
     Raises:
         FileFormatError: A file is damaged, no detection is in an image of the scan, or a category
@@ -81,10 +82,10 @@ def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = Non
     known, found = {frame.name for frame in frames}, dict[str, list[ImageDetection]]()
     for entry in entries:
         image = names.get(entry.image)
-        if image in known and not entry.is_empty:
+        if image in known and entry.box is not None:
             item = ImageDetection(entry.box, labels[entry.category], entry.score, entry.corners)
             found.setdefault(image, []).append(item)
-    empty = sum(entry.is_empty for entry in entries)
+    empty = sum(entry.box is None for entry in entries)
     if empty:
         warnings.append(f"{path}: skipped {empty} of {len(entries)} detections with an empty box")
     if len(entries) > empty and not found:
@@ -140,9 +141,18 @@ def _entry(item: Any, where: str) -> _Entry:
         ) from error
     if not np.isfinite([left, top, width, height, score]).all() or min(width, height) < 0:
         raise FileFormatError(f"{where}: bbox and score must be finite, and bbox not negative")
-    box = (left, top, left + width, top + height)
+    box: tuple[float, float, float, float] | None = (left, top, left + width, top + height)
+    if min(width, height) == 0:
+        box = _box_of(item["segmentation"], where) if "segmentation" in item else None
     corners = _corners(item["bbox3D"], where) if "bbox3D" in item else None
-    return _Entry(str(image), category, box, score, corners, is_empty=min(width, height) == 0)
+    return _Entry(str(image), category, box, score, corners)
+
+
+def _box_of(mask: Any, where: str) -> tuple[float, float, float, float] | None:
+    try:
+        return box_of_mask(mask)
+    except ValueError as error:
+        raise FileFormatError(f"{where}: bbox is empty and segmentation {error}") from error
 
 
 def _corners(values: Any, where: str) -> Corners | None:
