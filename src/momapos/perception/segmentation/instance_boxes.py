@@ -39,7 +39,7 @@ WALL_THICKNESS = 0.1
 MAX_NEIGHBOR_DISTANCE = 0.03
 """Points farther than this from their eight nearest neighbors on average are outliers, unless the
 cloud is sparse [m]."""
-OUTLIER_FACTOR = 1.6
+OUTLIER_FACTOR = 1.3
 """In a sparse cloud, outliers are this much farther from their neighbors than `SPACING_PERCENT` of
 its points [-]. A cloud fused in voxels of 15 mm gets about `MAX_NEIGHBOR_DISTANCE`."""
 SPACING_PERCENT = 95.0
