@@ -114,7 +114,8 @@ def survey(
         cloud = complete(cloud, frames, walls, config.voxel)
         leaves = open_leaves(cloud, frames, walls)
         cloud, frames, known = close_leaves(leaves, cloud, frames, tools, config)
-        read = boxes_in_images(found or {}, frames) or tools.segment(cloud)
+        given = boxes_in_images(found or {}, frames)
+        read = given or tools.segment(cloud)
         single = without_duplicates(read, len(cloud.points))
         instances = [item for item in single if item.label not in BUILDING]
         detections = boxes(cloud, instances, room)
@@ -135,7 +136,7 @@ def survey(
     with watch.stage("labels"):
         progress("labeling objects", 0.35)
         detected, names = detections_of(frames, tools.detect, found)
-        own = isinstance(tools.segment, ClassicalSegmenter)
+        own = isinstance(tools.segment, ClassicalSegmenter) and not given
         said = turned if own else (*turned, *_said(lost, len(read)))
         located = detected if config.views == "first" else found
         seen = Survey(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -40,7 +41,7 @@ NO_PHOTO = PhotoOptions()
 
 
 def is_photo(
-    source: Path | None, photo: PhotoOptions, options: ScanOptions, others: dict[str, object]
+    source: Path | None, photo: PhotoOptions, options: ScanOptions, others: Mapping[str, object]
 ) -> bool:
     """Tell whether a photo is modeled instead of a scan.
 

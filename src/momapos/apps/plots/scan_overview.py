@@ -148,9 +148,9 @@ def _part(axes: Axes, frame: Frame, one: Decision, part: Part) -> None:
         return
     axes.add_patch(Polygon(pixels, facecolor=color, edgecolor=color, linewidth=2.5, alpha=0.3))
     axes.add_patch(Polygon(pixels, fill=False, edgecolor=color, linewidth=2.5))
-    middle = pixels.mean(axis=0)
+    x, y = pixels.mean(axis=0).tolist()
     axes.text(
-        *middle, f"{part.kind.replace('_', ' ')}\n{part.score:.2f}", fontsize=9, color="white",
+        x, y, f"{part.kind.replace('_', ' ')}\n{part.score:.2f}", fontsize=9, color="white",
         ha="center", va="center", clip_on=True,
         bbox={"facecolor": color, "edgecolor": "none", "pad": 1.0, "alpha": 0.75},
     )  # fmt: skip

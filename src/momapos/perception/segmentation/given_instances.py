@@ -18,6 +18,9 @@ MAX_OVERLAP = 0.5
 """Masks with a larger IoU are one object [-]. Mask3D exports up to 750 masks of a room, one for
 each probable class of an object."""
 
+BOX_ERROR = 0.06
+"""Boxes of one object in several images differ by this [m]: a counter is 4 cm thick."""
+
 
 def without_duplicates(instances: Sequence[Instance], count: int) -> list[Instance]:
     """Drop masks that nearly repeat a mask with a higher score.
@@ -57,7 +60,7 @@ def boxes_in_images(
     """Return the 3-D boxes that a detector found in images, one for each object.
 
     A box in one image is the same object as one of equal label in another image if the center of
-    either lies in the other; the one with the highest score is kept.
+    either lies in the other, or nearly; the one with the highest score is kept.
 
     Args:
         found: Detections by frame name; those without corners are ignored.
@@ -83,7 +86,7 @@ def _is_same(a: UprightBox | None, b: UprightBox | None) -> bool:
 
 
 def _holds(box: UprightBox, point: Float[np.ndarray, "3"]) -> bool:
-    return bool((np.abs(to_local(point[None], box)[0]) < box.size / 2).all())
+    return bool((np.abs(to_local(point[None], box)[0]) < box.size / 2 + BOX_ERROR).all())
 
 
 def _upright(corners: Sequence[tuple[float, float, float]] | None, frame: Frame) -> UprightBox:
