@@ -36,14 +36,14 @@ def load_tensors(path: Path) -> Any:
             f"torch {torch.__version__} cannot read untrusted files safely; {install_hint('torch')}"
         )
     with open_regular(path, MAX_BYTES) as file:
-        _check_archive(file, path)
+        check_archive(file, path)
         try:
             return torch.load(file, map_location="cpu", weights_only=True)
         except Exception as error:  # a forged pickle can make its reader raise anything
             raise FileFormatError(f"{path}: {_reason(error)}") from error
 
 
-def _check_archive(file: BinaryIO, path: Path) -> None:
+def check_archive(file: BinaryIO, path: Path) -> None:
     """Reject files that are not zip archives, or that unpack to more than their size."""
     try:
         with zipfile.ZipFile(file) as archive:

@@ -14,9 +14,11 @@ from momapos.perception.detection import WITHOUT_DOORS
 from momapos.perception.reconstruction import (
     GivenModel,
     furniture_model,
+    is_predicted_urdf,
     moved_piece,
     opened_piece,
     place_model,
+    read_predicted_urdf,
     weighted_by_height,
     weighted_by_label,
 )
@@ -69,21 +71,45 @@ def decide(
     view = front_of(item, survey, tools, config)
     if view is None:
         return replace(box, reason="no front found in the images")
+    return model_front(replace(box, view=view), survey, tools, given, config)
+
+
+def model_front(
+    box: Decision,
+    survey: Survey,
+    tools: Tools,
+    given: Mapping[str, GivenModel],
+    config: ScanConfig,
+) -> Decision:
+    """Model an object whose front is known.
+
+    Args:
+        box: The decision so far, with the view of the front.
+        survey: The room.
+        tools: Predictors.
+        given: Models by name or label; of URDFormer's output only the parts are used.
+        config: How parts become joints.
+    """
+    item, view = box.detection, box.view
+    assert view is not None
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
     own = given.get(item.name, given.get(item.label))
-    if own is not None:
+    if own is not None and not is_predicted_urdf(own.path):
         model, warnings = place_model(item, facing, own)
         warnings = (*box.warnings, *warnings)
-        return replace(box, view=view, source=PartSource.GIVEN, model=model, warnings=warnings)
-    parts, source = _parts(view, item, tools)
+        return replace(box, source=PartSource.GIVEN, model=model, warnings=warnings)
+    if own is None:
+        parts, source = _parts(view, item, tools)
+    else:
+        parts, source = read_predicted_urdf(own.path), PartSource.GIVEN
     if not parts:
-        return replace(box, view=view, reason="no doors or drawers found on its front")
+        return replace(box, reason="no doors or drawers found on its front")
     faces = box_faces(item.box)
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
     left, right = (neighbor_protrusion(faces[k], view.face, others) for k in view.face.neighbors)
     piece = furniture_model(item, facing, view.image, parts, config.model, neighbors=(left, right))
     piece, moved = opened_piece(piece, survey.leaves)
-    return replace(box, view=view, parts=parts, source=source, model=piece, moved=moved)
+    return replace(box, parts=parts, source=source, model=piece, moved=moved)
 
 
 def front_of(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) -> FrontView | None:

@@ -56,6 +56,8 @@ class NextView:
 
 def scan_again(made: Modeled) -> list[NextView]:
     """Return the most informative missing images, best first, at most one per object."""
+    if not len(made.cloud.points):
+        return []  # a photo of one object
     everything = [one.detection.box for one in made.decisions]
     low, high = np.percentile(made.cloud.points[:, :2], [0.2, 99.8], axis=0)
     found = []

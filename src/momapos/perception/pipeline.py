@@ -30,14 +30,17 @@ from momapos.perception.reconstruction import (
     build_scene,
 )
 from momapos.perception.segmentation import (
+    MIN_POINTS,
     ClassicalSegmenter,
     boxes,
+    boxes_in_images,
     drop_fragments,
     find_room,
     inside,
     pointed_at,
     wall_detections,
     with_coverage,
+    without_duplicates,
 )
 from momapos.perception.views import KnownFront, split_row
 
@@ -45,6 +48,7 @@ from .labels import detections_of, with_labels
 from .modeling import decide, shows_handles, with_observed_motion
 from .open_doors import close_leaves, open_leaves
 from .records import Decision, Found, Modeled, Progress, ScanConfig, Survey, Target, Tools, silent
+from .start_place import start_place
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -71,7 +75,7 @@ def cloud_after(after: Scan, seen: Survey, config: ScanConfig) -> Cloud:
         InputError: The scan shows another room, or is empty.
     """
     cloud = after.cloud or fuse(after.frames, config.voxel, config.fusion)
-    T = align_to_gravity(cloud, after.frames)
+    T = align_to_gravity(cloud, after.frames, after.up)
     upright, _ = _transformed(cloud, (), T)
     try:
         T = register(seen.cloud, upright)
@@ -101,7 +105,8 @@ def survey(
         cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
     with watch.stage("boxes"):
         progress("finding objects", 0.2)
-        T = align_to_gravity(cloud, scan.frames)
+        T = align_to_gravity(cloud, scan.frames, scan.up)
+        turned = _said_up(scan, T)
         cloud, frames = _transformed(cloud, scan.frames, T)
         measured = len(cloud.points)
         room = find_room(cloud)
@@ -109,8 +114,16 @@ def survey(
         cloud = complete(cloud, frames, walls, config.voxel)
         leaves = open_leaves(cloud, frames, walls)
         cloud, frames, known = close_leaves(leaves, cloud, frames, tools, config)
-        instances = [item for item in tools.segment(cloud) if item.label not in BUILDING]
+        given = boxes_in_images(found or {}, frames)
+        read = given or tools.segment(cloud)
+        single = without_duplicates(read, len(cloud.points))
+        instances = [item for item in single if item.label not in BUILDING]
         detections = boxes(cloud, instances, room)
+        lost = {
+            "masks that repeat another": len(read) - len(single),
+            "parts of the building": len(single) - len(instances),
+            f"with fewer than {MIN_POINTS} points": len(instances) - len(detections),
+        }
     with watch.stage("rows"):
         progress("splitting rows of cabinets", 0.3)
         instances, rows = split_rows(detections, cloud, frames, tools.look, known)
@@ -123,9 +136,12 @@ def survey(
     with watch.stage("labels"):
         progress("labeling objects", 0.35)
         detected, names = detections_of(frames, tools.detect, found)
+        own = isinstance(tools.segment, ClassicalSegmenter) and not given
+        said = turned if own else (*turned, *_said(lost, len(read)))
+        located = detected if config.views == "first" else found
         seen = Survey(
-            cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves,
-            detected if config.views == "first" else found, watch.seconds,
+            cloud, frames, T @ _to_origin(scan), room, tuple(detections), tuple(boards),
+            (*known, *rows), leaves, located, watch.seconds, said,
         )  # fmt: skip
         detections = with_labels(
             detections, cloud, frames, detected, names, labels,
@@ -180,10 +196,15 @@ def model_room(
         decisions += [Decision(wall, None, None, (), None, "wall") for wall in seen.walls]
     with watch.stage("write"):
         models = {d.detection.name: d.model for d in decisions if d.model is not None}
-        build_scene([d.detection for d in decisions], models, floor_outline(seen.cloud), out)
+        floor = floor_outline(seen.cloud)
+        start = start_place([d.detection.box for d in decisions], floor, seen.frames)
+        build_scene([d.detection for d in decisions], models, floor, out, start=start)
     timing = {**seen.timing, **watch.seconds}
     timing["total"] = sum(timing.values())
-    return Modeled(out, seen.cloud, seen.frames, seen.T_scene_scan, tuple(decisions), timing)
+    return Modeled(
+        out, seen.cloud, seen.frames, seen.T_scene_scan, tuple(decisions), timing,
+        warnings=seen.warnings,
+    )  # fmt: skip
 
 
 # ----------------------------------------------------------------------------- geometry of the room
@@ -192,8 +213,31 @@ def model_room(
 def _transformed(
     cloud: Cloud, frames: Sequence[Frame], T: Float[np.ndarray, "4 4"]
 ) -> tuple[Cloud, tuple[Frame, ...]]:
-    upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
+    turned = apply(T, cloud.points), cloud.normals @ T[:3, :3].T
+    upright_cloud = replace(cloud, points=turned[0], normals=turned[1])
     return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
+
+
+def _to_origin(scan: Scan) -> Float[np.ndarray, "4 4"]:
+    """Return the transform from the recording's frame to that of the scan, which may be moved."""
+    T = np.eye(4)
+    T[:3, 3] = 0.0 if scan.origin is None else -scan.origin
+    return T
+
+
+def _said_up(scan: Scan, T: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
+    """Return one line if a cloud without cameras is turned; none if its z axis is up."""
+    if scan.frames or scan.up is not None or T[2, 2] > 0.5:
+        return ()
+    axis = int(np.argmax(np.abs(T[2, :3])))
+    sign = "-" if T[2, axis] < 0 else ""
+    return (f"{scan.name}: {sign}{'xyz'[axis]} is taken for up; --up states another axis",)
+
+
+def _said(lost: Mapping[str, int], count: int) -> tuple[str, ...]:
+    """Return one line about instances that are no objects of the scene; none if all are."""
+    parts = ", ".join(f"{number} {why}" for why, number in lost.items() if number)
+    return (f"dropped {sum(lost.values())} of {count} instances: {parts}",) if parts else ()
 
 
 def split_rows(

@@ -136,6 +136,8 @@ class Survey:
     or of the detector if one image chooses the front, as in the paper."""
     timing: Mapping[str, float]
     """Seconds by stage."""
+    warnings: tuple[str, ...] = ()
+    """What the scan lacks or what was dropped, one line each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +155,8 @@ class Modeled:
     """Seconds by stage, and "total"."""
     target: str | None = None
     """Name of the task's object, if given."""
+    warnings: tuple[str, ...] = ()
+    """What the scan lacks or what was dropped, one line each."""
 
 
 def silent(what: str, share: float) -> None:

@@ -105,7 +105,7 @@ def test_every_file_of_the_same_points_gives_the_same_cloud(
     path = tmp_path / "cloud"
     path.write_bytes(write(table))
     cloud, warnings = read_cloud(path)
-    assert warnings == ()
+    assert [line for line in warnings if "is sparse" not in line] == []
     for i, axis in enumerate("xyz"):
         np.testing.assert_allclose(cloud.points[:, i], table[axis], rtol=1e-6)
         np.testing.assert_allclose(cloud.normals[:, i], table[f"n{axis}"], atol=1e-5)
@@ -121,7 +121,7 @@ def test_a_written_cloud_is_read_unchanged(tmp_path: Path, table: np.ndarray) ->
     np.testing.assert_array_equal(back.points, cloud.points)
     np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
     np.testing.assert_array_equal(back.colors, cloud.colors)
-    assert warnings == ()
+    assert [line for line in warnings if "is sparse" not in line] == []
     with pytest.raises(InputError, match="cannot be written"):
         write_cloud(cloud, tmp_path / "table.ply" / "below.ply")
 

@@ -81,8 +81,9 @@ def test_the_export_of_mask3d_is_read_with_names_scores_and_members(
         ("refrigerator", 0.9),
         ("table", 0.25),
         ("chair", 1.0),
-    ], "the empty mask is left out"
-    for instance, column in zip(found, masks.T, strict=False):
+        ("cabinet", 0.5),
+    ], "the empty mask is counted, too"
+    for instance, column in zip(found, masks.T, strict=True):
         np.testing.assert_array_equal(instance.members, np.flatnonzero(column))
 
 
@@ -199,7 +200,7 @@ def test_masks_saved_by_torch_are_read_unchanged(
     path = tmp_path / "scene_masks.pt"
     torch.save(tensor, path)
     found = read_instances(path, SIZE)
-    assert [i.label for i in found] == [""] * 3
+    assert [i.label for i in found] == [""] * 4
     for instance, column in zip(found, masks.T, strict=False):
         np.testing.assert_array_equal(instance.members, np.flatnonzero(column))
 
@@ -257,7 +258,7 @@ def test_a_bare_pickle_and_objects_in_an_array_are_refused(tmp_path: Path) -> No
         ((SIZE, -4), (4, 1), 200, "damaged"),
         ((SIZE,), (4, 1), 200, "damaged"),
         ((2**31 - 1, 2**31 - 1), (2**31 - 1, 1), 200, "damaged"),
-        ((SIZE,), (1,), 200, "one tensor"),
+        ((SIZE,), (1,), 200, "one tensor or array"),
     ],
 )
 def test_a_tensor_of_an_absurd_shape_is_refused(

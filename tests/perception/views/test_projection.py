@@ -56,7 +56,7 @@ def test_a_detector_file_locates_an_object(tmp_path: Path) -> None:
     }  # fmt: skip
     path = tmp_path / "coco_instances_results.json"
     path.write_text(json.dumps([entry, {**entry, "image_id": 1, "bbox": [0, 0, 9, 9]}]))
-    found = read_coco(path, images)
+    found = read_coco(path, images).found
     assert [sight.frame for sight in observations(FRIDGE, images, found)] == [0]
     assert observations(FRIDGE, images, found)[0].box[0] == pytest.approx(left + 5)
 

@@ -26,7 +26,7 @@ def report_to_dict(result: Modeled, scan: Scan, target: str | None) -> dict[str,
         "scene": str(result.scene),
         "frames": len(scan.frames),
         "points": len(result.cloud.points),
-        "warnings": list(scan.warnings),
+        "warnings": [*scan.warnings, *result.warnings],
         "notes": list(scan.notes),
         "T_scene_scan": result.T_scene_scan.tolist(),
         "target": target,
@@ -83,7 +83,7 @@ def _pictures_folder(out: Path) -> Path:
 def write_report(
     result: Modeled, data: dict[str, Any], out: Path, *, pictures: bool
 ) -> Path | None:
-    """Write `scan_report.json` next to the scene, and an image of each examined object.
+    """Write `scan_report.json` next to the scene, and images of the room and of each object.
 
     Returns:
         The folder of the images; None without images.
@@ -91,10 +91,11 @@ def write_report(
     write_text_atomic(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if not pictures:
         return None
-    from momapos.apps.plots import draw_modeled
+    from momapos.apps.plots import draw_modeled, draw_overviews
 
     folder = _pictures_folder(out)
     folder.mkdir(exist_ok=True)
+    draw_overviews(result, folder)
     scene = load_scene(str(out))
     for decision in result.decisions:
         if decision.view is None:

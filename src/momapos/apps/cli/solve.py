@@ -19,10 +19,10 @@ from .configuration import (
     Configuration,
     SearchOptions,
 )
-from .loading import load_arms_with_maps
+from .loading import load_arms_with_maps, print_warnings
 from .options import Flag, Target, Text, ValueArg, exit_status, optional
-from .scan import DEFAULT as SCAN_DEFAULT
-from .scan import ScanArgs
+from .scan_options import DEFAULT as SCAN_DEFAULT
+from .scan_options import ScanArgs
 
 if TYPE_CHECKING:
     from momapos.planning import PipelineConfig
@@ -146,7 +146,7 @@ def _solve(
 
     from .compile import ANSWER, compile_once
     from .console import progress
-    from .scan import (
+    from .scan_options import (
         detector_of,
         found_in,
         given_labels,
@@ -175,6 +175,7 @@ def _solve(
             seed=options.seed,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
+    print_warnings(answer.modeled.warnings)
     data = report_to_dict(answer.modeled, scan, name)
     write_report(answer.modeled, data, out / SCENE, pictures=options.pictures)
     write_cloud(answer.modeled.cloud, out / CLOUD)
@@ -221,7 +222,7 @@ def _run(
 
 def _to_dict(answer: ScanAnswer, record: RunRecord | None, options: SolveOptions) -> dict[str, Any]:
     """Return the record as plain values; times in [s]."""
-    from .scan import stand_ins
+    from .scan_options import stand_ins
 
     plan, timing = answer.result.plan, dict(answer.timing)
     if record is not None:

@@ -36,6 +36,7 @@ from .reach_slices import tool_axes as tool_axes
 from .robot_spheres import draw_robot as draw_robot
 from .robot_spheres import sphere_centers as sphere_centers
 from .room_plot import room_bounds as room_bounds
+from .scan_overview import draw_overviews as draw_overviews
 from .scene_outlines import draw_scene as draw_scene
 from .text_panel import task_text as task_text
 from .text_panel import value_text as value_text

@@ -55,6 +55,11 @@ class Cloud:
     normals: Float[np.ndarray, "n 3"]
     """Unit normals toward the observed side."""
     colors: UInt8[np.ndarray, "n 3"]
+    rows: Int[np.ndarray, " file"] | None = None
+    """Index of the point here for each point of its file, -1 if it has none: it is not finite, or
+    was removed. Points of a large file share one. None if the cloud was not read."""
+    origin: Float[np.ndarray, "3"] | None = None
+    """Point of the file's frame that is the origin here, if the file's points are far away [m]."""
 
     def __repr__(self) -> str:
         return f"<Cloud: {len(self.points)} points>"
@@ -72,6 +77,10 @@ class Scan:
     """Skipped input and assumptions, one line each."""
     notes: tuple[str, ...] = ()
     """Measurements of the recording, one line each."""
+    up: Float[np.ndarray, "3"] | None = None
+    """Up in its frame, if the user states it; else it is found."""
+    origin: Float[np.ndarray, "3"] | None = None
+    """Point of the recording's frame that is the origin here, if the recording is far away [m]."""
 
     def __repr__(self) -> str:
         cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"
@@ -122,6 +131,9 @@ class ImageDetection:
     """Left, top, right, bottom [px]."""
     label: str
     score: float
+    corners: tuple[tuple[float, float, float], ...] | None = None
+    """Corners of its 3-D box in the camera's frame [m], in Omni3D's order: 1, 3 and 4 are adjacent
+    to 0; None from detectors without 3-D boxes."""
 
 
 @dataclass(frozen=True, eq=False)

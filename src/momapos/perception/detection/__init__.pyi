@@ -1,5 +1,6 @@
 from .coco import LABELS as LABELS
 from .coco import WITHOUT_DOORS as WITHOUT_DOORS
+from .coco_results import Results as Results
 from .coco_results import read_coco as read_coco
 from .detector_models import MODELS as MODELS
 from .detector_models import ModelFile as ModelFile

@@ -18,6 +18,13 @@ COCO80: tuple[str, ...] = (
 )  # fmt: skip
 """Class names by class number of a detector trained on COCO."""
 
+GAPS = frozenset((12, 26, 29, 30, 45, 66, 68, 69, 71, 83))
+"""Numbers from 1 to 90 that COCO's files don't use."""
+CATEGORIES: Mapping[int, str] = dict(
+    zip((number for number in range(1, 91) if number not in GAPS), COCO80, strict=True)
+)
+"""Class names by the `category_id` of COCO's files, such as Detectron2's results."""
+
 RENAMED: Mapping[str, str] = {
     "dining table": "table",
     "refrigerator": "fridge",
@@ -42,5 +49,10 @@ WITHOUT_DOORS: frozenset[str] = LABELS - {"fridge", "oven", "microwave", "sink",
 
 def label_of_class(index: int) -> str:
     """Return our label for a class of COCO; "" for other classes and numbers."""
-    name = COCO80[index] if 0 <= index < len(COCO80) else ""
-    return RENAMED.get(name, name) if name in INDOORS else ""
+    return label_of_name(COCO80[index]) if 0 <= index < len(COCO80) else ""
+
+
+def label_of_name(name: str) -> str:
+    """Return our label for a class name of any detector; "" for those of COCO not in homes."""
+    name = name.strip().lower()
+    return "" if name in COCO80 and name not in INDOORS else RENAMED.get(name, name)

@@ -120,6 +120,7 @@ def complete(
         np.concatenate([part.points for part in parts]),
         np.concatenate([part.normals for part in parts]),
         np.concatenate([part.colors for part in parts]),
+        cloud.rows,
     )
 
 

@@ -44,16 +44,25 @@ HALF_LAYER = 0.03
 """Half the thickness of a horizontal plane [m]."""
 PLANE_TOLERANCE = 0.01
 """Points of one upright plane share a coordinate within this [m]."""
+LEVEL_BONUS = 0.1
+"""Score of the axis along which a room is shortest, as a share of its points [-]."""
+BETTER_UP = 0.15
+"""Another axis than z is up if its score is larger by this [-]. One wall with a row of cabinets
+faces one side as much as its floor faces up."""
 MAX_POINTS = 40_000
 """Number of points by which directions are counted; more do not help [-]."""
 
 
-def align_to_gravity(cloud: Cloud, frames: Sequence[Frame]) -> Float[np.ndarray, "4 4"]:
+def align_to_gravity(
+    cloud: Cloud, frames: Sequence[Frame], up: Float[np.ndarray, "3"] | None = None
+) -> Float[np.ndarray, "4 4"]:
     """Estimate the transform that makes a scan upright.
 
     Args:
         cloud: Surfaces with normals, in the world of the scan.
-        frames: Images with camera poses; without images, the world's z axis is roughly up.
+        frames: Images with camera poses.
+        up: Rough direction of up, if known. Else it is found by the cameras; without images, an
+            axis of the world is roughly up, see `axis_up`.
 
     Returns:
         `T_up_cloud`: z is up, the floor is at z = 0, walls and furniture are along x and y. The
@@ -66,7 +75,9 @@ def align_to_gravity(cloud: Cloud, frames: Sequence[Frame]) -> Float[np.ndarray,
         raise InputError(f"a cloud of {len(cloud.points)} points is too small to find up")
     step = -(-len(cloud.points) // MAX_POINTS)
     points, normals = cloud.points[::step], cloud.normals[::step]
-    up = _search(normals, _camera_up(frames))
+    if up is None:
+        up = _camera_up(frames) if frames else axis_up(points, normals)
+    up = _search(normals, up)
     if not _along(normals, up).any():
         raise InputError("the scan shows no horizontal surface, so up is unknown")
     for _ in range(3):
@@ -81,6 +92,31 @@ def align_to_gravity(cloud: Cloud, frames: Sequence[Frame]) -> Float[np.ndarray,
     return pose((0.0, 0.0, -z_floor), R_up_cloud)
 
 
+def axis_up(
+    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the axis of the world that points up in a cloud without cameras.
+
+    Floor and tops of furniture face up, and scans rarely show what faces down. The floor is the
+    lowest layer, and a room is less high than long. The z axis is taken unless another one fits
+    better by far.
+    """
+    axes = np.concatenate([np.eye(3)[[2, 1, 0]], -np.eye(3)[[2, 1, 0]]])
+    extent = np.ptp(np.percentile(points, (1, 99), axis=0), axis=0)
+    scores = [_upness(points @ axis, normals @ axis) for axis in axes]
+    fits = np.array(scores) + LEVEL_BONUS * (np.abs(axes) @ extent <= 1.05 * extent.min())
+    best = int(np.argmax(fits))
+    return axes[best] if fits[best] > fits[0] + BETTER_UP else axes[0]
+
+
+def _upness(heights: Float[np.ndarray, " n"], cosines: Float[np.ndarray, " n"]) -> float:
+    """Return the share of points that face up less those that face down, plus the floor's share."""
+    low, high = np.percentile(heights, (1, 99))
+    facing = np.cos(np.radians(20.0))
+    floor = (heights < low + max(HALF_LAYER, 0.05 * (high - low))) & (cosines > facing)
+    return float((cosines > facing).mean() - (cosines < -facing).mean() + floor.mean())
+
+
 def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
     """Estimate up from the cameras, which are held upright or on their side.
 
@@ -89,8 +125,6 @@ def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
     one direction satisfies this. Otherwise the top edge is preferred, and the direction for which
     the cameras look down.
     """
-    if not frames:
-        return np.array([0.0, 0.0, 1.0])
     step = -(-len(frames) // MAX_FRAMES)
     R = np.array([frame.T_world_camera[:3, :3] for frame in frames[::step]], float)
     edges = np.stack([-R[:, :, 1], R[:, :, 0], -R[:, :, 0], R[:, :, 1]], axis=1)

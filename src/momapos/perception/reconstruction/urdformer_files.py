@@ -26,6 +26,8 @@ MESH_EDGE = 0.25
 """Edge length of the authors' meshes of doors and drawers, so a scale of 4 fills the base."""
 GAP = {"drawer": 0.02, "doorL": 0.01, "doorR": 0.01}
 """Reduction of a part's scale by the authors, so that neighbors do not touch."""
+MESHES = "../meshes/"
+"""Folder of the authors' meshes, next to that of their output."""
 HANDLE_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
 """Width and height of the authors' meshes, as fractions of a base of scale 1."""
 
@@ -76,24 +78,46 @@ def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
     base = np.array(meshes[root][1][1:])
     if not (base > 0.0).all():
         raise UrdfError(f"{path}: the mesh of the base {root!r} has no width or height")
+    # The authors' code does not scale the parts of objects at the right wall by their width.
+    sized = np.where([_is_at_right_wall(path, robot, root), False], 1.0, base)
     origins: dict[str, Float[np.ndarray, "2"]] = {}
     parts: dict[str, Part] = {}
     for parent, child, xyz, _ in joints:
         name, scale = meshes.get(child, ("", (1.0, 1.0, 1.0)))
-        size = (np.array(scale[1:]) + GAP.get(name, 0.0)) * MESH_EDGE / base
+        size = (np.array(scale[1:]) + GAP.get(name, 0.0)) * MESH_EDGE / sized
         if parent == root and name in KINDS and (size > 1e-6).all():
             origins[child] = np.array(xyz[1:]) / base
             parts[child] = Part(KINDS[name], _rectangle(name, origins[child], size), 1.0)
     for parent, child, xyz, roll in joints:
         name, _ = meshes.get(child, ("", None))
         if name in HANDLES and parent in parts:
-            across, up = (origins[parent] + np.array(xyz[1:]) / base).tolist()
+            across, up = (origins[parent] + np.array(xyz[1:]) / sized).tolist()
             lying = abs(math.sin(roll)) > 0.5
             width, height = (np.array(HANDLE_SIZES[name][:: -1 if lying else 1]) / base).tolist()
             part = parts[parent]
             handle = around((across, 1.0 - up), (width, height), part.box)
             parts[parent] = Part(part.kind, part.box, part.score, handle)
     return tuple(parts.values())
+
+
+def is_predicted_urdf(path: Path) -> bool:
+    """Tell whether URDFormer's own code wrote a URDF, by the meshes of its links.
+
+    Raises:
+        UrdfError: The file is not usable.
+    """
+    links = read_xml(path, MAX_URDF_BYTES, error=UrdfError).findall("link")
+    meshes = [link.find("visual/geometry/mesh") for link in links]
+    files = ["" if mesh is None else mesh.get("filename", "") for mesh in meshes]
+    return bool(files) and all(file.startswith(MESHES) for file in files)
+
+
+def _is_at_right_wall(path: Path, robot: Element, root: str) -> bool:
+    """Tell whether an object of a whole kitchen is at its right wall, by the turn of its mesh."""
+    (link,) = (one for one in robot.findall("link") if one.get("name", "") == root)
+    origin = link.find("visual/origin")
+    yaw = 0.0 if origin is None else _three(path, origin.get("rpy", "0 0 0"))[2]
+    return abs(yaw + math.pi / 2) < 0.01
 
 
 def _rectangle(

@@ -23,7 +23,6 @@ from .ros_images import color_of, depth_of
 from .tf import TransformTree
 from .validation import (
     Skips,
-    check_depth_unit,
     check_intrinsics,
     check_memory,
     keep_common_size,
@@ -111,7 +110,6 @@ def read_bag(
         images = _second_pass(reader, chosen, shots)
         frames = _frames(images, shots, K, depth_scale, skips, path)
     _check_size(frames, size, path)
-    check_depth_unit(frames, depth_scale, str(path))
     return frames, (*warnings, *notes, *skips.warnings())
 
 

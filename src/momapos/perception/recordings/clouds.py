@@ -14,18 +14,21 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from momapos.core import FileFormatError, InputError, open_regular, write_atomic
+from momapos.core.geometry import point_spacing
 from momapos.model.records import Cloud
 
 from .pcd import read_pcd
 from .ply import Columns, read_ply
+from .thinning import AXES, origin_of, thinned
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8
 
 NEIGHBORS = 16
 MAX_EXTENT = 300.0  # [m] of a home
-MAX_DISTANCE = 1e6  # [m] from the origin; larger numbers are damaged
-AXES, NORMALS, COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+SPARSE = 0.03  # [m] between points; ScanNet's meshes have 3 to 5 cm, phones 1 to 2 cm
+MAX_ROUNDING = 0.004  # [m] of coordinates
+NORMALS, COLORS = ("nx", "ny", "nz"), ("red", "green", "blue")
 """Usual names of the columns in PLY files."""
 _CHUNK = 200_000
 _GRAY = 128
@@ -42,39 +45,74 @@ def read_cloud(
 
     Returns:
         The cloud in the file's order, without points that are not finite, and one line per dropped
-        or assumed item.
+        or assumed item. Large clouds are thinned, and clouds from far away are moved to the origin;
+        `rows` and `origin` tell how.
 
     Raises:
         FileFormatError: It is damaged, empty, or not in meters.
     """
     columns, triangles = _read(path)
-    points = _stacked(columns, AXES)
-    if points is None:
+    if not set(AXES) <= set(columns):
         raise FileFormatError(f"{path}: its points have no x, y, z; they have {list(columns)[:8]}")
-    if not len(points):
+    if not len(columns["x"]):
         raise FileFormatError(f"{path}: the cloud is empty")
-    finite = (np.abs(points) < MAX_DISTANCE).all(axis=1)
-    if not finite.any():
-        raise FileFormatError(f"{path}: none of its {len(points)} points is finite")
-    _check_meters(points[finite], path)
-    warnings = []
+    origin = origin_of(columns)
+    kept, rows, edge = thinned(columns, np.zeros(3) if origin is None else origin)
+    if not len(kept):
+        raise FileFormatError(f"{path}: none of its {len(rows)} points is finite")
+    warnings = _notes(columns, origin, rows, len(kept), edge, path)
+    columns = {name: column[kept] for name, column in columns.items()}
+    points = np.stack([columns[name].astype(float) for name in AXES], axis=1)
+    points = points if origin is None else points - origin
+    _check_meters(points, path)
     colors = _colors(columns, len(points))
     if colors is None:
         warnings.append(f"{path}: has no colors; all points are gray")
         colors = np.full((len(points), 3), _GRAY, np.uint8)
     normals = _given_normals(columns, len(points))
     if triangles is not None and not np.any(normals):
-        normals = _unit(_of_triangles(points, triangles))
-    if not finite.all():
-        warnings.append(
-            f"{path}: dropped {np.count_nonzero(~finite)} of {len(points)} points that are not "
-            "finite; masks must not count them"
-        )
-    points, normals, colors = points[finite], normals[finite], colors[finite]
+        corners = rows[triangles]
+        normals = _unit(_of_triangles(points, corners[(corners >= 0).all(axis=1)]))
     without = ~np.any(normals, axis=1)
     if without.any():
+        cameras = cameras if cameras is None or origin is None else cameras - origin
         normals[without] = _toward(cameras, points, without, _estimated(points, without))
-    return Cloud(points, normals, colors), tuple(warnings)
+    apart = point_spacing(points)
+    if apart > SPARSE:
+        warnings.append(
+            f"{path}: the cloud is sparse, its points are {100 * apart:.0f} cm apart; boxes are "
+            f"rough, and objects smaller than {100 * 5 * apart:.0f} cm may be missing"
+        )
+    return Cloud(points, normals, colors, rows, origin), tuple(warnings)
+
+
+def _notes(
+    columns: Columns,
+    origin: Float[np.ndarray, "3"] | None,
+    rows: Int[np.ndarray, " file"],
+    kept: int,
+    edge: float,
+    path: Path,
+) -> list[str]:
+    """Return one line per change of the points."""
+    notes = []
+    lost = int(np.count_nonzero(rows < 0))
+    if lost:
+        notes.append(f"{path}: dropped {lost} of {len(rows)} points that are not finite")
+    if edge:
+        notes.append(
+            f"{path}: thinned from {len(rows):,} to {kept:,} points, one per {100 * edge:.1f} cm"
+        )
+    if origin is not None:
+        place = ", ".join(f"{v:.0f}" for v in origin)
+        notes.append(f"{path}: the cloud is far from the origin; ({place}) is its origin now")
+        steps = [np.spacing(np.abs(columns[name][0])) for name in AXES]
+        if max(steps) > MAX_ROUNDING:
+            notes.append(
+                f"{path}: its numbers are so large that they are rounded to {max(steps):.2f} m; "
+                "save them as double, or move the cloud before saving"
+            )
+    return notes
 
 
 def write_cloud(cloud: Cloud, path: Path) -> None:

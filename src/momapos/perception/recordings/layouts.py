@@ -23,7 +23,6 @@ from .images import Size, image_size, match_color, read_color, read_depth, scale
 from .keyframes import choose, sharpness_of
 from .validation import (
     Skips,
-    check_depth_unit,
     check_intrinsics,
     check_memory,
     keep_common_size,
@@ -103,7 +102,7 @@ def read_frames(
         The frames, and one line per kind of skipped frame.
 
     Raises:
-        FileFormatError: No frame is usable, sizes differ, or depth is in another unit.
+        FileFormatError: No frame is usable, or sizes differ.
         InputError: They do not fit into memory.
     """
     where, scale = str(layout.folder), depth_scale or layout.depth_scale
@@ -127,7 +126,6 @@ def read_frames(
 
         frames = tuple(_collect(pool.map(_attempt(read), kept), skips).values())
     skips.refuse_none_left(len(frames), where)
-    check_depth_unit(frames, scale, where)
     return frames, skips.warnings()
 
 

@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import numpy as np
 
-from momapos.core import FileFormatError, load_tensors, open_regular, read_bytes_bounded
+from momapos.core import (
+    FileFormatError,
+    load_array,
+    load_tensors,
+    open_regular,
+    read_bytes_bounded,
+)
 from momapos.core.geometry import UprightBox
 from momapos.model.records import Instance
 
@@ -47,8 +53,8 @@ def read_instances(
             are among them, else the 200.
 
     Returns:
-        The instances in the file's order, with `members`, or with `box` for a JSON of boxes.
-        Empty masks are dropped.
+        The instances in the file's order, with `members`, or with `box` for a JSON of boxes. Masks
+        may be empty.
 
     Raises:
         FileFormatError: It is not readable, belongs to another cloud, or would run code.
@@ -81,12 +87,10 @@ def _mask3d(path: Path, cloud_size: int, classes: ClassSet | None) -> list[Insta
         raise FileFormatError(f"{path}: has {len(rows)} masks; the limit is {MAX_INSTANCES}")
     parsed = [_mask3d_row(row, number + 1, path) for number, row in enumerate(rows)]
     chosen = classes or class_set(label for _, label, _ in parsed)
-    instances = []
-    for mask, label, score in parsed:
-        members = np.flatnonzero(_mask_file(mask, cloud_size))
-        if len(members):
-            instances.append(Instance(class_name(label, chosen), score, members))
-    return instances
+    return [
+        Instance(class_name(label, chosen), score, np.flatnonzero(_mask_file(mask, cloud_size)))
+        for mask, label, score in parsed
+    ]
 
 
 def _mask3d_row(row: list[str], number: int, path: Path) -> tuple[Path, int, float]:
@@ -119,19 +123,23 @@ def _mask_file(path: Path, cloud_size: int) -> Bool[np.ndarray, " n"]:
 
 
 def _open_masks(path: Path, cloud_size: int) -> list[Instance]:
-    masks = load_tensors(path)
+    # OpenMask3D saves an array of numpy, others save a tensor.
+    array = load_array(path)
+    masks = load_tensors(path) if array is None else array
     shape = tuple(getattr(masks, "shape", ()))
     if len(shape) != 2:
-        raise FileFormatError(f"{path}: must have one tensor (vertices, masks), not {shape}")
+        raise FileFormatError(
+            f"{path}: must have one tensor or array (vertices, masks), not {shape}"
+        )
     _check_size(shape[0], cloud_size, path)
     if shape[1] > MAX_INSTANCES:
         raise FileFormatError(f"{path}: has {shape[1]} masks; the limit is {MAX_INSTANCES}")
     try:
         # One at a time: a tensor whose elements share memory may be far larger than its file.
-        members = [np.flatnonzero((masks[:, k] > 0.5).numpy()) for k in range(shape[1])]
+        members = [np.flatnonzero(np.asarray(masks[:, k] > 0.5)) for k in range(shape[1])]
     except (RuntimeError, TypeError, NotImplementedError) as error:  # sparse, quantized, complex
         raise FileFormatError(f"{path}: must have one dense tensor of numbers") from error
-    return [Instance("", 1.0, found) for found in members if len(found)]
+    return [Instance("", 1.0, found) for found in members]
 
 
 def _npy_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:

@@ -41,6 +41,22 @@ MAX_BASELINE, MIN_COSINE = 1.0, np.cos(np.radians(35.0))
 """Distance between the cameras of such a pair [m], and cosine between their directions [-]."""
 JUMP = 0.08
 """Tracking failed at a frame this far off from both neighbors, which agree [m]."""
+MIN_PIXELS = 150
+"""Minimum number of flat pixels that two images share [-]; the raster has about 4,800."""
+MIN_SHARED = 0.15
+"""The same as a share of the flat pixels of the first image [-]."""
+TOLERANCE = 0.02
+"""Depth that differs by this share agrees by 1/e [-]; noise and drift are about 1 %."""
+MIN_NORMAL_COSINE = 0.8
+"""Between normals of one surface [-]."""
+JUMP_FRAMES, JUMP_PAIRS, MIN_JUMP_PAIRS = 10, 12, 4
+"""Frames on each side of a suspected jump, the most similar pairs of them that are compared, and
+the number that must be comparable [-]."""
+JUMP_BASELINE, JUMP_COSINE = 1.5, 0.7
+"""Distance between the cameras of such a pair [m], and cosine between their directions [-]."""
+AGREES_OVER_JUMP = 0.6
+"""At a jump no pair agrees to this share of what neighbors do [-]. Without a jump the best pair
+reaches 0.7 to 1, with one of 30 cm 0.02 to 0.5, except along a plane that is all that is seen."""
 MAX_DRIFT = 0.03
 """Larger drift blurs the fused surfaces [m]."""
 
@@ -56,6 +72,8 @@ class PoseCheck:
     seen twice."""
     lost: tuple[int, ...] = ()
     """Indices of frames that do not agree with their neighbors."""
+    jumps: tuple[int, ...] = ()
+    """Indices of the first frames after a jump of the poses."""
 
     def text(self) -> str:
         """Return one line for users."""
@@ -74,7 +92,7 @@ def check_poses(frames: Sequence[Frame]) -> PoseCheck | None:
     Returns:
         The agreement; None if no two consecutive images show one place.
     """
-    clouds = [_Surface.of(frame) for frame in frames if frame.depth is not None]
+    clouds = [Surface.of(frame) for frame in frames if frame.depth is not None]
     if len(clouds) < len(frames) or len(clouds) < 2:
         return None
     steps = [offset(a, b) for a, b in pairwise(clouds)]
@@ -84,16 +102,76 @@ def check_poses(frames: Sequence[Frame]) -> PoseCheck | None:
     far = [offset(clouds[i], clouds[j]) for i, j in _far_apart(frames)]
     later = [step for step in far if step is not None]
     lost = tuple(k for k in range(1, len(clouds) - 1) if _is_lost(k, steps, clouds))
-    return PoseCheck(float(np.median(known)), float(np.median(later)) if later else None, lost)
+    jumps = _jumps([k for k in range(len(clouds)) if k not in lost], clouds)
+    drift = float(np.median(later)) if later else None
+    return PoseCheck(float(np.median(known)), drift, lost, jumps)
 
 
-def _is_lost(k: int, steps: Sequence[float | None], clouds: Sequence[_Surface]) -> bool:
+def _is_lost(k: int, steps: Sequence[float | None], clouds: Sequence[Surface]) -> bool:
     """Check whether a frame agrees with neither neighbor, and these with each other."""
     before, after = steps[k - 1], steps[k]
     if before is None or after is None or min(before, after) < JUMP:
         return False
     around = offset(clouds[k - 1], clouds[k + 1])
     return around is not None and around < JUMP / 2
+
+
+def _jumps(good: Sequence[int], clouds: Sequence[Surface]) -> tuple[int, ...]:
+    """Return the first frames after jumps of the poses, among frames that are not lost."""
+    steps = [_agreement_of(clouds[a], clouds[b]) for a, b in pairwise(good)]
+    known = [step for step in steps if np.isfinite(step)]
+    least = AGREES_OVER_JUMP * float(np.median(known)) if known else 0.0
+    return tuple(
+        good[n + 1]
+        for n, step in enumerate(steps)
+        if not step >= least and _is_jump(n + 1, least, [clouds[k] for k in good])
+    )
+
+
+def _is_jump(first: int, least: float, clouds: Sequence[Surface]) -> bool:
+    """Check whether frames before `first` see other surfaces at the same places as those after."""
+    begin = max(0, first - JUMP_FRAMES)
+    T = np.array([one.T_world_camera for one in clouds[begin : first + JUMP_FRAMES]])
+    before, after = T[: first - begin], T[first - begin :]
+    apart = np.linalg.norm(before[:, None, :3, 3] - after[None, :, :3, 3], axis=-1)
+    alike = before[:, :3, 2] @ after[:, :3, 2].T
+    i, j = np.nonzero((apart < JUMP_BASELINE) & (alike > JUMP_COSINE))
+    order = np.argsort(apart[i, j] - alike[i, j], kind="stable")[:JUMP_PAIRS]
+    pairs = zip(i[order].tolist(), j[order].tolist(), strict=True)
+    found = [_agreement_of(clouds[begin + one], clouds[first + other]) for one, other in pairs]
+    known = [value for value in found if np.isfinite(value)]
+    return len(known) >= MIN_JUMP_PAIRS and max(known) < least
+
+
+def _agreement_of(a: Surface, b: Surface) -> float:
+    return agreement(a, b, invert(b.T_world_camera) @ a.T_world_camera)
+
+
+def agreement(a: Surface, b: Surface, T_b_a: Float[np.ndarray, "4 4"]) -> float:
+    """Return the share of the flat pixels of an image that lie on the surfaces of another one.
+
+    Args:
+        a, b: The surfaces of both; the unit of length may be any.
+        T_b_a: From the first camera to the second.
+
+    Returns:
+        The share in [0, 1]; NaN if the images share too little.
+    """
+    flat = (a.normals != 0).any(axis=-1)
+    points = a.points[flat] @ T_b_a[:3, :3].T + T_b_a[:3, 3]
+    normals = a.normals[flat] @ T_b_a[:3, :3].T
+    height, width = b.points.shape[:2]
+    depth = np.where(points[:, 2] > 1e-9, points[:, 2], np.inf)
+    u, v = np.round((points @ b.intrinsics.T)[:, :2] / depth[:, None]).T.astype(int)
+    inside = np.isfinite(depth) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    u, v = u[inside], v[inside]
+    on = (b.normals[v, u] != 0).any(axis=-1)
+    if on.sum() < max(MIN_PIXELS, MIN_SHARED * len(points)):
+        return np.nan
+    seen, there = b.points[v[on], u[on]], points[inside][on]
+    apart = np.abs((there - seen) * b.normals[v[on], u[on]]).sum(axis=1) / seen[:, 2]
+    alike = (normals[inside][on] * b.normals[v[on], u[on]]).sum(axis=1) > MIN_NORMAL_COSINE
+    return float((np.exp(-((apart / TOLERANCE) ** 2)) * alike).mean())
 
 
 def _far_apart(frames: Sequence[Frame]) -> list[tuple[int, int]]:
@@ -109,7 +187,7 @@ def _far_apart(frames: Sequence[Frame]) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Surface:
+class Surface:
     """Surface of one depth image, on a coarse raster."""
 
     points: Float[np.ndarray, "h w 3"]
@@ -121,7 +199,7 @@ class _Surface:
     T_world_camera: Float[np.ndarray, "4 4"]
 
     @classmethod
-    def of(cls, frame: Frame) -> _Surface:
+    def of(cls, frame: Frame) -> Surface:
         assert frame.depth is not None
         depth = frame.depth[::STRIDE, ::STRIDE].astype(float)
         K = frame.intrinsics.copy()
@@ -143,7 +221,7 @@ class _Surface:
         return cls(points, normals, K, frame.T_world_camera)
 
 
-def offset(a: _Surface, b: _Surface) -> float | None:
+def offset(a: Surface, b: Surface) -> float | None:
     """Return the distance by which one image's surface must move to lie on another's [m].
 
     Returns:
@@ -164,7 +242,7 @@ def offset(a: _Surface, b: _Surface) -> float | None:
 
 
 def _matched(
-    points: Float[np.ndarray, "n 3"], b: _Surface
+    points: Float[np.ndarray, "n 3"], b: Surface
 ) -> tuple[
     Bool[np.ndarray, " n"],
     Float[np.ndarray, "m 3"],

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -18,9 +21,15 @@ from momapos.model.records import Scan
 
 from .bags import BagTopics, read_bag
 from .clouds import read_cloud
+from .conventions import CameraAxes, PoseDirection, Stated, with_conventions
 from .image_folders import find_walk
 from .layouts import MILLIMETERS, find_layout, list_names, read_frames, refuse_links_out
-from .pose_check import MAX_DRIFT, check_poses
+from .pose_check import MAX_DRIFT, PoseCheck, check_poses
+from .thinning import FAR
+from .validation import check_depth_unit
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 ACCEPTED = (
     "a folder with frame-000000.color.jpg, .depth.png and .pose.txt (7-Scenes, 3DMatch), or with "
@@ -28,6 +37,11 @@ ACCEPTED = (
     "and groundtruth.txt (TUM), or with color/, depth/ and trajectory.log (Open3D); a cloud (.ply, "
     ".pcd); or a recording (.bag, .mcap, the folder of a ROS 2 bag)"
 )
+UpAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
+UP_AXES: Mapping[UpAxis, tuple[float, float, float]] = {
+    "x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0),
+    "z": (0.0, 0.0, 1.0), "-z": (0.0, 0.0, -1.0),
+}  # fmt: skip
 _CLOUDS = (".ply", ".pcd")
 _RECORDINGS = (".bag", ".mcap")
 _HEADS = (
@@ -46,6 +60,9 @@ def read_scan(
     max_frames: int = 150,
     depth_scale: float | None = None,
     topics: BagTopics | None = None,
+    poses: PoseDirection | None = None,
+    axes: CameraAxes | None = None,
+    up: UpAxis | None = None,
 ) -> Scan:
     """Read a scan; the format is detected from the content.
 
@@ -54,8 +71,12 @@ def read_scan(
         max_frames: Maximum number of frames. If there are more, sharp frames are chosen that are
             spread over the camera's path.
         depth_scale: Units of integer depth per meter; float depth is in meters. If None, 5000 in
-            TUM's folders and 1000 elsewhere.
+            TUM's folders and 1000 elsewhere, unless surfaces agree better by far with another.
         topics: Topics of a recording to use, if their names are ambiguous.
+        poses: Direction of the poses. If None, from camera to world, unless surfaces agree better
+            by far if they are inverted.
+        axes: Camera axes. If None, OpenCV's, unless surfaces agree better by far with OpenGL's.
+        up: Axis of the scan's frame that points up. If None, it is found.
 
     Returns:
         The frames in recording order, the cloud if there is one, and warnings about skipped frames
@@ -63,57 +84,80 @@ def read_scan(
 
     Raises:
         FileFormatError: It is not a scan or is damaged; one line says what is wrong and where.
-        InputError: The frames do not fit into memory, or an argument is out of range.
+        InputError: The frames do not fit into memory, an argument is out of range, or surfaces
+            agree under no conventions.
         MissingExtraError: A recording is given, and rosbags is not installed.
     """
     path = as_path("path", path)
     if depth_scale is not None:
         depth_scale = finite_number("depth_scale", depth_scale, 1e-9)
     max_frames = whole_number("max_frames", max_frames, 1)
+    stated = Stated(poses, axes, depth_scale)
+    scan = _read(path, max_frames, stated, topics)
+    return replace(scan, up=None if up is None else np.array(UP_AXES[up]))
+
+
+def _read(path: Path, max_frames: int, stated: Stated, topics: BagTopics | None) -> Scan:
     if path.is_dir():
-        return _read_folder(path, max_frames, depth_scale, topics)
+        return _read_folder(path, max_frames, stated, topics)
     if not path.is_file():
         raise FileFormatError(f"{path}: no such scan; expected {ACCEPTED}")
     kind = _kind(path)
     if kind == "cloud":
         cloud, warnings = read_cloud(path)
-        return Scan(path.stem, (), cloud, warnings)
+        return Scan(path.stem, (), cloud, warnings, origin=cloud.origin)
     if kind == "recording":
-        frames, warnings = read_bag(
-            path, max_frames=max_frames, depth_scale=depth_scale or MILLIMETERS, topics=topics
-        )
-        return _checked(Scan(path.stem, frames, None, warnings))
+        return _read_recording(path, path.stem, max_frames, stated, topics)
     raise FileFormatError(f"{path}: not a scan; expected {ACCEPTED}")
 
 
-def _read_folder(
-    path: Path, max_frames: int, depth_scale: float | None, topics: BagTopics | None
+def _read_recording(
+    path: Path, name: str, max_frames: int, stated: Stated, topics: BagTopics | None
 ) -> Scan:
+    scale = stated.scale or MILLIMETERS
+    frames, warnings = read_bag(path, max_frames=max_frames, depth_scale=scale, topics=topics)
+    frames, said = with_conventions(frames, scale, stated, str(path))
+    check_depth_unit(frames, scale, str(path))
+    return _checked(Scan(name, frames, None, (*warnings, *said)))
+
+
+def _read_folder(path: Path, max_frames: int, stated: Stated, topics: BagTopics | None) -> Scan:
     refuse_links_out(path)
     name = path.resolve().name
     layout = find_walk(path) or find_layout(path)
     if layout is None:
         inside = path if (path / "metadata.yaml").is_file() else _only_file(path)
         if inside == path:
-            frames, warnings = read_bag(
-                path, max_frames=max_frames, depth_scale=depth_scale or MILLIMETERS, topics=topics
-            )
-            return _checked(Scan(name, frames, None, warnings))
-        scan = read_scan(inside, max_frames=max_frames, depth_scale=depth_scale, topics=topics)
-        return replace(scan, name=name)
-    frames, skipped = read_frames(layout, max_frames=max_frames, depth_scale=depth_scale)
-    warnings = (*layout.warnings, *skipped)
+            return _read_recording(path, name, max_frames, stated, topics)
+        return replace(_read(inside, max_frames, stated, topics), name=name)
+    scale = stated.scale or layout.depth_scale
+    frames, skipped = read_frames(layout, max_frames=max_frames, depth_scale=scale)
+    frames, said = with_conventions(frames, scale, stated, str(path))
+    check_depth_unit(frames, scale, str(path))
+    warnings = (*layout.warnings, *skipped, *said)
     file = _cloud_in(path)
     if file is None:
         if frames[0].depth is None:
             raise FileFormatError(f"{path}: has neither depth images nor a cloud (scene.ply)")
         return _checked(Scan(name, frames, None, warnings))
     cloud, notes = read_cloud(file, np.array([frame.T_world_camera[:3, 3] for frame in frames]))
-    return Scan(name, frames, cloud, (*warnings, *notes))
+    scan = Scan(name, frames, cloud, (*warnings, *notes))
+    return scan if cloud.origin is None else _moved(scan, cloud.origin)
+
+
+def _moved(scan: Scan, origin: Float[np.ndarray, "3"]) -> Scan:
+    """Return a scan whose frames are seen from another origin."""
+    T = np.eye(4)
+    T[:3, 3] = -origin
+    frames = tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in scan.frames)
+    return replace(scan, frames=frames, origin=origin)
 
 
 def _checked(scan: Scan) -> Scan:
     """Check poses against depth: drop frames with wrong poses, and warn about drift."""
+    middle = np.round(np.median([frame.T_world_camera[:3, 3] for frame in scan.frames], axis=0))
+    if np.abs(middle).max() > FAR:
+        scan = _moved(scan, middle)
     check = check_poses(scan.frames)
     if check is None:
         return scan
@@ -129,8 +173,25 @@ def _checked(scan: Scan) -> Scan:
             f"the poses drifted by {100 * check.drift:.0f} cm between visits of the same place, so "
             "objects appear blurred or twice; scan in one slow round, or align the poses"
         )
-    frames = tuple(frame for k, frame in enumerate(scan.frames) if k not in check.lost)
+    first, last = _longest(len(scan.frames), check)
+    if check.jumps:
+        names = ", ".join(scan.frames[k].name for k in check.jumps[:3])
+        warnings.append(
+            f"the poses jump at {len(check.jumps)} frames ({names}), so the scan is split there; "
+            f"its longest part is used, {scan.frames[first].name} to {scan.frames[last - 1].name} "
+            f"({last - first} of {len(scan.frames)} frames)"
+        )
+    frames = tuple(
+        frame for k, frame in enumerate(scan.frames)
+        if first <= k < last and k not in check.lost
+    )  # fmt: skip
     return replace(scan, frames=frames, warnings=tuple(warnings), notes=(check.text(),))
+
+
+def _longest(count: int, check: PoseCheck) -> tuple[int, int]:
+    """Return the start and the end of the part between jumps with the most frames."""
+    edges = (0, *check.jumps, count)
+    return max(pairwise(edges), key=lambda part: part[1] - part[0])
 
 
 def _kind(path: Path) -> str | None:

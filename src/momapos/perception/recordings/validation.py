@@ -61,8 +61,8 @@ def rigid_pose(values: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         raise ValueError(f"a pose is a 4 x 4 matrix, not {' x '.join(map(str, T.shape))}")
     if not np.isfinite(T).all():
         raise ValueError("the pose has numbers that are not finite")
-    if np.abs(T).max() > 1e6:
-        raise ValueError("the pose is farther than 1000 km from the origin")
+    if np.abs(T).max() > 1e8:
+        raise ValueError("the pose is farther than 100,000 km from the origin")
     R = T[:3, :3]
     off = max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(T[3] - [0, 0, 0, 1]).max())
     if off > _RIGID or np.linalg.det(R) < 0:

@@ -1,4 +1,7 @@
 from .closed_leaves import close_in_cloud as close_in_cloud
+from .given_instances import boxes_in_images as boxes_in_images
+from .given_instances import without_duplicates as without_duplicates
+from .instance_boxes import MIN_POINTS as MIN_POINTS
 from .instance_boxes import boxes as boxes
 from .instance_boxes import drop_fragments as drop_fragments
 from .instance_boxes import inside as inside

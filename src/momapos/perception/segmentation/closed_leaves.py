@@ -11,7 +11,7 @@ from momapos.core.geometry import between
 from momapos.model.records import Cloud, OpenLeaf
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 RIM = 0.03
 """Points this close to a leaf's edges belong to it [m]."""
@@ -65,7 +65,16 @@ def _closed(cloud: Cloud, leaf: OpenLeaf, spacing: float) -> Cloud:
                 cloud.colors[handle],
             ]
         ),
+        _rows_left(cloud, keep),
     )
+
+
+def _rows_left(cloud: Cloud, keep: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " file"] | None:
+    """Return the rows of a cloud of which only some points are kept."""
+    if cloud.rows is None:
+        return None
+    new = np.where(keep, np.cumsum(keep) - 1, -1)
+    return np.where(cloud.rows >= 0, new[cloud.rows], -1)
 
 
 def on_leaf(

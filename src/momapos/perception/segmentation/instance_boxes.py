@@ -16,6 +16,7 @@ from momapos.core.geometry import (
     bottom,
     corners,
     from_corners,
+    point_spacing,
     to_local,
     top,
 )
@@ -36,7 +37,13 @@ MIN_EDGE = 0.01
 WALL_THICKNESS = 0.1
 """Thickness of the boxes of walls [m]."""
 MAX_NEIGHBOR_DISTANCE = 0.03
-"""Points farther than this from their eight nearest neighbors on average are outliers [m]."""
+"""Points farther than this from their eight nearest neighbors on average are outliers, unless the
+cloud is sparse [m]."""
+OUTLIER_FACTOR = 1.3
+"""In a sparse cloud, outliers are this much farther from their neighbors than `SPACING_PERCENT` of
+its points [-]. A cloud fused in voxels of 15 mm gets about `MAX_NEIGHBOR_DISTANCE`."""
+SPACING_PERCENT = 95.0
+"""Meshes have few points on planes and many at edges, so the median is too small [%]."""
 OUTSIDE_PERCENT = 1.0
 """Share of points that may lie outside on each side [%]."""
 FACE_SEARCH = 0.08
@@ -57,6 +64,9 @@ MAX_SMALL_SIDE = 0.35
 """Smaller objects are extended if a side was not seen [m]."""
 MAX_SHEET_THICKNESS = 0.12
 """Larger ones are extended if what was seen of them is thinner than this [m]."""
+MAX_DEPTH = 0.8
+"""Furniture whose front is closer to a wall behind it reaches to that wall [m]; fridges are up to
+75 cm deep."""
 MIN_POINTS = 10
 """Instances without a box and with fewer points are dropped [-]."""
 
@@ -77,8 +87,11 @@ def boxes(cloud: Cloud, instances: Sequence[Instance], room: RoomShell) -> list[
         InputError: Members are not indices of the cloud.
     """
     drawn = []
+    farthest = max(
+        MAX_NEIGHBOR_DISTANCE, OUTLIER_FACTOR * point_spacing(cloud.points, SPACING_PERCENT)
+    )
     for instance in instances:
-        members = _members(cloud, instance)
+        members = _members(cloud, instance, farthest)
         if len(members) >= MIN_POINTS or instance.box is not None:
             box = _draw(cloud, members, instance.box)
             drawn.append((instance, members, _snapped(box, room)))
@@ -87,8 +100,9 @@ def boxes(cloud: Cloud, instances: Sequence[Instance], room: RoomShell) -> list[
     standing = []
     for instance, members, box in drawn:
         box, stand = _on_support(box, tops)
-        if stand == "support" and instance.box is None:
-            box = _extended(cloud, members, box, room)
+        if instance.box is None:
+            extend = _extended if stand == "support" else _reaching_back
+            box = extend(cloud, members, box, room)
         tops.append(box)
         standing.append((instance, members, box, stand))
     found = []
@@ -155,7 +169,7 @@ def wall_detections(room: RoomShell) -> list[Detection]:
 # ---------------------------------------------------------------- points
 
 
-def _members(cloud: Cloud, instance: Instance) -> Int[np.ndarray, " k"]:
+def _members(cloud: Cloud, instance: Instance, farthest: float) -> Int[np.ndarray, " k"]:
     if instance.members is not None:
         members = np.asarray(instance.members)
         if len(members) and not (members.min() >= 0 and members.max() < len(cloud.points)):
@@ -170,7 +184,7 @@ def _members(cloud: Cloud, instance: Instance) -> Int[np.ndarray, " k"]:
     if len(members) < 12:
         return members
     distances, _ = cKDTree(cloud.points[members]).query(cloud.points[members], k=9)
-    return members[distances[:, 1:].mean(axis=1) < MAX_NEIGHBOR_DISTANCE]
+    return members[distances[:, 1:].mean(axis=1) < farthest]
 
 
 # ---------------------------------------------------------------- faces
@@ -301,6 +315,30 @@ def _extended(
         else:
             high[axis] += missing
     return _clipped_at_walls(from_corners(low, high, box.yaw), room)
+
+
+def _reaching_back(
+    cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox, room: RoomShell
+) -> UprightBox:
+    """Extend furniture of which only the front was seen back to the wall behind it.
+
+    The top of a base cabinet is a counter of its own, its sides are other cabinets.
+    """
+    axis = int(np.argmin(box.size[:2]))
+    if abs(box.yaw) > 1e-9 or box.size[axis] > MAX_SHEET_THICKNESS or len(members) < MIN_POINTS:
+        return box
+    facing = cloud.normals[members, axis]
+    sides = [float((sign * facing > 0.5).mean()) for sign in (-1.0, 1.0)]
+    if min(sides) > 0.1 * max(sides):
+        return box
+    sign = 1.0 if sides[1] > sides[0] else -1.0
+    low, high = corners(box)
+    for wall in room.walls:
+        behind = sign * (box.center[axis] - wall.offset)
+        is_behind = wall.axis == axis and wall.sign * sign > 0 and 0 < behind < MAX_DEPTH
+        if is_behind and wall.spans(box.center[None], 0.3)[0]:
+            (low if sign > 0 else high)[axis] = wall.offset
+    return from_corners(low, high)
 
 
 def _clipped_at_walls(box: UprightBox, room: RoomShell) -> UprightBox:
