@@ -48,7 +48,8 @@ def plan_stops(
     Returns:
         The answer, or None if there is none.
     """
-    task, legs, at = query.task, [], query
+    task, at = query.task, query
+    legs: list[PlacementResult] = []
     if task.joint is None or task.to is None or infeasible.prepared.blocked:
         return None
     while len(legs) < MAX_STOPS:

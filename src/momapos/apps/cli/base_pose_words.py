@@ -29,7 +29,7 @@ def parse_base(text: str) -> BaseUse:
     """Parse how --base lets the base serve a task."""
     for use in get_args(BaseUse):
         if text == use:
-            return use  # type: ignore[no-any-return]
+            return use
     raise TaskError(f"--base {text!r} is none of {', '.join(get_args(BaseUse))}")
 
 
