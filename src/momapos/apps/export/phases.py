@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import InputError
-from momapos.model import DEFAULT, SpeedConfig, time_motion, time_path
+from momapos.model import DEFAULT, SpeedConfig, limited_base_path, time_motion, time_path
 from momapos.model.records import Motion, PlacementPlan, Verb
 from momapos.model.robots import Robot, opened_as
 
@@ -156,16 +156,15 @@ def _between(motion: Motion, first: int, last: int) -> _Section:
 
 def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: float) -> Phase:
     """Time the drive. Limits of speed and acceleration hold for the norm of x and y."""
-    apart = robot.max_acceleration / np.sqrt(2.0)  # in x and in y, so that both together keep it
-    speed = np.array([robot.max_speed, robot.max_speed, robot.max_yaw_rate])
-    limit = np.array([apart, apart, robot.max_yaw_acceleration])
     turned = path.copy()
     turned[:, 2] = np.unwrap(path[:, 2])
     turned[:, 2] += (
         path[-1, 2] - turned[-1, 2]
     )  # by whole turns, to end at the yaw of the arm phases
-    place = np.pad(path[:, :2], ((0, 0), (0, 1)))
-    timed = time_path(turned, speed, limit, step, tool=place, tool_speed=robot.max_speed)
+    place, base = np.pad(path[:, :2], ((0, 0), (0, 1))), limited_base_path(robot, turned, 1.0)
+    timed = time_path(
+        turned, base.speed, base.acceleration, step, tool=place, tool_speed=robot.max_speed
+    )
     rest, now = np.tile(_first(motion), (len(timed), 1)), _Now.of(motion)
     return Phase(
         PhaseKind.DRIVE, _times(len(timed), step), timed.q, rest, np.zeros_like(rest),
