@@ -286,10 +286,11 @@ def time_path(
     more, also = [q], [(speed, acceleration)]
     if tool is not None:
         more += [_along(tool[keep])[:, None], tool[keep]]
-        also += [([tool_speed], [np.inf]), ([np.inf] * 3, [tool_acceleration] * 3)]
+        most = tool_acceleration
+        also.append((np.array([tool_speed, *[np.inf] * 3]), np.array([np.inf, most, most, most])))
     if base is not None:  # the norm of x and y
         more.append(_along(q[:, n : n + 2])[:, None])
-        also.append(([base.speed[0]], [np.inf]))
+        also.append((base.speed[:1], np.array([np.inf])))
     whole, limits = (
         np.column_stack(more),
         [np.concatenate(all_) for all_ in zip(*also, strict=True)],
