@@ -9,9 +9,10 @@ from tests.simulation.toy import Toy, toy
 from tests.verification.door_case import BASE, JOINTS, OPEN
 
 from momapos.core.geometry.transforms import pose_planar
+from momapos.simulation.base_drive import initial_base_pose
 from momapos.simulation.config import Stage
 from momapos.simulation.run_motion import DRIVE, RunMotion
-from momapos.simulation.run_trace import RunTrace, base_pose, initial_base_pose
+from momapos.simulation.run_trace import RunTrace, base_pose
 
 X, Y, YAW = BASE
 WAY = np.array([[X - 1.0, Y - 0.5, 0.3], [X - 0.5, Y, YAW + 0.2], [X, Y, YAW]])

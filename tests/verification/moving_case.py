@@ -10,9 +10,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from door_case import BASE, JOINTS, OPEN, Case, arm_path, make_case, robot_urdf, tool_poses
 from jaxtyping import Float
 from tests.moving_base import arc, follow
+from tests.verification.door_case import (
+    BASE,
+    JOINTS,
+    OPEN,
+    Case,
+    arm_path,
+    make_case,
+    robot_urdf,
+    tool_poses,
+)
 
 from momapos.core.geometry.transforms import invert, pose, pose_planar
 from momapos.model.kinematics.chain import Chain, build_chain

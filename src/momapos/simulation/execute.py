@@ -17,6 +17,7 @@ from momapos.model.urdf import opening_of
 
 from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import ArmKinematics
+from .base_drive import BaseDrive
 from .config import AT_END, GOOD, PUSH_SPEED, RECOVERABLE, SUBSTEPS, Ending, ExecutionConfig
 from .dynamics import Dynamics, read_dynamics
 from .execution_run import BelievedJoint, ExecutionRun, Stretch, Watch
@@ -119,6 +120,7 @@ def attempt(
         InputError: The motion cannot be timed, or the engine rejects the model.
     """
     assert robot.model.urdf.path is not None
+    rng = rng or np.random.default_rng(0)
     dynamics = read_dynamics(robot.model.urdf.path)
     hand, notes = find_hand(robot, dynamics.mimics), []
     if config.hold == "contact" and not hand.closes:
@@ -126,7 +128,7 @@ def attempt(
         notes.append(_WELD_INSTEAD.format(robot.name))
     worlds = draw_worlds(
         WorldSetup(scene, robot, base_pose, motion, task, hand, dynamics, config),
-        rng or np.random.default_rng(0),
+        rng,
         true_world=true_world,
         believed=None if again is None else again.scene,
         begin=None if again is None else again.value,
@@ -137,8 +139,13 @@ def attempt(
     believed = scene if again is None else again.scene
     belief = _belief(believed.object(task.object), task.joint)
     touched = None if again is None else again.collisions
+    base = None
+    if motion.base is not None:
+        slips = rng.spawn(1)[0]  # its own stream, so that the furniture does not depend on it
+        step = config.timestep * SUBSTEPS
+        base = BaseDrive(world, robot, motion.base[0], config.base, step, slips)
     run = ExecutionRun(
-        world, motion, task, config, worlds.seal, belief, known, watch, touched, doubt
+        world, motion, task, config, worlds.seal, belief, known, watch, touched, doubt, base
     )
     if task.verb == "place":
         run.carry(item)
@@ -184,8 +191,9 @@ def _stretches(
     step = config.timestep * SUBSTEPS
     cuts: list[tuple[int, int, Hold | None]] = []
     for hold in motion.grasps:
-        if cuts:
-            cuts.append((cuts[-1][1], hold.first, None))
+        before = cuts[-1][1] if cuts else 0
+        if cuts or hold.first > 0:
+            cuts.append((before, hold.first, None))
         cuts.append((hold.first, hold.last, hold))
     latched = motion.latch_q is not None
     if latched:  # the hand turns the latch, and holds on as the part moves
@@ -199,6 +207,7 @@ def _stretches(
             motion, approach=motion.q[states], q=motion.q[states],
             object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
             approach_times=None, times=None, holds=(), latch_q=None,
+            base=None if motion.base is None else motion.base[states],
         )  # fmt: skip
         speed = config.speed
         if held is not None and held.family == "push":
@@ -211,9 +220,11 @@ def _stretches(
             turns, goes_on = latched and index == 0, latched and index == 1
             stretches.append(Stretch(slow, part, held, turns_latch=turns, goes_on=goes_on))
             continue
+        if part.base is not None:  # the base drives, at the speed of a manipulation
+            free = slow
         way = pace_trajectory(
             free, part.q, part.Ts_world_tool[:, :3, 3], room, config,
-            value=float(part.object_q[0]),
+            value=float(part.object_q[0]), base=part.base,
         )  # fmt: skip
         stretches.append(Stretch(free, part, None, way))
     return stretches

@@ -114,7 +114,8 @@ class Execution:
     clearance: float | None = None
     """Minimum distance from the robot to the room [m]; None if above the observed range."""
     base_shift: Pose = (0.0, 0.0, 0.0)
-    """Maximum displacement of the base: forward, left [m], yaw [rad]."""
+    """Maximum displacement of the base from where it should be: forward, left [m], yaw [rad], in
+    the frame of its first pose."""
     resistance: Mapping[str, float] = field(default_factory=dict)
     """Resistance of the part in this run: mass, friction, damping, pull."""
     time: Mapping[str, float] = field(default_factory=dict)

@@ -11,6 +11,7 @@ import numpy as np
 
 from momapos.core.geometry import compose, local_points
 
+from .base_drive import initial_base_pose
 from .config import Stage
 from .feel import sense_forces
 from .run_motion import DIGITS, DRIVE, RunMotion, Triple, rounded
@@ -161,13 +162,6 @@ class _Row(NamedTuple):
     world: Simulation | None
     q: np.ndarray
     force: np.ndarray
-
-
-def initial_base_pose(world: Simulation) -> Float[np.ndarray, "3"]:
-    """Return the pose of the base for which a world was built: x [m], y [m], yaw [rad]."""
-    body = world.model.body("base")
-    w, _, _, z = body.quat
-    return np.array([body.pos[0], body.pos[1], 2 * np.arctan2(z, w)])
 
 
 def base_pose(world: Simulation, q: np.ndarray) -> Float[np.ndarray, "3"]:
