@@ -13,10 +13,10 @@ from tests.verification.door_case import BASE, Case
 from tests.verification.moving_case import moving_case, stops_case
 
 from momapos.core.errors import InputError
-from momapos.simulation.base_drive import BaseDrive, base_coordinates
+from momapos.simulation.base_drive import BaseDrive, base_coordinates, base_pose_of
 from momapos.simulation.config import BaseTrackingConfig, ExecutionConfig
 from momapos.simulation.run_record import Execution
-from momapos.simulation.run_trace import RunTrace, base_pose
+from momapos.simulation.run_trace import RunTrace
 
 CASES: dict[str, Callable[[], Case]] = {
     "differential": moving_case,
@@ -63,7 +63,7 @@ def test_a_base_that_slips_more_ends_farther_from_its_path(tmp_path: Path) -> No
         state = trace.played[0].states[-1]
         world = trace.played[0].world
         assert world is not None
-        off.append(np.linalg.norm((base_pose(world, state.q) - ready.motion.base[-1])[:2]))
+        off.append(np.linalg.norm((base_pose_of(world, state.q) - ready.motion.base[-1])[:2]))
     assert off[0] < 0.005
     assert off[1] > 2 * off[0]
 

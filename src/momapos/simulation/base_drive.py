@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import local_points
+from momapos.core.geometry import compose, local_points
 from momapos.model.robots import Robot
 
 from .config import (
@@ -121,6 +121,11 @@ def initial_base_pose(world: Simulation) -> Float[np.ndarray, "3"]:
     body = world.model.body("base")
     w, _, _, z = body.quat
     return np.array([body.pos[0], body.pos[1], 2 * np.arctan2(z, w)])
+
+
+def base_pose_of(world: Simulation, q: Float[np.ndarray, " v"]) -> Float[np.ndarray, "3"]:
+    """Return the pose of the base in a state of the world: x [m], y [m], yaw [rad]."""
+    return compose(initial_base_pose(world), q[world.base_q][None])[0]
 
 
 def _in_frame(change: Float[np.ndarray, "3"], yaw: float) -> tuple[Float[np.ndarray, "2"], float]:

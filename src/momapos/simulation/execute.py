@@ -17,7 +17,7 @@ from momapos.model.urdf import opening_of
 
 from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import ArmKinematics
-from .base_drive import BaseDrive
+from .base_drive import BaseDrive, base_pose_of
 from .config import AT_END, GOOD, PUSH_SPEED, RECOVERABLE, SUBSTEPS, Ending, ExecutionConfig
 from .dynamics import Dynamics, read_dynamics
 from .execution_run import BelievedJoint, ExecutionRun, Stretch, Watch
@@ -293,8 +293,14 @@ def _outcome(
         ending=str(ending),
         joint=_joint_found(run.estimate),
         base_pose=base_pose,
+        final_base_pose=None if run.base is None else _final_base(run.world),
         notes=tuple(notes),
     )
+
+
+def _final_base(world: Simulation) -> Pose:
+    x, y, yaw = base_pose_of(world, world.data.qpos).tolist()
+    return x, y, yaw
 
 
 def _joint_found(estimate: JointEstimate | None) -> JointFound | None:

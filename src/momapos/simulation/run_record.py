@@ -128,6 +128,8 @@ class Execution:
     """How the run ended, one of `Ending`."""
     base_pose: Pose | None = None
     """Pose of the base: x [m], y [m], yaw [rad]; None in older records."""
+    final_base_pose: Pose | None = None
+    """Pose of the base at the end; None if it stood still, and in older records."""
     joint: JointFound | None = None
     """None for movable objects, and without a grasp."""
     notes: tuple[str, ...] = ()
@@ -210,6 +212,13 @@ class RunRecord:
         if self.execution is not None:
             return self.execution.reason
         return self.visits[-1].reason if self.visits else "nothing was driven"
+
+    @property
+    def final_base_pose(self) -> Pose | None:
+        """Pose of the base at the end: x [m], y [m], yaw [rad]; None if nothing was driven."""
+        if self.execution is not None and self.execution.final_base_pose is not None:
+            return self.execution.final_base_pose
+        return self.visits[-1].reached if self.visits else None
 
     @property
     def driven(self) -> float:

@@ -108,13 +108,22 @@ def run(
     opened = open_plans(files.plans, scene_root, robot, "to execute", allow_assumed=allow_assumed)
     with require("physics"):
         from momapos.planning.navigation import DriveConfig
-        from momapos.simulation import ExecutionConfig, FurnitureConfig, RunTrace, moved
+        from momapos.simulation import (
+            BaseTrackingConfig,
+            ExecutionConfig,
+            FurnitureConfig,
+            RunTrace,
+            moved,
+        )
         from momapos.workflows import NO_NOISE, run_plan
 
     there = None
     if world is not None:
         there = moved(load_scene(world, root=scene_root, cache=user_cache()), np.array(at))
-    physics = ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0))
+    physics = ExecutionConfig(
+        hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0),
+        base=BaseTrackingConfig() if noise else BaseTrackingConfig(slip=0.0),
+    )  # fmt: skip
     done: list[RunRecord] = []
     for k, (content, scene, machine) in enumerate(opened):
         trace = RunTrace()
@@ -132,7 +141,7 @@ def run(
             print(summary(result))
         if not result.success:
             break
-        begin = list(result.visits[-1].reached)
+        begin = None if result.final_base_pose is None else list(result.final_base_pose)
     return _finish(done, files, json=json)
 
 
