@@ -97,14 +97,15 @@ def stops_case() -> Case:
     """Build a case in which the hand lets go, the base drives, and the hand takes hold again."""
     first, second = np.linspace(0.0, 0.5, 21), np.linspace(0.5, OPEN, 21)
     ajar = tool_poses(first[-1:])[0]
-    out, drive = away(ajar, 6)[::-1], np.repeat(away(ajar, 1), 15, axis=0)
-    there = arc(BASE, BACK, TURN, 15)
+    out, there = away(ajar, 6)[::-1], arc(BASE, BACK, TURN, 15)
+    carried = pose_planar(there) @ invert(pose_planar(np.array(BASE))) @ out[-1]
     parts = [
         (first, tool_poses(first), np.tile(BASE, (21, 1))),
         (np.full(6, 0.5), out, np.tile(BASE, (6, 1))),
-        (np.full(15, 0.5), drive, there),
+        (np.full(15, 0.5), carried, there),  # the arm stands still
+        (np.full(15, 0.5), carried[::-1], np.tile(there[-1], (15, 1))),
         (np.full(6, 0.5), out[::-1], np.tile(there[-1], (6, 1))),
         (second, tool_poses(second), np.tile(there[-1], (21, 1))),
     ]
     values, Ts, base = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return case_of(values, Ts, base, [[0, 20], [48, 68]])
+    return case_of(values, Ts, base, [[0, 20], [63, 83]])
