@@ -276,6 +276,15 @@ def summary(record: RunRecord) -> str:
     return "\n".join(lines + _execution_lines(done))
 
 
+def _base_words(done: Execution) -> str:
+    shift = f"{1000 * max(done.base_shift[:2]):.1f} mm, {math.degrees(done.base_shift[2]):.2f} deg"
+    if done.final_base_pose is None:
+        return f"moved {shift}"
+    from .console import pose_text
+
+    return f"drove to {pose_text(done.final_base_pose)}, at most {shift} off its path"
+
+
 def _execution_lines(done: Execution) -> list[str]:
     lines = [
         f"  reached     {done.reached:.3f} of {done.asked:.3f}, from {done.start:.3f}",
@@ -283,8 +292,7 @@ def _execution_lines(done: Execution) -> list[str]:
         f" slip {1000 * done.slip.position:.1f} mm, {math.degrees(done.slip.angle):.1f} deg",
         f"  motors      tracking error at most {done.tracking.worst:.4f} rad or m, "
         f"{100 * done.tracking.effort:.0f} % of the effort limit",
-        f"  base        moved {1000 * max(done.base_shift[:2]):.1f} mm, "
-        f"{math.degrees(done.base_shift[2]):.2f} deg",
+        f"  base        {_base_words(done)}",
     ]
     if done.ending:
         lines.append(f"  end         {done.ending}")
