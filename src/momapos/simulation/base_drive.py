@@ -26,6 +26,9 @@ from .simulation import Simulation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+_AT_REST = 0.01
+"""Speed below which a base stands still [m/s] or [rad/s]."""
+
 
 class BaseDrive:
     """The base's motors, its odometry, and what its wheels do.
@@ -73,6 +76,11 @@ class BaseDrive:
         """
         there = base_coordinates(self._world, pose[None])[0]
         self.goal, self.moves = there - self._whole_turns, True
+
+    def localize(self) -> None:
+        """Know the true pose, as after a drive to a base pose, if the base has come to rest."""
+        if np.abs(self.velocity).max() < _AT_REST:
+            self.odometry = self._true.copy()
 
     def update(self) -> None:
         """Advance by one step: what was commanded before the delay moves the wheels."""

@@ -106,6 +106,8 @@ def go_between(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
         if run.base is not None and base is not None:
             run.base.go(base)
         if base is not None and at >= arrives:
+            if run.base is not None and at - pace < arrives:
+                run.base.localize()
             _reach(run, q, v, base)
         else:
             run.arm.go(q + max(0.0, 1.0 - fade * steps) * offset, v, a)

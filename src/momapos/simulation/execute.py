@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from momapos.core import Clock
+from momapos.core import Clock, InputError
+from momapos.core.geometry import wrap_angle
 from momapos.model import time_motion
 from momapos.model.records import Hold, Motion, Task
 from momapos.model.robots import Robot
@@ -33,6 +34,8 @@ from .verdict import TaskOutcome, judge
 from .worlds import WorldSetup, draw_worlds
 
 DEFAULT = ExecutionConfig()
+MAX_BASE_GAP = 1e-6
+"""Largest difference of the base pose and the first one of a motion's base [m] or [rad]."""
 _OBSTRUCTED = (Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.TOO_HARD)
 _WELD_INSTEAD = "the fingers of {} do not close on anything; a weld replaces the grasp"
 
@@ -117,8 +120,10 @@ def attempt(
 
     Raises:
         SceneError: The robot starts in collision.
-        InputError: The motion cannot be timed, or the engine rejects the model.
+        InputError: The motion cannot be timed, or the engine rejects the model, or the base of the
+            motion does not begin at `base_pose`.
     """
+    _check_first_pose(base_pose, motion)
     assert robot.model.urdf.path is not None
     rng = rng or np.random.default_rng(0)
     dynamics = read_dynamics(robot.model.urdf.path)
@@ -168,6 +173,17 @@ def attempt(
     execution = _outcome(run, base_pose, ending, verdict, worlds.resistance, wall, notes)
     value = float(world.data.qpos[world.part_q])
     return AttemptOutcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
+
+
+def _check_first_pose(base_pose: Pose, motion: Motion) -> None:
+    if motion.base is None:
+        return
+    off = motion.base[0] - np.array(base_pose)
+    if max(abs(off[0]), abs(off[1]), abs(float(wrap_angle(off[2])))) > MAX_BASE_GAP:
+        raise InputError(
+            f"base_pose must be the first base pose of the motion, {motion.base[0].tolist()}, not "
+            f"{list(base_pose)}"
+        )
 
 
 def _effort_notes(robot: Robot, dynamics: Dynamics, world: Simulation) -> list[str]:
