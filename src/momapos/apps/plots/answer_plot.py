@@ -238,7 +238,7 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
         _draw_drive(axes, answer.start, base, plan.navigation_cost)
         draw_footprint(axes, robot, base)
         states = robot.chain.freedom_values(plan.motion.q)
-        bases = plan.motion.base_poses(base)
+        bases = plan.motion.base_poses(plan.base_pose)
         for hold in plan.motion.holds or (Hold(0, 0),):
             draw_arm(axes, robot, bases[hold.first], states[hold.first], faint=True)
         if plan.moves_base:
