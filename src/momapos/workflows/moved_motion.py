@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _BEYOND = PoseOutcome(PoseStatus.EXACT_CHECK, "the arm does not reach from the displaced base path")
+MAX_OFFSET = 0.02
+"""Largest offset of the hand from the plan, of an arm that cannot make up for where the base has
+stopped [m] or [rad]; the exact check decides whether the hand may hold the part so."""
 
 
 def motion_from(
@@ -26,7 +29,8 @@ def motion_from(
     """Return a plan's motion for a base that has stopped near its base pose.
 
     The base path moves with the base, so that the drive can follow it as planned. The hand moves as
-    planned, and the arm makes up for the difference. The motion is checked exactly.
+    planned, and the arm makes up for the difference; a short arm as far as it can. The motion is
+    checked exactly.
 
     Args:
         plan: A plan whose base moves.
@@ -38,14 +42,22 @@ def motion_from(
     assert motion is not None
     assert motion.base is not None
     base, chain = _displaced(motion.base, here), robot.chain
+    T_world_base = pose_planar(base)
     q = track_tools(
-        chain, chain.freedom_values(motion.q), invert(pose_planar(base)) @ motion.Ts_world_tool
+        chain,
+        chain.freedom_values(motion.q),
+        invert(T_world_base) @ motion.Ts_world_tool,
+        MAX_OFFSET,
     )
     if q is None:
         return Attempt(None, _BEYOND)
     found = _joined(
-        replace(motion, base=base, times=None, approach_times=None), motion, chain.joint_values(q)
-    )
+        replace(
+            motion, base=base, times=None, approach_times=None,
+            Ts_world_tool=T_world_base @ chain.tool_poses(q),
+        ),
+        motion, chain.joint_values(q),
+    )  # fmt: skip
     x, y, yaw = base[0].tolist()
     violation = PlanVerifier(scene, robot, plan.task).first_violation((x, y, yaw), found)
     if violation is not None:

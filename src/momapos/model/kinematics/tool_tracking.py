@@ -22,7 +22,10 @@ MAX_ERROR = 1e-4
 
 
 def track_tools(
-    chain: Chain, q: Float[np.ndarray, "m n"], Ts_base_tool: Float[np.ndarray, "m 4 4"]
+    chain: Chain,
+    q: Float[np.ndarray, "m n"],
+    Ts_base_tool: Float[np.ndarray, "m 4 4"],
+    max_error: float = MAX_ERROR,
 ) -> Float[np.ndarray, "m n"] | None:
     """Return arm states near given ones that reach tool poses (Wampler, damped inverse, 1986).
 
@@ -32,6 +35,7 @@ def track_tools(
         chain: The arm.
         q: Values of its degrees of freedom from which each search starts [rad] or [m].
         Ts_base_tool: The tool poses in the base frame.
+        max_error: Largest error of a tool pose, in position [m] and in rotation [rad].
 
     Returns:
         The values; None if a tool pose is not reached within the joint limits.
@@ -44,7 +48,7 @@ def track_tools(
         q = np.clip(q + change, chain.lower, chain.upper)
         if np.abs(change).max(initial=0.0) < 1e-9:
             break
-    return q if np.abs(_errors(chain, q, Ts_base_tool)).max(initial=0.0) < MAX_ERROR else None
+    return q if np.abs(_errors(chain, q, Ts_base_tool)).max(initial=0.0) < max_error else None
 
 
 def _errors(
