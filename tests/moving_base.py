@@ -9,10 +9,9 @@ from jaxtyping import Float
 
 from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.kinematics.chain import Chain
+from momapos.model.kinematics.tool_tracking import track_tools
 from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot
-
-_STEPS, _DAMPING, _DIFFERENCE = 30, 1e-3, 1e-6
 
 
 def arc(
@@ -38,32 +37,10 @@ def arc(
 def follow(
     chain: Chain, q: Float[np.ndarray, "m n"], Ts_base_tool: Float[np.ndarray, "m 4 4"]
 ) -> Float[np.ndarray, "m n"]:
-    """Return arm states near given ones that reach tool poses, by damped least squares.
-
-    Args:
-        chain: The arm.
-        q: The values of its freedoms from which the search starts at each state.
-        Ts_base_tool: The tool poses.
-    """
-    n = q.shape[1]
-
-    def errors(q: Float[np.ndarray, "k n"], at: Float[np.ndarray, " k"]) -> np.ndarray:
-        T = invert(chain.tool_poses(q)) @ Ts_base_tool[at]
-        R = T[:, :3, :3]
-        turn = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]])
-        return np.concatenate([T[:, :3, 3], turn.T / 2], axis=1)
-
-    at = np.arange(len(q))
-    for _ in range(_STEPS):
-        here = errors(q, at)
-        near = q[:, None] + _DIFFERENCE * np.eye(n)
-        J = errors(near.reshape(-1, n), np.repeat(at, n)).reshape(len(q), n, 6)
-        J = (J - here[:, None]).transpose(0, 2, 1) / _DIFFERENCE
-        square = J.transpose(0, 2, 1) @ J + _DAMPING**2 * np.eye(n)
-        q = q - np.linalg.solve(square, J.transpose(0, 2, 1) @ here[..., None])[..., 0]
-    worst = np.abs(errors(q, at)).max()
-    assert worst < 1e-4, f"the arm does not reach from the moving base: off by {worst:.3g}"
-    return q
+    """Return arm states near given ones that reach tool poses; they must exist."""
+    found = track_tools(chain, q, Ts_base_tool)
+    assert found is not None, "the arm does not reach from the moving base"
+    return found
 
 
 def on_moving_base(

@@ -9,9 +9,10 @@ from tests.simulation.toy import Toy, toy
 from tests.verification.door_case import BASE, JOINTS, OPEN
 
 from momapos.core.geometry.transforms import pose_planar
+from momapos.simulation.base_drive import base_pose_of, initial_base_pose
 from momapos.simulation.config import Stage
 from momapos.simulation.run_motion import DRIVE, RunMotion
-from momapos.simulation.run_trace import RunTrace, base_pose, initial_base_pose
+from momapos.simulation.run_trace import RunTrace
 
 X, Y, YAW = BASE
 WAY = np.array([[X - 1.0, Y - 0.5, 0.3], [X - 0.5, Y, YAW + 0.2], [X, Y, YAW]])
@@ -44,7 +45,7 @@ def test_the_base_in_the_world_is_at_its_driven_poses(twice: RunTrace) -> None:
         base, T = world.data.body("base"), pose_planar(pose)
         np.testing.assert_allclose(base.xpos, T[:3, 3], atol=1e-6)
         np.testing.assert_allclose(base.xmat.reshape(3, 3), T[:3, :3], atol=1e-6)
-        np.testing.assert_allclose(base_pose(world, world.data.qpos), pose, atol=1e-9)
+        np.testing.assert_allclose(base_pose_of(world, world.data.qpos), pose, atol=1e-9)
 
 
 def test_a_second_attempt_is_traced_after_the_first(twice: RunTrace) -> None:

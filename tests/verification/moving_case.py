@@ -10,9 +10,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from door_case import BASE, JOINTS, OPEN, Case, arm_path, make_case, robot_urdf, tool_poses
 from jaxtyping import Float
 from tests.moving_base import arc, follow
+from tests.verification.door_case import (
+    BASE,
+    JOINTS,
+    OPEN,
+    Case,
+    arm_path,
+    make_case,
+    robot_urdf,
+    tool_poses,
+)
 
 from momapos.core.geometry.transforms import invert, pose, pose_planar
 from momapos.model.kinematics.chain import Chain, build_chain
@@ -88,14 +97,15 @@ def stops_case() -> Case:
     """Build a case in which the hand lets go, the base drives, and the hand takes hold again."""
     first, second = np.linspace(0.0, 0.5, 21), np.linspace(0.5, OPEN, 21)
     ajar = tool_poses(first[-1:])[0]
-    out, drive = away(ajar, 6)[::-1], np.repeat(away(ajar, 1), 15, axis=0)
-    there = arc(BASE, BACK, TURN, 15)
+    out, there = away(ajar, 6)[::-1], arc(BASE, BACK, TURN, 15)
+    carried = pose_planar(there) @ invert(pose_planar(np.array(BASE))) @ out[-1]
     parts = [
         (first, tool_poses(first), np.tile(BASE, (21, 1))),
         (np.full(6, 0.5), out, np.tile(BASE, (6, 1))),
-        (np.full(15, 0.5), drive, there),
+        (np.full(15, 0.5), carried, there),  # the arm stands still
+        (np.full(15, 0.5), carried[::-1], np.tile(there[-1], (15, 1))),
         (np.full(6, 0.5), out[::-1], np.tile(there[-1], (6, 1))),
         (second, tool_poses(second), np.tile(there[-1], (21, 1))),
     ]
     values, Ts, base = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return case_of(values, Ts, base, [[0, 20], [48, 68]])
+    return case_of(values, Ts, base, [[0, 20], [63, 83]])

@@ -1,3 +1,4 @@
+from .base_limits import limited_base_path as limited_base_path
 from .trajectory import DEFAULT as DEFAULT
 from .trajectory import SpeedConfig as SpeedConfig
 from .trajectory import TimedTrajectory as TimedTrajectory

@@ -1,4 +1,4 @@
-"""Time-parameterize arm paths within limits of speed and acceleration."""
+"""Time-parameterize paths of arm and base within limits of speed and acceleration."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from momapos.core import (
 from momapos.model.records import Motion, PlacementPlan, Verb
 from momapos.model.robots import Robot
 
+from .base_limits import BasePath, limited_base_path
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
@@ -42,6 +44,8 @@ _NO_LIMIT = 1e3
 """A finite number in place of infinity [m/s] or [m/s^2]."""
 _MIN_GRID_POINTS = 400
 """Smallest number of points per piece at which the limits hold [-]."""
+BASE_COLUMNS = ("base_x", "base_y", "base_yaw")
+"""Names of the base's coordinates in tables."""
 DEFAULT_SPEED = 1.5
 """Speed limit of joints without a limit in the URDF [rad/s] or [m/s]."""
 
@@ -77,6 +81,10 @@ class Trajectory:
     a: Float[np.ndarray, "t n"]
     state_times: Float[np.ndarray, " m"]
     """Time at which each state of the path is passed, from the first sample [s]."""
+    base: Float[np.ndarray, "t 3"] | None = None
+    """x [m], y [m], yaw [rad] of the base; None if it stands still."""
+    base_v: Float[np.ndarray, "t 3"] | None = None
+    """Velocity of the base in the world [m/s], [m/s], [rad/s]."""
 
     def __len__(self) -> int:
         return len(self.q)
@@ -85,7 +93,7 @@ class Trajectory:
 @compare_by_content
 @dataclass(frozen=True, eq=False)
 class TimedTrajectory:
-    """The arm trajectory of a plan: the approach, then the manipulation."""
+    """The trajectory of a plan's arm, and of a base that moves: approach, then manipulation."""
 
     joints: tuple[str, ...]
     times: Float[np.ndarray, " t"]
@@ -95,14 +103,27 @@ class TimedTrajectory:
     velocities: Float[np.ndarray, "t n"]
     """Joint velocities [rad/s] or [m/s]."""
     grasp_index: int
-    """First sample at which the gripper holds the object, or for `place` has released it."""
+    """First sample of the manipulation: the gripper holds the object, or for `place` has released
+    it. A base that moves may bring the hand to the object first."""
+    base: Float[np.ndarray, "t 3"] | None = None
+    """x [m], y [m], yaw [rad] of the base; None if it stands still at the plan's base pose."""
+    base_velocities: Float[np.ndarray, "t 3"] | None = None
+    """Velocity of the base in the world [m/s], [m/s], [rad/s]."""
 
     def write_csv(self, path: str | Path) -> None:
-        """Write one row per sample: time [s], positions, velocities."""
+        """Write one row per sample: time [s], positions, velocities; then those of a moving base.
+
+        The base has the columns base_x, base_y, base_yaw.
+        """
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(["time", *self.joints, *(f"{name}_velocity" for name in self.joints)])
-        samples = np.column_stack([self.times, self.positions, self.velocities])
+        names, columns = list(self.joints), [self.times, self.positions, self.velocities]
+        header = ["time", *names, *(f"{name}_velocity" for name in names)]
+        if self.base is not None and self.base_velocities is not None:
+            columns += [self.base, self.base_velocities]
+            header += [*BASE_COLUMNS, *(f"{name}_velocity" for name in BASE_COLUMNS)]
+        rows.writerow(header)
+        samples = np.column_stack(columns)
         rows.writerows([f"{value:.9g}" for value in row] for row in samples.tolist())
         write_atomic(as_path("path", path), text.getvalue().encode())
 
@@ -113,7 +134,7 @@ DEFAULT = SpeedConfig()
 def time_plan(
     plan: PlacementPlan, robot: Robot, config: SpeedConfig = DEFAULT, *, step: float = 0.02
 ) -> TimedTrajectory:
-    """Compute the arm trajectory of a solved plan.
+    """Compute the arm trajectory of a solved plan, and the base's if it moves, on one clock.
 
     Approach and manipulation each start and end at rest; in between, the gripper closes.
 
@@ -138,12 +159,19 @@ def time_plan(
             f"{robot.name}"
         )
     approach, manipulation = time_motion(robot, plan.motion, config, step, verb=plan.task.verb)
+    base, base_v = manipulation.base, manipulation.base_v
+    if base is not None and base_v is not None:  # it stands still in the approach
+        count = (len(approach), 1)
+        base = np.concatenate([np.tile(base[0], count), base])
+        base_v = np.concatenate([np.tile(np.zeros(3), count), base_v])
     return TimedTrajectory(
         joints=robot.moved_joints,
         times=np.arange(len(approach) + len(manipulation)) * step,
         positions=np.concatenate([approach.q, manipulation.q]),
         velocities=np.concatenate([approach.v, manipulation.v]),
         grasp_index=len(approach),
+        base=base,
+        base_velocities=base_v,
     )
 
 
@@ -168,8 +196,11 @@ def time_motion(
 ) -> tuple[Trajectory, Trajectory]:
     """Compute trajectories of a motion's approach and manipulation, each from rest to rest.
 
+    A base that moves in the manipulation keeps the speed share of the joints and its own
+    acceleration limits, which hold for the norm of x and y.
+
     Args:
-        robot: The robot, with its joints' limits of speed and acceleration.
+        robot: The robot, with its joints' and its base's limits of speed and acceleration.
         motion: The motion.
         config: Speed and acceleration limits.
         step: Time between samples [s].
@@ -193,10 +224,14 @@ def time_motion(
         )  # fmt: skip
     else:
         way = time_path(approach, config.approach_speed * speed, acceleration, step)
+    base = None
+    if motion.base is not None:
+        base = limited_base_path(robot, motion.base, config.manipulation_speed)
     return way, time_path(
         motion.q, held, acceleration, step,
         tool=motion.Ts_world_tool[:, :3, 3], tool_speed=config.tool_speed,
         tool_acceleration=carry if verb == "pick" else np.inf,
+        base=base,
     )  # fmt: skip
 
 
@@ -215,6 +250,7 @@ def time_path(
     tool: Float[np.ndarray, "m 3"] | None = None,
     tool_speed: float = np.inf,
     tool_acceleration: float = np.inf,
+    base: BasePath | None = None,
 ) -> Trajectory:
     """Follow a path as fast as the limits allow (Pham and Pham, TOPP-RA, 2018).
 
@@ -229,33 +265,53 @@ def time_path(
         tool: Positions of the tool at the states, if the tool has limits [m].
         tool_speed: Speed limit of the tool [m/s].
         tool_acceleration: Acceleration limit of the tool along each axis [m/s^2].
+        base: Path of the base at the states, if it moves with the arm.
 
     Raises:
         InputError: The limits cannot be met, or a state is not finite.
     """
+    n = q.shape[1]
+    if base is not None:
+        q = np.column_stack([q, base.poses])
+        speed = np.concatenate([speed, base.speed])
+        acceleration = np.concatenate([acceleration, base.acceleration])
     if not np.isfinite(q).all():
         raise InputError("the motion contains NaN or infinity")
     keep = np.append(True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > _MIN_STATE_DISTANCE)
     q = q[keep]
     state = np.cumsum(keep) - 1
     if len(q) < 2:
-        return replace(still(q[0], 1), state_times=np.zeros(len(state)))
+        return _split(replace(still(q[0], 1), state_times=np.zeros(len(state))), n)
     # The tool adds coordinates with limits: the distance along its path, and x, y, z.
-    more = None if tool is None else np.column_stack([_along(tool[keep]), tool[keep]])
-    limits = (
-        np.append(speed, [tool_speed, *[np.inf] * 3]),
-        np.append(acceleration, [np.inf, *[tool_acceleration] * 3]),
+    more, also = [q], [(speed, acceleration)]
+    if tool is not None:
+        more += [_along(tool[keep])[:, None], tool[keep]]
+        most = tool_acceleration
+        also.append((np.array([tool_speed, *[np.inf] * 3]), np.array([np.inf, most, most, most])))
+    if base is not None:  # the norm of x and y
+        more.append(_along(q[:, n : n + 2])[:, None])
+        also.append((base.speed[:1], np.array([np.inf])))
+    whole, limits = (
+        np.column_stack(more),
+        [np.concatenate(all_) for all_ in zip(*also, strict=True)],
     )
     ends = np.flatnonzero(_corners(q))
     pieces = []
     for first, last in pairwise(ends):
         part = slice(first, last + 1)
-        whole = q[part] if more is None else np.column_stack([q[part], more[part]])
-        pieces.append(_piece(whole, q.shape[1], *limits, step))
+        pieces.append(_piece(whole[part], q.shape[1], limits[0], limits[1], step))
     timed, _ = joined(pieces)
     begin = np.cumsum([0, *map(len, pieces[:-1])]) * step
     passed = [t + piece.state_times[1:] for t, piece in zip(begin, pieces, strict=True)]
-    return replace(timed, state_times=np.concatenate([[0.0], *passed])[state])
+    return _split(replace(timed, state_times=np.concatenate([[0.0], *passed])[state]), n)
+
+
+def _split(timed: Trajectory, n: int) -> Trajectory:
+    """Return a trajectory of n joints and a base from one of all; without a base, unchanged."""
+    if timed.q.shape[1] == n:
+        return timed
+    arm = timed.q[:, :n], timed.v[:, :n], timed.a[:, :n]
+    return Trajectory(*arm, timed.state_times, timed.q[:, n:], timed.v[:, n:])
 
 
 def _along(points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
@@ -286,7 +342,6 @@ def _piece(
     from toppra import algorithm, constraint
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
-    speed, acceleration = speed[: path.shape[1]], acceleration[: path.shape[1]]
     bounded = np.isfinite(speed) | np.isfinite(acceleration)
     counts = (np.arange(path.shape[1]) < n) | (bounded & (np.ptp(path, axis=0) > _MIN_TOOL_MOTION))
     speed = np.minimum(speed[counts], _NO_LIMIT)

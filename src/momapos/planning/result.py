@@ -100,7 +100,7 @@ class PlacementResult:
     @property
     def touched_after(self) -> str:
         """Return what the robot touches as its arm returns home after the task; "" for nothing."""
-        base, robot, task = self.plan.base_pose, self.prepared.robot, self.plan.task
+        base, robot, task = self.plan.final_base_pose, self.prepared.robot, self.plan.task
         if base is None or self.plan.motion is None:
             return ""
         outlines = outlines_after(self.prepared.scene, robot, task)

@@ -100,13 +100,15 @@ def with_tolerance(
     and a note says so.
 
     Args:
-        answer: An answer; returned unchanged if it has no motion, or has its tolerance already.
+        answer: An answer; returned unchanged if it has no motion, has its tolerance already, or
+            moves its base in the manipulation: replanning is measured for one base pose only.
         samples: Number of poses in a disc [-].
         clock: Measures the time, which is not part of the plan's total. An exception that it
             raises ends the work.
     """
     plan, query = answer.plan, answer.query
-    if plan.tolerance is not None or plan.motion is None or query is None:
+    known = plan.tolerance is not None or plan.moves_base
+    if known or plan.motion is None or query is None:
         return answer
     end = clock() + time_left(plan, query.config.timeout)
 

@@ -1,3 +1,4 @@
+from .config import BaseTrackingConfig as BaseTrackingConfig
 from .config import ComplianceConfig as ComplianceConfig
 from .config import ExecutionConfig as ExecutionConfig
 from .config import FurnitureConfig as FurnitureConfig

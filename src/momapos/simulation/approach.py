@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.model import Trajectory
 
+from .base_drive import base_coordinates
 from .config import (
     BESIDE_SPEED,
     NEAR_GRASP,
@@ -56,13 +57,23 @@ class PacedTrajectory:
             k: Fractional sample index.
             pace: Samples per step; negative on the way back.
         """
-        i = min(int(k), self.last)
-        j, share = min(i + 1, self.last), k - i
+        i, j, share = self._between(k)
         q, v, a = (
             (1.0 - share) * values[i] + share * values[j]
             for values in (self.plan.q, self.plan.v, self.plan.a)
         )
         return q, pace * v, pace**2 * a
+
+    def base_at(self, k: float) -> Float[np.ndarray, "3"] | None:
+        """Interpolate the pose of a moving base between two samples; None if it stands still."""
+        if self.plan.base is None:
+            return None
+        i, j, share = self._between(k)
+        return (1.0 - share) * self.plan.base[i] + share * self.plan.base[j]
+
+    def _between(self, k: float) -> tuple[int, int, float]:
+        i = min(int(k), self.last)
+        return i, min(i + 1, self.last), k - i
 
 
 def pace_trajectory(
@@ -74,6 +85,7 @@ def pace_trajectory(
     *,
     value: float | None = None,
     careful: bool = False,
+    base: Float[np.ndarray, "m 3"] | None = None,
 ) -> PacedTrajectory:
     """Slow a trajectory down near obstacles and before the grasp.
 
@@ -85,10 +97,12 @@ def pace_trajectory(
         config: Speeds and distances.
         value: Value of the part's joint meanwhile [rad] or [m]; by default as in the room.
         careful: Limit the speed everywhere, because the known room may be wrong.
+        base: Poses of a base that moves, at these states; None if it stands where it was first.
     """
     step = config.timestep * SUBSTEPS
     times = np.arange(len(plan)) * step
-    gap = np.interp(times, plan.state_times, clearances(room, path, OBSERVED_DISTANCE, value))
+    gaps = clearances(room, path, OBSERVED_DISTANCE, value, base)
+    gap = np.interp(times, plan.state_times, gaps)
     points = np.column_stack([np.interp(times, plan.state_times, tool[:, i]) for i in range(3)])
     speed = np.zeros(len(plan))
     if len(plan) > 1:
@@ -116,12 +130,18 @@ def _smooth(pace: Float[np.ndarray, " t"], step: float) -> Float[np.ndarray, " t
 
 
 def clearances(
-    room: Simulation, path: Float[np.ndarray, "m n"], most: float, value: float | None = None
+    room: Simulation,
+    path: Float[np.ndarray, "m n"],
+    most: float,
+    value: float | None = None,
+    base: Float[np.ndarray, "m 3"] | None = None,
 ) -> Float[np.ndarray, " m"]:
     """Return the distance from the arm to its surroundings at each state [m], capped at `most`.
 
-    `value` is the value of the part's joint [rad] or [m]; by default as in the room.
+    `value` is the value of the part's joint [rad] or [m]; by default as in the room. `base` is the
+    pose of a base that moves.
     """
+    stands = np.zeros((len(path), 3)) if base is None else base_coordinates(room, base)
     data = mujoco.MjData(room.model)
     data.qpos[:] = room.data.qpos
     if value is not None:
@@ -129,7 +149,7 @@ def clearances(
     arm, obstacles = np.isin(room.kinds, _MOVING), np.isin(room.kinds, _SURROUNDINGS)
     gaps = np.full(len(path), most)
     for i, q in enumerate(path):
-        data.qpos[room.arm_q] = q
+        data.qpos[room.arm_q], data.qpos[room.base_q] = q, stands[i]
         mujoco.mj_kinematics(room.model, data)
         mujoco.mj_collision(room.model, data)
         geoms = data.contact.geom

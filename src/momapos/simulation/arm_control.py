@@ -44,20 +44,27 @@ _NULL_RATE = 2.0
 
 
 class ArmKinematics:
-    """Kinematics of the arm from its joints alone, for a base at its nominal pose."""
+    """Kinematics of the arm from its joints and the odometry of its base alone."""
 
     def __init__(self, world: Simulation) -> None:
         self._world = world
         self._data = mujoco.MjData(world.model)
         self._data.qpos[:] = world.data.qpos
-        self._data.qpos[world.base_q] = 0.0
         self._jacobian = np.zeros((6, world.model.nv))
+        self.base, self.base_velocity = np.zeros(3), np.zeros(3)
+        """Pose and velocity of the base by odometry, as of its joints."""
 
     def at(
-        self, q: Float[np.ndarray, " n"]
+        self, q: Float[np.ndarray, " n"], base: Float[np.ndarray, "3"] | None = None
     ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "6 n"]]:
-        """Return the tool pose in the world and its Jacobian: linear rows, then angular rows."""
+        """Return the tool pose in the world and its Jacobian: linear rows, then angular rows.
+
+        Args:
+            q: Arm state [rad] or [m].
+            base: Values of the base's joints; None for where it is.
+        """
         model, data, tool = self._world.model, self._data, self._world.tool_body
+        data.qpos[self._world.base_q] = self.base if base is None else base
         data.qpos[self._world.arm_q] = q
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -65,6 +72,11 @@ class ArmKinematics:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = data.xmat[tool].reshape(3, 3), data.xpos[tool]
         return T, self._jacobian[:, self._world.arm_v]
+
+    @property
+    def carried(self) -> Float[np.ndarray, "6"]:
+        """Twist of the tool from the motion of the base alone, at the last state of `at`."""
+        return np.asarray(self._jacobian[:, self._world.base_v] @ self.base_velocity)
 
 
 def twist_between(
@@ -161,6 +173,7 @@ class CompliantArm:
         line += reference.yields @ self._wrench[:3] / config.damping
         turn = TURN_RETURN_RATE * off[3:] + self._wrench[3:] / TURN_DAMPING
         twist = np.concatenate([_clip_length(line, config.speed), _clip_length(turn, TURN_SPEED)])
+        twist -= self.kinematics.carried
         free = reference.v + _NULL_RATE * (reference.q - self.q)
         # Feed forward only the plan's speed: feeding forward the compliant motion oscillates.
         self.go(self._moved(J, reference.twist + twist, free, reference.bounds), reference.v)

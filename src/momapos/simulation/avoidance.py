@@ -59,6 +59,8 @@ class CollisionAvoidance:
         self._jacobians = np.zeros((2, 3, known.model.nv))
         joint = known.model.body_jntadr[known.part_body]
         self._loose = known.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        self.base = np.zeros(3)
+        """Values of the base's joints by odometry."""
         self.part_gaps = np.inf, np.inf
         """Result of `gaps` at the last call of `bounds`."""
 
@@ -116,6 +118,7 @@ class CollisionAvoidance:
         """
         known, model, data = self.known, self._model, self._data
         data.qpos[known.arm_q] = q
+        data.qpos[known.base_q] = self.base
         if not self._loose:
             for body, T_modeled in self._Ts_world_part.items():
                 T = T_modeled if T_off is None else T_off @ T_modeled

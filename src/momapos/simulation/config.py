@@ -67,6 +67,13 @@ BASE_BANDWIDTH = 60.0
 """Natural frequency of the base on its tires with the brakes on [rad/s]."""
 BASE_FRICTION = 0.6
 """Friction between wheels and floor; a larger force makes the base slide [-]."""
+BASE_FOLLOW_RATE = 2.0
+"""Rate at which a base that moves with the arm corrects its offset from its path [1/s]."""
+BASE_STEERING = 8.0
+"""Turn per distance driven and per offset to the side, of a base that cannot drive sideways
+[rad/m^2]."""
+SLIP_TIME = 0.5
+"""Time constant of the slip of the wheels [s]."""
 PAD_TIME = 0.005
 """Time constant of the contact between a pad and a grasped object [s]. The engine softens
 contacts with light bodies: with its default, pads sink 6 mm into an apple or the bar of a light
@@ -87,6 +94,9 @@ WELD_TORQUE = 25.0
 """Torque above which the weld breaks [Nm]."""
 NEAR_GRASP = 0.1
 """Distance to the grasp within which the hand moves slowly [m]."""
+ARRIVING = 0.2
+"""Distance to a further grasp within which the hand no longer follows the joints' plan but its own
+pose, which makes up for where the base has stopped [m]."""
 STRAIGHT_IN = 0.085
 """Distance to the grasp within which the hand may pass obstacles as closely as planned, because it
 moves straight in around its target [m]."""
@@ -246,6 +256,20 @@ class ModelErrorConfig:
 
 
 @dataclass(frozen=True)
+class BaseTrackingConfig:
+    """How a base follows its path while the arm moves."""
+
+    slip: float = 0.03
+    """Standard deviation of its true velocity from its odometry's, as a share of it; as that of the
+    odometry of a drive [-]."""
+    delay: float = 0.05
+    """Time after which a command moves the wheels [s]."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "slip", "delay")
+
+
+@dataclass(frozen=True)
 class ExecutionConfig:
     """How a motion is executed and judged."""
 
@@ -264,6 +288,7 @@ class ExecutionConfig:
     gripper: GripConfig = field(default_factory=GripConfig)
     compliance: ComplianceConfig = field(default_factory=ComplianceConfig)
     errors: ModelErrorConfig = field(default_factory=ModelErrorConfig)
+    base: BaseTrackingConfig = field(default_factory=BaseTrackingConfig)
 
     def __post_init__(self) -> None:
         refuse_below(self, 1e-5, "timestep")

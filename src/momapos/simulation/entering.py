@@ -9,7 +9,9 @@ import numpy as np
 from .approach import PacedTrajectory
 from .arm_control import EVERYWHERE, Reference
 from .avoidance import PROXIMITY_INTERVAL, Bounds
+from .base_drive import base_coordinates
 from .config import (
+    ARRIVING,
     BUMP_FORCE,
     HOME_TIME,
     MIN_BUMP_PATH,
@@ -95,15 +97,40 @@ def go_between(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
     """Move the free hand from one grasp to the next, returning to the plan meanwhile."""
     offset = run.arm.q - way.plan.q[0]
     fade, steps, at = run.step / HOME_TIME, 0, 0.0
+    arrives = _arrival(way)
     while at < way.last:
         pace = float(way.pace[round(at)])
         at, steps = min(at + pace, float(way.last)), steps + 1
         q, v, a = way.at(at, pace)
-        run.arm.go(q + max(0.0, 1.0 - fade * steps) * offset, v, a)
+        base = way.base_at(at)
+        if run.base is not None and base is not None:
+            run.base.go(base)
+        if base is not None and at >= arrives:
+            if run.base is not None and at - pace < arrives:
+                run.base.localize()
+            _reach(run, q, v, base)
+        else:
+            run.arm.go(q + max(0.0, 1.0 - fade * steps) * offset, v, a)
         ending = run.tick(Stage.MANIPULATE) or run.check_grasp()
         if ending is not None:
             return ending
     return None
+
+
+def _arrival(way: PacedTrajectory) -> float:
+    """Return the sample from which on the hand is near the next grasp and stays near it."""
+    return float(len(way.left) - np.argmax(way.left[::-1] > ARRIVING)) if way.last else 0.0
+
+
+def _reach(
+    run: ExecutionRun,
+    q: Float[np.ndarray, " n"],
+    v: Float[np.ndarray, " n"],
+    base: Float[np.ndarray, "3"],
+) -> None:
+    """Move the hand to its planned pose, from where the base is instead of where it should be."""
+    T, J = run.arm.kinematics.at(q, base_coordinates(run.world, base[None])[0])
+    run.arm.follow(Reference(q, v, T, J @ v, EVERYWHERE, np.zeros((3, 3))))
 
 
 def go_back(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:

@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from momapos.core import Clock
+from momapos.core import Clock, InputError
+from momapos.core.geometry import wrap_angle
 from momapos.model import time_motion
 from momapos.model.records import Hold, Motion, Task
 from momapos.model.robots import Robot
@@ -17,6 +18,7 @@ from momapos.model.urdf import opening_of
 
 from .approach import PacedTrajectory, pace_trajectory
 from .arm_control import ArmKinematics
+from .base_drive import BaseDrive, base_pose_of
 from .config import AT_END, GOOD, PUSH_SPEED, RECOVERABLE, SUBSTEPS, Ending, ExecutionConfig
 from .dynamics import Dynamics, read_dynamics
 from .execution_run import BelievedJoint, ExecutionRun, Stretch, Watch
@@ -32,6 +34,8 @@ from .verdict import TaskOutcome, judge
 from .worlds import WorldSetup, draw_worlds
 
 DEFAULT = ExecutionConfig()
+MAX_BASE_GAP = 1e-6
+"""Largest difference of the base pose and the first one of a motion's base [m] or [rad]."""
 _OBSTRUCTED = (Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.TOO_HARD)
 _WELD_INSTEAD = "the fingers of {} do not close on anything; a weld replaces the grasp"
 
@@ -116,9 +120,12 @@ def attempt(
 
     Raises:
         SceneError: The robot starts in collision.
-        InputError: The motion cannot be timed, or the engine rejects the model.
+        InputError: The motion cannot be timed, or the engine rejects the model, or the base of the
+            motion does not begin at `base_pose`.
     """
+    _check_first_pose(base_pose, motion)
     assert robot.model.urdf.path is not None
+    rng = rng or np.random.default_rng(0)
     dynamics = read_dynamics(robot.model.urdf.path)
     hand, notes = find_hand(robot, dynamics.mimics), []
     if config.hold == "contact" and not hand.closes:
@@ -126,7 +133,7 @@ def attempt(
         notes.append(_WELD_INSTEAD.format(robot.name))
     worlds = draw_worlds(
         WorldSetup(scene, robot, base_pose, motion, task, hand, dynamics, config),
-        rng or np.random.default_rng(0),
+        rng,
         true_world=true_world,
         believed=None if again is None else again.scene,
         begin=None if again is None else again.value,
@@ -137,8 +144,13 @@ def attempt(
     believed = scene if again is None else again.scene
     belief = _belief(believed.object(task.object), task.joint)
     touched = None if again is None else again.collisions
+    base = None
+    if motion.base is not None:
+        slips = rng.spawn(1)[0]  # its own stream, so that the furniture does not depend on it
+        step = config.timestep * SUBSTEPS
+        base = BaseDrive(world, robot, motion.base[0], config.base, step, slips)
     run = ExecutionRun(
-        world, motion, task, config, worlds.seal, belief, known, watch, touched, doubt
+        world, motion, task, config, worlds.seal, belief, known, watch, touched, doubt, base
     )
     if task.verb == "place":
         run.carry(item)
@@ -163,6 +175,17 @@ def attempt(
     return AttemptOutcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
 
 
+def _check_first_pose(base_pose: Pose, motion: Motion) -> None:
+    if motion.base is None:
+        return
+    off = motion.base[0] - np.array(base_pose)
+    if max(abs(off[0]), abs(off[1]), abs(float(wrap_angle(off[2])))) > MAX_BASE_GAP:
+        raise InputError(
+            f"base_pose must be the first base pose of the motion, {motion.base[0].tolist()}, not "
+            f"{list(base_pose)}"
+        )
+
+
 def _effort_notes(robot: Robot, dynamics: Dynamics, world: Simulation) -> list[str]:
     """Return the assumptions about the motors, one line each."""
     notes = []
@@ -184,8 +207,9 @@ def _stretches(
     step = config.timestep * SUBSTEPS
     cuts: list[tuple[int, int, Hold | None]] = []
     for hold in motion.grasps:
-        if cuts:
-            cuts.append((cuts[-1][1], hold.first, None))
+        before = cuts[-1][1] if cuts else 0
+        if cuts or hold.first > 0:
+            cuts.append((before, hold.first, None))
         cuts.append((hold.first, hold.last, hold))
     latched = motion.latch_q is not None
     if latched:  # the hand turns the latch, and holds on as the part moves
@@ -199,6 +223,7 @@ def _stretches(
             motion, approach=motion.q[states], q=motion.q[states],
             object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
             approach_times=None, times=None, holds=(), latch_q=None,
+            base=None if motion.base is None else motion.base[states],
         )  # fmt: skip
         speed = config.speed
         if held is not None and held.family == "push":
@@ -211,9 +236,11 @@ def _stretches(
             turns, goes_on = latched and index == 0, latched and index == 1
             stretches.append(Stretch(slow, part, held, turns_latch=turns, goes_on=goes_on))
             continue
+        if part.base is not None:  # the base drives, at the speed of a manipulation
+            free = slow
         way = pace_trajectory(
             free, part.q, part.Ts_world_tool[:, :3, 3], room, config,
-            value=float(part.object_q[0]),
+            value=float(part.object_q[0]), base=part.base,
         )  # fmt: skip
         stretches.append(Stretch(free, part, None, way))
     return stretches
@@ -282,8 +309,14 @@ def _outcome(
         ending=str(ending),
         joint=_joint_found(run.estimate),
         base_pose=base_pose,
+        final_base_pose=None if run.base is None else _final_base(run.world),
         notes=tuple(notes),
     )
+
+
+def _final_base(world: Simulation) -> Pose:
+    x, y, yaw = base_pose_of(world, world.data.qpos).tolist()
+    return x, y, yaw
 
 
 def _joint_found(estimate: JointEstimate | None) -> JointFound | None:

@@ -18,6 +18,7 @@ from momapos.model.scene import SceneObject
 from .approach import PacedTrajectory
 from .arm_control import EVERYWHERE, CompliantArm, Reference
 from .avoidance import CollisionAvoidance
+from .base_drive import BaseDrive, base_coordinates
 from .config import (
     BANDWIDTH,
     GRIP_PATIENCE,
@@ -108,8 +109,10 @@ class ExecutionRun:
         watch: Watch | None,
         touched: Mapping[tuple[str, str], Collision] | None = None,
         doubt: JointDoubt | None = None,
+        base: BaseDrive | None = None,
     ) -> None:
-        """`touched` holds the collisions of earlier attempts; None for the first attempt."""
+        """`touched` holds the collisions of earlier attempts; None for the first attempt. `base`
+        drives the base; None if it stands still."""
         self.doubt = doubt
         self.again = touched is not None
         self.world, self.motion, self.task, self.config = world, motion, task, config
@@ -118,6 +121,7 @@ class ExecutionRun:
         self.observer = Observer(world, config, dict(touched or {}))
         self.T_part_first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
+        self.base = base
         self.tipping = Tipping(world, self.step)
         self.avoidance = CollisionAvoidance(known, config.compliance)
         self.payload = Payload(WEIGHT_TIME, self.step)
@@ -179,6 +183,10 @@ class ExecutionRun:
         # The motors push in proportion to the error; this lead makes them follow without lag.
         lead = 2 / w * self.arm.v + self.arm.a / w**2 + self.payload.lead(self.world)
         world.data.ctrl[world.arm_motor] = self.arm.q + lead
+        if self.base is not None:
+            self.base.update()
+            self.arm.kinematics.base = self.avoidance.base = self.base.odometry
+            self.arm.kinematics.base_velocity = self.base.velocity
         if self.seal.outward:
             value = float(world.data.qpos[world.part_q])
             world.data.qfrc_applied[world.part_v] = self.seal.force(value)
@@ -197,7 +205,8 @@ class ExecutionRun:
         self.touch = sense_forces(world)
         carried = self.held and self.belief is None
         self.arm.update_forces(self.payload.remove_weight(self.touch, carried=carried))
-        self.observer.record_step(self.arm.q, self.time, stage, self.touch)
+        goal = np.zeros(3) if self.base is None else self.base.goal
+        self.observer.record_step(self.arm.q, goal, self.time, stage, self.touch)
         return self._check_overload()
 
     def _check_overload(self) -> Ending | None:
@@ -237,6 +246,18 @@ class ExecutionRun:
             if ending is not None:
                 return ending
         return None
+
+    def send_base(self, plan: Trajectory, sample: int) -> None:
+        """Send a moving base to where a trajectory has it at a sample."""
+        if self.base is not None and plan.base is not None:
+            self.base.go(plan.base[sample])
+
+    def planned_tool(self, plan: Trajectory, sample: int) -> Float[np.ndarray, "4 4"]:
+        """Return the planned tool pose at a sample of a trajectory."""
+        base = None
+        if plan.base is not None:
+            base = base_coordinates(self.world, plan.base[sample][None])[0]
+        return self.arm.kinematics.at(plan.q[sample], base)[0]
 
     def offset_pose(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """Return a planned tool pose with the offsets that the hand has found on its way in."""

@@ -80,7 +80,7 @@ class _PartWay:
         times = np.arange(len(plan)) * run.step
         self.values = np.interp(times, plan.state_times, motion.object_q)
         T_held = self._hand()
-        self.T_first, _ = run.arm.kinematics.at(plan.q[0])
+        self.T_first = run.planned_tool(plan, 0)
         self.shift = T_held @ invert(self.T_first)  # offset of the grasp from the plan
         run.estimate = self.estimate = JointEstimate(
             belief.axis, T_held[:3, 3], run.config.compliance
@@ -95,6 +95,8 @@ class _PartWay:
         self.pushes, self.most_felt = stretch.pushes, 0.0
         self.trail = [(run.world.data.qpos[run.world.arm_q].copy(), T_held)]
         """Arm states and tool poses on the path, `PROXIMITY_INTERVAL` steps apart."""
+        self.passed = [0]
+        """Samples of the plan at which they are."""
 
     def _hand(self) -> Float[np.ndarray, "4 4"]:
         return self.run.arm.kinematics.at(self.run.world.data.qpos[self.run.world.arm_q])[0]
@@ -108,7 +110,7 @@ class _PartWay:
 
     def _pose_at(self, k: int) -> Float[np.ndarray, "4 4"]:
         """Return the tool pose for the planned part motion about the estimated joint."""
-        return self._off_at(k) @ self.run.arm.kinematics.at(self.plan.q[k])[0]
+        return self._off_at(k) @ self.run.planned_tool(self.plan, k)
 
     def _near_end(self, here: Float[np.ndarray, "4 4"]) -> bool:
         """Return whether the remaining path is within the tolerance."""
@@ -118,6 +120,7 @@ class _PartWay:
         """Advance by one control step; return an early ending, or None."""
         run, plan = self.run, self.plan
         k = min(i, self.last)
+        run.send_base(plan, k)
         if i % PROXIMITY_INTERVAL == 0:
             value, after = self.values[k], self.values[min(k + 1, self.last)]
             self.bounds = run.avoidance.bounds(
@@ -139,6 +142,7 @@ class _PartWay:
         self.most_felt = max(self.most_felt, run.touch.size[0])
         if i % PROXIMITY_INTERVAL == 0:
             self.trail.append((run.world.data.qpos[run.world.arm_q].copy(), here))
+            self.passed.append(k)
         if max(run.touch.pads) > 1.0 or run.world.welded:
             run.learned = self._learned(here[:3, 3])
             if farther and run.doubt is not None and run.doubt(self.estimate.points):
@@ -160,11 +164,13 @@ class _PartWay:
         resists: the part is back, and the hand has slipped on it.
         """
         run, still, start = self.run, np.zeros_like(self.run.arm.q), self.trail[0][1][:3, 3]
-        for (q, T), (_, T_after) in reversed(list(pairwise(self.trail))):
+        way_back = zip(pairwise(self.trail), pairwise(self.passed), strict=True)
+        for ((q, T), (_, T_after)), (sample, after) in reversed(list(way_back)):
             twist = twist_between(T_after, T) / (PROXIMITY_INTERVAL * run.step)
             way = twist[:3] / max(float(np.linalg.norm(twist[:3])), 1e-9)
             across = EVERYWHERE - np.outer(way, way)
             for k in range(PROXIMITY_INTERVAL):
+                run.send_base(self.plan, max(sample, after - k - 1))
                 goal = T_after + (k + 1) / PROXIMITY_INTERVAL * (T - T_after)
                 here = self._hand()[:3, 3]
                 run.arm.follow(Reference(q, still, goal, twist, across, across, here))

@@ -74,12 +74,18 @@ class Observer:
         self._T_part_tool = None
 
     def record_step(
-        self, wanted: Float[np.ndarray, " n"], time: float, stage: str, touch: SensedForces
+        self,
+        wanted: Float[np.ndarray, " n"],
+        base: Float[np.ndarray, "3"],
+        time: float,
+        stage: str,
+        touch: SensedForces,
     ) -> None:
         """Record the present state.
 
         Args:
             wanted: Set-points of the arm [rad] or [m].
+            base: Set-points of the base's joints.
             time: Time since the start of the run [s].
             stage: Stage of the run.
             touch: Forces on the hand.
@@ -91,7 +97,7 @@ class Observer:
         self._samples += 1
         effort = np.abs(data.qfrc_actuator[world.arm_v]) / self._limit
         self._effort = max(self._effort, float(effort.max()))
-        self.base_shift = np.maximum(self.base_shift, np.abs(data.qpos[world.base_q]))
+        self.base_shift = np.maximum(self.base_shift, np.abs(data.qpos[world.base_q] - base))
         if data.ncon:
             self._note_contacts(time, stage)
         if self._T_part_tool is not None:

@@ -114,7 +114,8 @@ class Execution:
     clearance: float | None = None
     """Minimum distance from the robot to the room [m]; None if above the observed range."""
     base_shift: Pose = (0.0, 0.0, 0.0)
-    """Maximum displacement of the base: forward, left [m], yaw [rad]."""
+    """Maximum displacement of the base from where it should be: forward, left [m], yaw [rad], in
+    the frame of its first pose."""
     resistance: Mapping[str, float] = field(default_factory=dict)
     """Resistance of the part in this run: mass, friction, damping, pull."""
     time: Mapping[str, float] = field(default_factory=dict)
@@ -127,6 +128,8 @@ class Execution:
     """How the run ended, one of `Ending`."""
     base_pose: Pose | None = None
     """Pose of the base: x [m], y [m], yaw [rad]; None in older records."""
+    final_base_pose: Pose | None = None
+    """Pose of the base at the end; None if it stood still, and in older records."""
     joint: JointFound | None = None
     """None for movable objects, and without a grasp."""
     notes: tuple[str, ...] = ()
@@ -209,6 +212,13 @@ class RunRecord:
         if self.execution is not None:
             return self.execution.reason
         return self.visits[-1].reason if self.visits else "nothing was driven"
+
+    @property
+    def final_base_pose(self) -> Pose | None:
+        """Pose of the base at the end: x [m], y [m], yaw [rad]; None if nothing was driven."""
+        if self.execution is not None and self.execution.final_base_pose is not None:
+            return self.execution.final_base_pose
+        return self.visits[-1].reached if self.visits else None
 
     @property
     def driven(self) -> float:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 
-from momapos.core.geometry import compose, local_points
+from momapos.core.geometry import local_points
 
+from .base_drive import base_pose_of, initial_base_pose
 from .config import Stage
 from .feel import sense_forces
 from .run_motion import DIGITS, DRIVE, RunMotion, Triple, rounded
@@ -145,7 +146,7 @@ class RunTrace:
             for i in _sampled(np.array([state.time for state in act.states])):
                 assert act.world is not None
                 time, stage, q, force = act.states[i]
-                base = base_pose(act.world, q)
+                base = base_pose_of(act.world, q)
                 yield _Row(began + act.drove + time, stage, base, act.world, q, force)
             if act.states:
                 before = before._replace(q=act.states[-1].q)
@@ -161,18 +162,6 @@ class _Row(NamedTuple):
     world: Simulation | None
     q: np.ndarray
     force: np.ndarray
-
-
-def initial_base_pose(world: Simulation) -> Float[np.ndarray, "3"]:
-    """Return the pose of the base for which a world was built: x [m], y [m], yaw [rad]."""
-    body = world.model.body("base")
-    w, _, _, z = body.quat
-    return np.array([body.pos[0], body.pos[1], 2 * np.arctan2(z, w)])
-
-
-def base_pose(world: Simulation, q: np.ndarray) -> Float[np.ndarray, "3"]:
-    """Return the pose of the base in a state: x [m], y [m], yaw [rad]."""
-    return compose(initial_base_pose(world), q[world.base_q][None])[0]
 
 
 def joints_of(world: Simulation) -> list[str]:

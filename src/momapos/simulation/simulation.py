@@ -61,6 +61,7 @@ class Simulation:
     """Addresses of the arm joints' velocities."""
     arm_motor: Int[np.ndarray, " n"]
     base_q: Int[np.ndarray, "3"]
+    base_v: Int[np.ndarray, "3"]
     base_motor: Int[np.ndarray, "3"]
     part_q: int
     part_v: int
@@ -385,6 +386,7 @@ def _index(
         arm_v=addresses(robot.moved_joints, "dofadr"),
         arm_motor=motors(robot.moved_joints),
         base_q=addresses(BASE_JOINTS, "qposadr"),
+        base_v=addresses(BASE_JOINTS, "dofadr"),
         base_motor=motors(BASE_JOINTS),
         part_q=int(model.joint(PART).qposadr[0]),
         part_v=int(model.joint(PART).dofadr[0]),

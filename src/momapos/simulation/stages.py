@@ -28,9 +28,10 @@ def carry_out(run: ExecutionRun, approach: PacedTrajectory, stretches: Sequence[
         ending = ending or run.close_fingers(run.arm.q, gives=False)
         run.world.release()
     ending = ending or come_in(run, approach)
-    for stretch in stretches:
+    for index, stretch in enumerate(stretches):
         free = place or (stretch.hold is None and run.belief is not None)
-        if not stretch.goes_on:
+        comes = stretch.hold is None and index == 0  # the hand has held nothing yet
+        if not (stretch.goes_on or comes):
             ending = ending or (run.let_go() if free else _grasp(run, stretch))
         ending = ending or _move(run, stretch)
     if ending not in (None, *AT_END):
@@ -82,7 +83,8 @@ def _move(run: ExecutionRun, stretch: Stretch) -> Ending | None:
         return turn_latch(run, plan)
     if run.belief is None or not run.belief.alone or stretch.hold is None:
         offset = run.arm.q - plan.q[0]  # keep the object as it came into the hand
-        for q, v, a in zip(plan.q, plan.v, plan.a, strict=True):
+        for k, (q, v, a) in enumerate(zip(plan.q, plan.v, plan.a, strict=True)):
+            run.send_base(plan, k)
             run.arm.go(q + offset, v, a)
             ending = run.tick(Stage.MANIPULATE) or run.check_grasp()
             if ending is not None:

@@ -19,6 +19,7 @@ from momapos.planning.navigation import DriveRecord, NavigationMap, build_naviga
 from momapos.simulation import AttemptOutcome, LearnedPart, PlanHomePath, Pose, TrueWorld, Visit
 
 from .joint_belief import JointBelief, JointBeliefs
+from .moved_motion import motion_from
 from .recovery import (
     arm_home_path,
     believed_scene,
@@ -253,7 +254,7 @@ class Replanner:
             here, reason, now, plan = driven.pose, driven.reason, plan, None
             if driven.arrived:
                 with self.stopwatch.stage("plan"):
-                    attempt = self._motion(here, self.config)
+                    attempt = self._at_plan(now, here)
                 motion, reason = attempt.motion, attempt.reason
                 self.failed.append(here)
             self.failed.append(goal)
@@ -267,6 +268,12 @@ class Replanner:
                     self.visits[-1] = replace(self.visits[-1], reason=reason)
                     plan = now if driven.arrived and _missed(goal, here) else None
         return here, motion
+
+    def _at_plan(self, plan: PlacementPlan, here: Float[np.ndarray, "3"]) -> Attempt:
+        """Return the motion at the pose at which a drive to a plan's base pose has ended."""
+        if plan.moves_base:
+            return motion_from(plan, self.scene, self.ground.robot, here)
+        return self._motion(here, self.config)
 
     def _motion(
         self,

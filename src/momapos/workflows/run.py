@@ -1,8 +1,8 @@
 """Execute a plan in physics.
 
 The base drives from its start to the base pose. The arm motion is replanned at the pose that it
-reached. If the base does not arrive or the arm finds no motion, the base drives to the next
-cheapest base pose.
+reached; a base that moves in the manipulation keeps its path, displaced to that pose. If the base
+does not arrive or the arm finds no motion, the base drives to the next cheapest base pose.
 """
 
 from __future__ import annotations
@@ -147,6 +147,8 @@ def run_plan(
     def execute(
         here: Float[np.ndarray, "3"], motion: Motion, again: RetryState | None, last: bool
     ) -> AttemptOutcome:
+        # A base that has moved does not return for another try.
+        last = last or motion.moves_base
         return attempt(
             replanner.initial, robot, base_triple(here), motion, replanner.plan.task, physics,
             np.random.default_rng(of_world), true_world=replanner.true_world(there), again=again,

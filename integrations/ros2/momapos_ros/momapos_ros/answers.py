@@ -85,7 +85,7 @@ def answer(question: Question, timeout: float, *, tolerance: bool = False) -> An
     """Plan the base pose and the motion, and optionally the tolerance of the base pose.
 
     Raises:
-        MomaposError: Scene, robot or task cannot be used.
+        MomaposError: Scene, robot or task cannot be used, or the base must move with the arm.
     """
     scene, robot = scene_of(question.scene), robot_of(question.robot)
     result = momapos.plan_base_placement(
@@ -93,6 +93,11 @@ def answer(question: Question, timeout: float, *, tolerance: bool = False) -> An
         start=None if question.start is None else np.array(question.start),
         config=momapos.PipelineConfig(timeout=timeout),
     )  # fmt: skip
+    if result.plan.moves_base:
+        raise TaskError(
+            "the plan moves its base while the hand works; this node executes plans at one base "
+            "pose only, and 'momapos export PLAN --to ros2' writes the goals of others"
+        )
     return Answer((result.with_tolerance() if tolerance else result).plan, question)
 
 

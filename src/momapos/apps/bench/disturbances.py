@@ -12,6 +12,7 @@ from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, opened_as
 from momapos.model.scene import Scene
 from momapos.planning import PipelineConfig, check_base_pose
+from momapos.workflows import motion_from
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -62,6 +63,8 @@ def works_disturbed(
     task, robot = replace(plan.task, farthest=False), opened_as(robot, plan.robot_rest)
 
     def works(pose: Float[np.ndarray, "3"]) -> bool:
+        if plan.moves_base:  # as a run continues from there
+            return motion_from(plan, scene, robot, pose).motion is not None
         attempt = check_base_pose(
             scene, robot, task, pose, reach, how_far=False, config=config, seed=seed
         )

@@ -100,6 +100,7 @@ def summary(
             f"  base pose   {pose_text(plan.base_pose)}",
             f"  drive       {plan.navigation_cost:.2f} m from "
             f"({answer.start[0]:.2f}, {answer.start[1]:.2f})",
+            *([f"  base        {plan.base_motion}"] if plan.moves_base else []),
             f"  arm motion  {len(plan.motion.approach)} states to the grasp, then "
             f"{len(plan.motion.q)}{span}",
             *_grasps(answer),
@@ -165,7 +166,8 @@ def _tolerance(plan: PlacementPlan) -> list[str]:
     """The tolerance of the base pose, if it was measured."""
     found = plan.tolerance
     if found is None:
-        return []
+        why = "  tolerance   not measured: the base moves in the manipulation"
+        return [why] if plan.moves_base else []
     spent = plan.timing.get("tolerance")
     took = "" if spent is None else f" ({1000 * spent:.0f} ms)"
     if found.radius == 0.0:

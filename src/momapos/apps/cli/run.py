@@ -108,13 +108,22 @@ def run(
     opened = open_plans(files.plans, scene_root, robot, "to execute", allow_assumed=allow_assumed)
     with require("physics"):
         from momapos.planning.navigation import DriveConfig
-        from momapos.simulation import ExecutionConfig, FurnitureConfig, RunTrace, moved
+        from momapos.simulation import (
+            BaseTrackingConfig,
+            ExecutionConfig,
+            FurnitureConfig,
+            RunTrace,
+            moved,
+        )
         from momapos.workflows import NO_NOISE, run_plan
 
     there = None
     if world is not None:
         there = moved(load_scene(world, root=scene_root, cache=user_cache()), np.array(at))
-    physics = ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0))
+    physics = ExecutionConfig(
+        hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0),
+        base=BaseTrackingConfig() if noise else BaseTrackingConfig(slip=0.0),
+    )  # fmt: skip
     done: list[RunRecord] = []
     for k, (content, scene, machine) in enumerate(opened):
         trace = RunTrace()
@@ -132,7 +141,7 @@ def run(
             print(summary(result))
         if not result.success:
             break
-        begin = list(result.visits[-1].reached)
+        begin = None if result.final_base_pose is None else list(result.final_base_pose)
     return _finish(done, files, json=json)
 
 
@@ -267,6 +276,15 @@ def summary(record: RunRecord) -> str:
     return "\n".join(lines + _execution_lines(done))
 
 
+def _base_words(done: Execution) -> str:
+    shift = f"{1000 * max(done.base_shift[:2]):.1f} mm, {math.degrees(done.base_shift[2]):.2f} deg"
+    if done.final_base_pose is None:
+        return f"moved {shift}"
+    from .console import pose_text
+
+    return f"drove to {pose_text(done.final_base_pose)}, at most {shift} off its path"
+
+
 def _execution_lines(done: Execution) -> list[str]:
     lines = [
         f"  reached     {done.reached:.3f} of {done.asked:.3f}, from {done.start:.3f}",
@@ -274,8 +292,7 @@ def _execution_lines(done: Execution) -> list[str]:
         f" slip {1000 * done.slip.position:.1f} mm, {math.degrees(done.slip.angle):.1f} deg",
         f"  motors      tracking error at most {done.tracking.worst:.4f} rad or m, "
         f"{100 * done.tracking.effort:.0f} % of the effort limit",
-        f"  base        moved {1000 * max(done.base_shift[:2]):.1f} mm, "
-        f"{math.degrees(done.base_shift[2]):.2f} deg",
+        f"  base        {_base_words(done)}",
     ]
     if done.ending:
         lines.append(f"  end         {done.ending}")

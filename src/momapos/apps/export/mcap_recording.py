@@ -21,7 +21,7 @@ from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import Hull
 
 from .phases import Samples
-from .ros2 import stamp
+from .ros2 import BASE_JOINT, stamp
 from .timeline import Timeline
 
 if TYPE_CHECKING:
@@ -235,6 +235,19 @@ def _send_path(bag: _Bag, timeline: Timeline) -> None:
     bag.send("/base_path", "nav_msgs/msg/Path", 0.0, header=header, poses=poses)
 
 
+def _base_point(bag: _Bag, samples: Samples, i: int, began: float) -> Any:
+    """Make the point of a base's trajectory at a sample."""
+    T = pose_planar(samples.base[i])
+    transform = bag.make(
+        "geometry_msgs/msg/Transform",
+        translation=bag.vector(T[:3, 3]), rotation=bag.quaternion(T[:3, :3]),
+    )  # fmt: skip
+    return bag.make(
+        "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", transforms=[transform], velocities=[],
+        accelerations=[], time_from_start=bag.duration(float(samples.times[i] - began)),
+    )  # fmt: skip
+
+
 def _send_trajectory(bag: _Bag, samples: Samples, part: slice, joints: list[str]) -> None:
     """Send the `moveit_msgs/RobotTrajectory` of one phase; its times begin at 0."""
     began, header, none = samples.times[part.start], bag.header(0.0, ""), np.zeros(0)
@@ -251,9 +264,13 @@ def _send_trajectory(bag: _Bag, samples: Samples, part: slice, joints: list[str]
     arm = bag.make(
         "trajectory_msgs/msg/JointTrajectory", header=header, joint_names=joints, points=points
     )
+    moves = bool(np.ptp(samples.base[part], axis=0).max() > 0.0)
+    rows = range(*part.indices(len(samples.times)))
     base = bag.make(
-        "trajectory_msgs/msg/MultiDOFJointTrajectory", header=header, joint_names=[], points=[]
-    )
+        "trajectory_msgs/msg/MultiDOFJointTrajectory", header=bag.header(0.0, bag.frame),
+        joint_names=[BASE_JOINT] if moves else [],
+        points=[_base_point(bag, samples, i, began) for i in rows] if moves else [],
+    )  # fmt: skip
     bag.send(
         "/trajectory", "moveit_msgs/msg/RobotTrajectory", float(began), joint_trajectory=arm,
         multi_dof_joint_trajectory=base,

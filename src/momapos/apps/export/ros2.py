@@ -1,6 +1,7 @@
 """Write a plan as ROS 2 messages in JSON: goals for Nav2, an arm controller and a gripper.
 
-The members have the names of the messages' fields, so that a node can copy them.
+The members have the names of the messages' fields, so that a node can copy them. A plan whose base
+moves with the arm is version 2, which has a goal for both.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from momapos.core import write_atomic
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import Robot, opened_as
 
 from .phases import Phase, PhaseKind
 
-FORMAT, VERSION = "momapos-ros2", 1
+FORMAT, VERSION, MOVING_VERSION = "momapos-ros2", 1, 2
+BASE_JOINT = "base"
+"""Name of the planar joint between the world's frame and the base."""
 
 
 def stamp(seconds: float) -> dict[str, int]:
@@ -54,6 +59,36 @@ def joint_trajectory(phase: Phase, joints: tuple[str, ...]) -> dict[str, Any]:
     return {"header": header, "joint_names": list(joints), "points": points}
 
 
+def base_trajectory(phase: Phase, frame: str) -> dict[str, Any]:
+    """Return a `trajectory_msgs/MultiDOFJointTrajectory` of the base, at the times of the arm.
+
+    Its velocities are twists in the frame of the base, as a base controller takes them.
+    """
+    change = np.gradient(phase.base, phase.times, axis=0)
+    change[[0, -1]] = 0.0
+    c, s = np.cos(phase.base[:, 2]), np.sin(phase.base[:, 2])
+    ahead, left = c * change[:, 0] + s * change[:, 1], c * change[:, 1] - s * change[:, 0]
+    rows = zip(
+        phase.times.tolist(), phase.base.tolist(),
+        np.column_stack([ahead, left, change[:, 2]]).tolist(), strict=True,
+    )  # fmt: skip
+    points = []
+    for time, base, (x, y, turn) in rows:
+        pose = pose_stamped(base, frame)["pose"]
+        twist = {
+            "linear": {"x": x, "y": y, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": turn}
+        }  # fmt: skip
+        transform = {"translation": pose["position"], "rotation": pose["orientation"]}
+        points.append(
+            {
+                "transforms": [transform], "velocities": [twist], "accelerations": [],
+                "time_from_start": stamp(time),
+            }
+        )  # fmt: skip
+    header = {"stamp": stamp(0.0), "frame_id": frame}
+    return {"header": header, "joint_names": [BASE_JOINT], "points": points}
+
+
 def messages(
     plan: PlacementPlan, phases: tuple[Phase, ...], robot: Robot, frame: str
 ) -> dict[str, Any]:
@@ -64,13 +99,13 @@ def messages(
     steps: list[dict[str, Any]] = []
     for phase in phases:
         if phase.kind is PhaseKind.DRIVE:
-            assert plan.base_path is not None
-            poses = [pose_stamped(row, frame) for row in plan.base_path.tolist()]
+            assert phase.base_path is not None
+            poses = [pose_stamped(row, frame) for row in phase.base_path.tolist()]
             header = {"stamp": stamp(0.0), "frame_id": frame}
             steps.append(
                 {
                     "action": "nav2_msgs/action/NavigateToPose",
-                    "goal": {"pose": goal, "behavior_tree": ""},
+                    "goal": {"pose": poses[-1], "behavior_tree": ""},
                     "path": {"header": header, "poses": poses},
                 }
             )
@@ -78,6 +113,13 @@ def messages(
             trajectory = joint_trajectory(phase, plan.joints)
             action = "control_msgs/action/FollowJointTrajectory"
             steps.append({"action": action, "goal": {"trajectory": trajectory}})
+        elif phase.kind is PhaseKind.DRIVE_AND_ARM:
+            both = {
+                "joint_trajectory": joint_trajectory(phase, plan.joints),
+                "multi_dof_joint_trajectory": base_trajectory(phase, frame),
+            }
+            action = "moveit_msgs/action/ExecuteTrajectory"
+            steps.append({"action": action, "goal": {"trajectory": both}})
         else:
             position = opening if phase.kind is PhaseKind.OPEN else 0.0
             command = {"position": position, "max_effort": robot.grip_force}
@@ -85,7 +127,7 @@ def messages(
             steps.append({"action": action, "goal": {"command": command}})
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": MOVING_VERSION if plan.moves_base else VERSION,
         "robot": plan.robot_name,
         "base_pose": goal,
         "steps": steps,

@@ -72,9 +72,17 @@ def plan_timeline(
         poses = carried.poses(plan.task, kinds, samples.phase, tools)
     return Timeline(
         plan.task, plan.joints, samples, tuple(map(str, kinds)),
-        tuple(kind is PhaseKind.ARM for kind in kinds), plan.base_path, poses,
+        tuple(kind in (PhaseKind.ARM, PhaseKind.DRIVE_AND_ARM) for kind in kinds),
+        _base_path(plan), poses,
         "" if latch is None or plan.motion.latch_q is None else latch.joint,
     )  # fmt: skip
+
+
+def _base_path(plan: PlacementPlan) -> Float[np.ndarray, "k 3"] | None:
+    """Return the path of the base from the start to its last pose; None without a drive."""
+    moved = None if plan.motion is None else plan.motion.base
+    parts = [part for part in (plan.base_path, moved) if part is not None]
+    return np.concatenate(parts) if parts else None
 
 
 def run_timeline(record: RunRecord, robot: Robot) -> Timeline:

@@ -83,7 +83,8 @@ def placement_stream(
 
     Pass it to `from_gen_fn` of PDDLStream. It takes an object, its pose and a grasp, and yields
     base configurations with arm trajectories in the order of `iter_placements`, until there are no
-    more or `config.timeout` is over. Objects are named as on the command line: "cup", or
+    more or `config.timeout` is over. Plans whose base moves in the manipulation are left out,
+    because ?q is one pose. Objects are named as on the command line: "cup", or
     "fridge/door_hinge" for a part. A grasp is a `GraspConfig`, the allowed grasp families; None
     for those of `config`.
 
@@ -117,6 +118,8 @@ def placement_stream(
         )
         with closing(answers):  # type: ignore[type-var]
             for answer in answers:
+                if answer.plan.moves_base:
+                    continue
                 assert answer.plan.base_pose is not None
                 yield answer.plan.base_pose, ArmTrajectory(answer.plan, answer.prepared.robot)
 

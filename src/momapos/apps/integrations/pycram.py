@@ -44,6 +44,8 @@ class PlacementBackend(Generic[Pose]):
     def __iter__(self) -> Iterator[Pose]:
         """Yield poses until there are no more, or the time is over.
 
+        Plans whose base moves in the manipulation are left out, because they need several poses.
+
         Raises:
             MomaposError: See `iter_placements`.
         """
@@ -53,5 +55,7 @@ class PlacementBackend(Generic[Pose]):
         )  # fmt: skip
         with closing(answers):  # type: ignore[type-var]
             for answer in answers:
+                if answer.plan.moves_base:
+                    continue
                 assert answer.plan.base_pose is not None
                 yield self.make_pose(*answer.plan.base_pose)

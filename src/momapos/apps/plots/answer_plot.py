@@ -238,9 +238,13 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
         _draw_drive(axes, answer.start, base, plan.navigation_cost)
         draw_footprint(axes, robot, base)
         states = robot.chain.freedom_values(plan.motion.q)
+        bases = plan.motion.base_poses(plan.base_pose)
         for hold in plan.motion.holds or (Hold(0, 0),):
-            draw_arm(axes, robot, base, states[hold.first], faint=True)
-        draw_arm(axes, robot, base, states[-1])
+            draw_arm(axes, robot, bases[hold.first], states[hold.first], faint=True)
+        if plan.moves_base:
+            draw_footprint(axes, robot, bases[-1])
+            axes.plot(*bases[:, :2].T, color=INK, linewidth=1.0, zorder=_WAYPOINT_LAYER)
+        draw_arm(axes, robot, bases[-1], states[-1])
     elif (shown := shown_base(answer)) is not None:
         draw_footprint(axes, robot, shown)
     for later, points in enumerate(waypoints_by_grasp(answer)):

@@ -102,7 +102,7 @@ class AnswerView:
                 story = Story.of(plan, robot, shown.scene)
             except InputError as error:
                 card = replace(card, notes=(*card.notes, f"no motion to show: {error}"))
-            state.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
+            state.robot.move(np.array(plan.final_base_pose), joint_values(robot, plan.motion.q[-1]))
             if plan.task.joint is not None:
                 state.room.move(values_at_end(shown.scene, plan.task, plan.motion))
         shown_base = plan.base_pose or plan.feasible_from

@@ -142,7 +142,7 @@ class Compare:
         if plan.motion is None or plan.base_pose is None:
             return
         opacity = None if self._side_by_side else OVERLAY_OPACITY
-        one.robot.show(robot, np.array(plan.base_pose), opacity=opacity, color=one.color)
+        one.robot.show(robot, np.array(plan.final_base_pose), opacity=opacity, color=one.color)
         one.robot.move(None, joint_values(robot, plan.motion.q[-1]))
         if plan.task.joint is not None:
             one.room.move(values_at_end(one.scene, plan.task, plan.motion))

@@ -27,7 +27,7 @@ RATE = 25.0
 SPEEDS = ("0.5", "1", "2", "4", "8")
 WORDS: dict[str, str] = {
     PhaseKind.DRIVE: "drive", PhaseKind.ARM: "move the arm", PhaseKind.CLOSE: "close the gripper",
-    PhaseKind.OPEN: "open the gripper",
+    PhaseKind.OPEN: "open the gripper", PhaseKind.DRIVE_AND_ARM: "drive and move the arm",
 }  # fmt: skip
 
 

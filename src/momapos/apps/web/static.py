@@ -108,6 +108,8 @@ def page_of(
         robot_view.verdict("feasible")
         if plan.base_path is not None:
             draw_path(server.scene, "/path", plan.base_path)
+        if plan.motion is not None and plan.motion.base is not None:
+            draw_path(server.scene, "/base", plan.motion.base)
         recording = server.get_scene_serializer()
         words = []
         for seconds in _times(story.duration):

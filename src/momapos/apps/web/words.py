@@ -67,6 +67,7 @@ def answer_card(answer: PlacementResult) -> Card:
             if not plan.assumption.is_first:
                 notes.append(f"most probable: {plan.assumption.instead}")
         facts.append(("base pose", pose_text(plan.base_pose)))
+        facts += [("base", plan.base_motion)] if plan.moves_base else []
         if plan.navigation_cost is not None:
             facts.append(("drive", f"{plan.navigation_cost:.2f} m"))
         facts += [("grasp", words) for words in answer.holds]
@@ -110,6 +111,7 @@ def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
         value = f"{task.to:.2f} m" if slides(scene, task) else f"{math.degrees(task.to):.0f}°"
         to = f" to {value}"
     facts = [] if plan.base_pose is None else [("base pose", pose_text(plan.base_pose))]
+    facts += [("base", plan.base_motion)] if plan.moves_base else []
     if plan.navigation_cost is not None:
         facts.append(("drive", f"{plan.navigation_cost:.2f} m"))
     facts += [
@@ -124,7 +126,8 @@ def tolerance_facts(plan: PlacementPlan) -> list[tuple[str, str]]:
     """Describe the tolerance of the base pose; nothing where it is not measured."""
     found = plan.tolerance
     if found is None:
-        return []
+        why = [("tolerance", "not measured: the base moves in the manipulation")]
+        return why if plan.moves_base else []
     if found.radius == 0.0:
         return [("tolerance", "none, replanning failed from a pose nearby")]
     offset = f"±{100 * found.radius:g} cm, ±{math.degrees(found.turn):.1f}°"

@@ -58,3 +58,4 @@ from .subproblems import cross as cross
 from .subproblems import dot as dot
 from .subproblems import mul as mul
 from .subproblems import sub as sub
+from .tool_tracking import track_tools as track_tools

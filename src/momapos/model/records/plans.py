@@ -287,6 +287,21 @@ class PlacementPlan:
         return x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw)))
 
     @property
+    def base_motion(self) -> str:
+        """Return how the base moves in the manipulation, in words; "" if it stands still."""
+        if self.motion is None or self.motion.base is None:
+            return ""
+        steps = np.abs(np.diff(self.motion.base, axis=0))
+        held = np.zeros(len(steps), bool)
+        for hold in self.motion.grasps:
+            held[hold.first : hold.last] = True
+        length, turn = np.hypot(steps[:, 0], steps[:, 1]).sum(), np.degrees(steps[:, 2].sum())
+        when = "between grasps" if len(self.motion.grasps) > 1 else "before the grasp"
+        if steps[held].max(initial=0.0) > 1e-9:
+            when = "while the hand holds the part"
+        return f"drives {length:.2f} m and turns {turn:.0f} deg {when}"
+
+    @property
     def assumes(self) -> str:
         """Return what an assumed plan assumes about a joint; "" for another status."""
         if self.status != "assumed":

@@ -1,0 +1,41 @@
+"""Laws of arm states that reach tool poses from nearby states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+from momapos.core.geometry.transforms import pose_planar
+from momapos.model.kinematics.dexterity import jacobians
+from momapos.model.kinematics.tool_tracking import track_tools
+from momapos.model.robots.robot import Robot
+
+
+def middle(robot: Robot, rng: np.random.Generator, count: int) -> Float[np.ndarray, "count n"]:
+    """Return states away from the limits and from singularities."""
+    chain = robot.chain
+    low, high = np.maximum(chain.lower, -1.2), np.minimum(chain.upper, 1.2)
+    q = low + rng.uniform(0.2, 0.8, (40 * count, len(low))) * (high - low)
+    least = np.linalg.svd(jacobians(chain, q, 1.0), compute_uv=False).min(1)
+    return np.asarray(q[np.argsort(-least)[:count]])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tool_poses_of_nearby_states_are_reached(robot: Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q = middle(robot, rng, 20)
+    there = robot.chain.tool_poses(q + rng.uniform(-0.05, 0.05, q.shape))
+    found = track_tools(robot.chain, q, there)
+    assert found is not None
+    np.testing.assert_allclose(robot.chain.tool_poses(found), there, atol=2e-4)
+    assert (found >= robot.chain.lower).all()
+    assert (found <= robot.chain.upper).all()
+    assert np.abs(found - q).max() < 0.5
+
+
+def test_a_pose_out_of_reach_has_no_state(robot: Robot) -> None:
+    q = middle(robot, np.random.default_rng(0), 5)
+    there = robot.chain.tool_poses(q)
+    there[3] = pose_planar(np.array([5.0, 0.0, 0.0])) @ there[3]
+    assert track_tools(robot.chain, q, there) is None

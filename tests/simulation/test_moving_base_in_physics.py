@@ -1,0 +1,123 @@
+"""Motions whose base moves, in physics: it follows its path late and slipping, the arm makes up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.simulation.toy import Toy, asked, gripping, toy
+from tests.verification.door_case import BASE, Case
+from tests.verification.moving_case import moving_case, stops_case
+
+from momapos.core.errors import InputError
+from momapos.simulation.base_drive import BaseDrive, base_coordinates, base_pose_of
+from momapos.simulation.config import BaseTrackingConfig, ExecutionConfig
+from momapos.simulation.execute import attempt
+from momapos.simulation.run_record import Execution
+from momapos.simulation.run_trace import RunTrace
+
+CASES: dict[str, Callable[[], Case]] = {
+    "differential": moving_case,
+    "with a lead-in": lambda: moving_case(lead_in=8),
+    "omni": lambda: moving_case("omni", sideways=0.1),
+    "stops": stops_case,
+}
+
+
+def made(folder: Path, name: str, *, fingers: bool = True) -> Toy:
+    case = CASES[name]()
+    ready = (gripping if fingers else toy)(folder, case)
+    drive = case.plan["robot"]["drive"]
+    return replace(ready, robot=replace(ready.robot, drive=drive))
+
+
+def run(
+    ready: Toy, slip: float = 0.03, seed: int = 1, **options: object
+) -> tuple[Execution, RunTrace]:
+    trace = RunTrace()
+    config = ExecutionConfig(base=BaseTrackingConfig(slip=slip), **options)  # type: ignore[arg-type]
+    done = ready.run(config=config, rng=np.random.default_rng(seed), watch=trace)
+    return done, trace
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_door_opens_by_contact_while_or_between_drives(name: str, tmp_path: Path) -> None:
+    ready = made(tmp_path, name)
+    done, trace = run(ready)
+    assert done.success, done.reason
+    assert not done.collisions
+    assert ready.motion.base is not None
+    bases = np.array(trace.motion().bases)
+    np.testing.assert_allclose(bases[0], BASE, atol=1e-3)
+    np.testing.assert_allclose(bases[-1], ready.motion.base[-1], atol=0.03)
+    assert max(done.base_shift[:2]) < 0.03  # from where it should be, not from where it began
+
+
+def test_a_base_that_slips_more_ends_farther_from_its_path(tmp_path: Path) -> None:
+    ready, off = made(tmp_path, "differential", fingers=False), []
+    assert ready.motion.base is not None
+    for slip in (0.0, 0.2):
+        _, trace = run(ready, slip, hold="weld")
+        state = trace.played[0].states[-1]
+        world = trace.played[0].world
+        assert world is not None
+        off.append(np.linalg.norm((base_pose_of(world, state.q) - ready.motion.base[-1])[:2]))
+    assert off[0] < 0.005
+    assert off[1] > 2 * off[0]
+
+
+def test_the_same_seed_gives_the_same_slip(tmp_path: Path) -> None:
+    ready = made(tmp_path, "differential", fingers=False)
+    reached = [run(ready, 0.1, seed, hold="weld")[0].reached for seed in (3, 3, 4)]
+    assert reached[0] == reached[1] != reached[2]
+
+
+def test_a_base_keeps_its_limits_and_its_drive(tmp_path: Path) -> None:
+    """Sent far to its left at once, a differential base cannot go there, and an omni base can."""
+    ready = made(tmp_path, "differential", fingers=False)
+    _, trace = run(asked(ready, 0.02), hold="weld")
+    world, step = trace.played[0].world, 0.004
+    assert world is not None
+    first = np.array(BASE)
+    left = first + np.array([-np.sin(BASE[2]), np.cos(BASE[2]), 0.0])
+    for drive in ("differential", "omni"):
+        robot = replace(ready.robot, drive=drive, max_speed=0.3)
+        base = BaseDrive(
+            world, robot, first, BaseTrackingConfig(0.0), step, np.random.default_rng(0)
+        )
+        places = []
+        for _ in range(2000):
+            base.go(left)
+            base.update()
+            places.append(base.odometry.copy())
+        speeds = np.hypot(*np.diff(places, axis=0)[:, :2].T) / step
+        assert speeds.max() <= 0.3 + 1e-9
+        arrived = np.allclose(places[-1], base_coordinates(world, left[None])[0], atol=0.02)
+        assert arrived == (drive == "omni")
+        late = np.flatnonzero(np.abs(places).max(1) > 0.0)
+        if drive == "omni":
+            assert late[0] == pytest.approx(BaseTrackingConfig().delay / step, abs=2)
+
+
+def test_at_a_second_stop_the_robot_knows_where_it_is(tmp_path: Path) -> None:
+    """Wheels that slip by a quarter end centimeters off; the hand still finds the handle."""
+    ready = made(tmp_path, "stops")
+    done, _ = run(ready, 0.25, seed=2)
+    assert done.success, done.reason
+    assert done.base_shift[0] > 0.01
+
+
+@pytest.mark.parametrize("wrong", [{"slip": -0.1}, {"delay": -1.0}])
+def test_a_base_that_slips_or_waits_less_than_nothing_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        BaseTrackingConfig(**wrong)
+
+
+def test_a_base_that_begins_elsewhere_is_refused(tmp_path: Path) -> None:
+    ready = made(tmp_path, "differential", fingers=False)
+    x, y, yaw = BASE
+    with pytest.raises(InputError, match="first base pose"):
+        attempt(ready.scene, ready.robot, (x + 0.01, y, yaw), ready.motion, ready.task)

@@ -1,0 +1,109 @@
+"""Laws of runs of plans whose base moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.moving_base import arc, on_moving_base
+
+from momapos.core.geometry.planar import compose, local_points
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.navigation.drive_record import DriveRecord
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.reachability.reach_map import ReachMap
+from momapos.verification.exact_check import PlanVerifier
+from momapos.workflows.moved_motion import motion_from
+from momapos.workflows.run import run_plan
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("segway_ur5e")
+
+
+@pytest.fixture(scope="module")
+def reach(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> ReachMap:
+    return load_reach_map(robot, tmp_path_factory.mktemp("maps"))
+
+
+@pytest.fixture(scope="module")
+def plan(scene: Scene, robot: Robot, reach: ReachMap) -> PlacementPlan:
+    """Return a plan that opens a drawer while the base drives a little back."""
+    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+    found = plan_base_placement(scene, robot, task, reach).plan
+    assert found.base_pose is not None
+    assert found.motion is not None
+    base = arc(found.base_pose, -0.06, 0.05, len(found.motion.q))
+    moves = on_moving_base(found, robot, base)
+    assert moves.motion is not None
+    assert PlanVerifier(scene, robot, task).first_violation(found.base_pose, moves.motion) is None
+    return moves
+
+
+def off(plan: PlacementPlan, by: list[float]) -> np.ndarray:
+    """Return a pose ahead, to the left of, and turned from a plan's base pose."""
+    return np.asarray(compose(np.array(plan.base_pose), np.array([by]))[0])
+
+
+def test_the_base_path_moves_with_the_base_and_the_hand_stays(
+    scene: Scene, robot: Robot, plan: PlacementPlan
+) -> None:
+    here = off(plan, [0.01, -0.008, 0.01])
+    moved = motion_from(plan, scene, robot, here).motion
+    assert moved is not None
+    assert moved.base is not None
+    assert plan.motion is not None
+    assert plan.motion.base is not None
+    np.testing.assert_allclose(moved.base[0], here, atol=1e-12)
+    for one, other in ((moved, here), (plan.motion, np.array(plan.base_pose))):
+        assert one.base is not None
+        relative = local_points(other, one.base[:, :2])
+        np.testing.assert_allclose(
+            relative, local_points(plan.motion.base[0], plan.motion.base[:, :2]), atol=1e-9
+        )
+    np.testing.assert_allclose(moved.Ts_world_tool, plan.motion.Ts_world_tool, atol=2e-4)
+    np.testing.assert_allclose(moved.approach[0], plan.motion.approach[0])
+
+
+def test_a_base_that_stopped_too_far_away_has_no_motion_and_a_reason(
+    scene: Scene, robot: Robot, plan: PlacementPlan
+) -> None:
+    attempt = motion_from(plan, scene, robot, off(plan, [-0.8, 0.0, 0.0]))
+    assert attempt.motion is None
+    assert "the arm does not reach" in attempt.reason
+    into = motion_from(plan, scene, robot, off(plan, [0.3, 0.0, 0.0]))
+    assert into.motion is None
+
+
+def test_a_run_moves_the_base_and_ends_at_its_last_pose(
+    scene: Scene, robot: Robot, reach: ReachMap, plan: PlacementPlan
+) -> None:
+    def driver(_: Any, here: np.ndarray, goal: np.ndarray, __: Any) -> DriveRecord:
+        there = compose(goal, np.array([[0.004, 0.003, 0.005]]))[0]
+        return DriveRecord(
+            True, "", goal, there, there, "", 1.0, 1.0, 1.0, 0.5, np.inf, 1, np.array([0.0, 1.0]),
+            np.array([here, there]), np.zeros((2, 3)), np.zeros(1),
+        )  # fmt: skip
+
+    record = run_plan(plan, scene, robot, reach, driver=driver, seed=1)
+    assert record.success, record.reason
+    assert len(record.visits) == 1
+    assert record.final_base_pose is not None
+    assert record.execution is not None
+    assert plan.final_base_pose is not None
+    np.testing.assert_allclose(record.final_base_pose, plan.final_base_pose, atol=0.03)
+    still = replace(record, execution=replace(record.execution, final_base_pose=None))
+    assert still.final_base_pose == record.visits[0].reached
