@@ -14,11 +14,13 @@ from momapos.perception.detection import WITHOUT_DOORS
 from momapos.perception.reconstruction import (
     GivenModel,
     furniture_model,
+    has_parts,
     moved_piece,
     opened_piece,
     place_model,
     weighted_by_height,
     weighted_by_label,
+    weighted_by_size,
 )
 from momapos.perception.segmentation import at_wall
 from momapos.perception.views import (
@@ -28,6 +30,8 @@ from momapos.perception.views import (
     handle_evidence,
     neighbor_protrusion,
     observations,
+    parts_beside,
+    parts_with_evidence,
 )
 
 from .records import MIN_SIDES, Decision, PartSource, ScanConfig, Survey, Tools
@@ -75,9 +79,12 @@ def decide(
         model, warnings = place_model(item, facing, own)
         warnings = (*box.warnings, *warnings)
         return replace(box, view=view, source=PartSource.GIVEN, model=model, warnings=warnings)
-    parts, source = _parts(view, item, tools)
+    parts, source = _parts(view, item, survey, tools, config)
     if not parts:
-        return replace(box, view=view, reason="no doors or drawers found on its front")
+        reason = "no doors or drawers found on its front"
+        if view.front.parts:
+            reason = "what looks like a door on its front has no seam and no handle"
+        return replace(box, view=view, reason=reason)
     faces = box_faces(item.box)
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
     left, right = (neighbor_protrusion(faces[k], view.face, others) for k in view.face.neighbors)
@@ -117,10 +124,22 @@ def with_observed_motion(decision: Decision, before: Cloud, later: Cloud) -> Dec
     return replace(decision, model=piece, moved={**decision.moved, **moved})
 
 
-def _parts(view: FrontView, item: Detection, tools: Tools) -> tuple[tuple[Part, ...], PartSource]:
+def _parts(
+    view: FrontView, item: Detection, survey: Survey, tools: Tools, config: ScanConfig
+) -> tuple[tuple[Part, ...], PartSource]:
+    """Return the parts on a front, and where they come from.
+
+    A part needs a seam, a handle, or a label that brings one. With `views="first"` all parts are
+    kept, as in the paper.
+    """
     same = tools.predict is tools.look
     parts = view.front.parts if same else tools.predict(view.image, item.label).parts
-    if parts or tools.guess is None:
+    labeled = item.label_from != "size" and has_parts(item.label)
+    if not labeled and config.views != "first":
+        parts = parts_with_evidence(parts, view.face, view.surroundings, view.front.score)
+    if parts or tools.guess is None or not (labeled or config.views == "first"):
+        beside = [p for row in survey.rows for p in parts_beside(row.parts, row.face, view.face)]
+        parts = weighted_by_size(parts, view.image, beside)
         parts = weighted_by_height(parts, view.image, bottom(item.box))
         return weighted_by_label(parts, item.label, _label_confidence(item)), PartSource.PREDICTED
     return tools.guess(view.image, item.label).parts, PartSource.GUESSED
