@@ -135,5 +135,21 @@ def test_neighbors_of_one_size_are_supported_together() -> None:
     assert kept(image, held, wider) == (held,)
 
 
+def test_three_stacked_parts_with_handles_in_line_support_each_other() -> None:
+    stack = [
+        Part("drawer", (0.2, top, 0.8, top + 0.3), 0.6, (0.4, top + 0.05, 0.6, top + 0.06))
+        for top in (0.0, 0.31, 0.62)
+    ]
+    assert kept(plain(), *stack) == tuple(stack)
+    assert kept(plain(), *stack[:2]) == ()
+    bare = [replace(part, handle=None) for part in stack]
+    assert kept(plain(), *bare) == ()
+
+
+def test_a_strip_between_two_seams_needs_a_handle() -> None:
+    strip = replace(DOOR, box=(0.1, 0.4, 0.9, 0.5))
+    assert kept(with_seam(plain(), strip.box, "left top right bottom"), strip) == ()
+
+
 def test_no_parts_stay_no_parts() -> None:
     assert kept(plain()) == ()

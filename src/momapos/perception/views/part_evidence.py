@@ -77,6 +77,10 @@ MIN_RING = 12
 """Pixels needed for a comparison [-]."""
 SIMILAR = 0.15
 """Relative difference in size of neighbors that are supported together [-]."""
+MIN_STACK = 3
+"""Parts of one size with handles in line that support each other [-]."""
+MIN_BARE_SIDE = 0.1
+"""Least width and height of a part without a handle [m]; plinths and strips have seams, too."""
 ADJACENT = 0.03
 """Distance of neighbors, and misalignment of their edges [m]."""
 
@@ -100,7 +104,8 @@ def parts_with_evidence(
 
     Without a handle, a part needs a seam on at least one edge, and a seam or a change of color on
     every edge beyond which the surface continues. A part next to a supported one of the same size
-    is supported, too.
+    is supported, too, and so are stacked parts of one size with handles in line: chance does not
+    space three lines evenly.
 
     Args:
         parts: Parts, as fractions of the face.
@@ -110,6 +115,7 @@ def parts_with_evidence(
     """
     shown = transferred(parts, face, around.face)
     known = [_supported(part, around.images, front_score) for part in shown]
+    known = [a or b for a, b in zip(known, _stacked(shown, around.face), strict=True)]
     similar = np.array([[_similar(a, b, around.face) for b in shown] for a in shown], bool)
     for _ in shown:  # support spreads by one neighbor at a time
         known = [sure or bool(similar[k][known].any()) for k, sure in enumerate(known)]
@@ -125,11 +131,27 @@ def _supported(part: Part, images: Sequence[FaceImage], front_score: float) -> b
             return True
         if front_score >= MIN_FRONT_SCORE and any(differs(one, part) for one in images):
             return True
-    if front_score < MIN_FRONT_SCORE:
+    left, top, right, bottom = part.box
+    least = min((right - left) * image.width, (bottom - top) * image.height)
+    if front_score < MIN_FRONT_SCORE or least < MIN_BARE_SIDE:
         return False
     edges = borders(images, part.box)
     flush = [edge for edge in edges if edge.flush]
     return any(edge.seam for edge in flush) and all(edge.seam or edge.color for edge in flush)
+
+
+def _stacked(parts: Sequence[Part], face: Face) -> list[bool]:
+    """Tell which parts are in a stack of parts of one size with handles in line."""
+    size = np.tile((face.width, face.height), 2)
+    boxes = np.array([part.box for part in parts]).reshape(-1, 4) * size
+    grips = [np.full(4, np.nan) if p.handle is None else np.array(p.handle) for p in parts]
+    middle = np.array(grips).reshape(-1, 4)[:, [0, 2]].mean(axis=1) * face.width
+    high = boxes[:, 3] - boxes[:, 1]
+    off = np.abs(boxes[:, None, [0, 2]] - boxes[:, [0, 2]]).max(axis=-1)
+    same = off < ADJACENT
+    same &= np.abs(high[:, None] - high) < SIMILAR * np.maximum(high[:, None], high)
+    same &= np.abs(middle[:, None] - middle) < ADJACENT  # false without a handle
+    return (same.sum(axis=1) >= MIN_STACK).tolist()
 
 
 def _similar(one: Part, other: Part, face: Face) -> bool:
