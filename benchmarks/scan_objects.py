@@ -8,10 +8,10 @@
 Every object of `objects.py` stands alone in a small room or, with --together 10, with nine others
 of its set in a kitchen. The room is scanned and reconstructed, and every true door and drawer is
 compared with the scene: presence of its front (IoU 0.5 of the front rectangles), kind of motion,
-axis and handle. Parts of the scene that are none lower the precision. Then it is opened: planned in the reconstructed scene, checked exactly in the true
-room with a margin of 2 cm, and executed by contact with noise in the true room (`run_plan(...,
-world=)`). Only parts that are feasible in the true room count. Results are stored in the folder and
-reused.
+axis and handle. Parts of the scene that are none lower the precision. Then it is opened: planned in
+the reconstructed scene, checked exactly in the true room with a margin of 2 cm, and executed by
+contact with noise in the true room (`run_plan(..., world=)`). Only parts that are feasible in the
+true room count. Results are stored in the folder and reused.
 
 With --models the objects are those of a folder's models.json, such as sweet_home.py writes it.
 

@@ -129,20 +129,24 @@ def _parts(
 ) -> tuple[tuple[Part, ...], PartSource]:
     """Return the parts on a front, and where they come from.
 
-    A part needs a seam, a handle, or a label that brings one. With `views="first"` all parts are
-    kept, as in the paper.
+    A part needs a seam, a handle, or a label that brings one. Another predictor than the one that
+    looks at the faces is used where there is such a part. With `views="first"` no evidence is
+    needed, as in the paper.
     """
-    same = tools.predict is tools.look
-    parts = view.front.parts if same else tools.predict(view.image, item.label).parts
     labeled = item.label_from != "size" and has_parts(item.label)
-    if not labeled and config.views != "first":
+    sure = labeled or config.views == "first"
+    parts = view.front.parts
+    if not sure:
         parts = parts_with_evidence(parts, view.face, view.surroundings, view.front.score)
-    if parts or tools.guess is None or not (labeled or config.views == "first"):
+    if tools.predict is not tools.look and (parts or sure):
+        parts = tools.predict(view.image, item.label).parts
+    if not parts and sure and tools.guess is not None:
+        return tools.guess(view.image, item.label).parts, PartSource.GUESSED
+    if not labeled:
         beside = [p for row in survey.rows for p in parts_beside(row.parts, row.face, view.face)]
         parts = weighted_by_size(parts, view.image, beside)
-        parts = weighted_by_height(parts, view.image, bottom(item.box))
-        return weighted_by_label(parts, item.label, _label_confidence(item)), PartSource.PREDICTED
-    return tools.guess(view.image, item.label).parts, PartSource.GUESSED
+    parts = weighted_by_height(parts, view.image, bottom(item.box))
+    return weighted_by_label(parts, item.label, _label_confidence(item)), PartSource.PREDICTED
 
 
 def _small(item: Detection) -> bool:

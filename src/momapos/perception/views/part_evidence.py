@@ -65,6 +65,8 @@ MIN_BAR, MIN_BAR_RATIO = 0.03, 3.0
 """Contrast of a bar with the front [-], and relative to other lines on it [-]."""
 MAX_BEYOND = 0.5
 """Contrast of the line beyond one end of a bar, relative to that of the bar: a seam goes on [-]."""
+MAX_END_GAP = 6
+"""Gap between the end of a bar and what is examined beyond it [px]."""
 MIN_BAR_ASPECT = 2.0
 """A less elongated handle is a knob [-]."""
 BAR_SIDE = 0.02
@@ -277,7 +279,7 @@ def _plane(image: FaceImage, box: tuple[float, float, float, float]) -> tuple[fl
     rows, columns = _pixels(image, box)
     heights = image.height_map[rows, columns][::PLANE_STEP, ::PLANE_STEP]
     y, x = np.nonzero(np.isfinite(heights))
-    if len(y) < MIN_PLANE_PIXELS:
+    if len(y) < max(MIN_PLANE_PIXELS, MIN_MEASURED * heights.size):
         return 0.0, 0.0
     z = heights[y, x].astype(float)
     tall, wide = image.color.shape[:2]
@@ -368,7 +370,7 @@ def _thin(line: Float[np.ndarray, " n"], away: int) -> Float[np.ndarray, " m"]:
 
 def _beyond(part: Int[np.ndarray, "2"], left: int, right: int) -> list[slice]:
     """Return the columns of a part to the left and right of its bar, if there are enough."""
-    gap = max(2, (right - left) // 8)
+    gap = min(max(2, (right - left) // 8), MAX_END_GAP)
     wide = max(right - left, 3 * gap)
     sides = (
         slice(max(int(part[0]) + gap, left - gap - wide), left - gap),
