@@ -64,8 +64,8 @@ UPRIGHT_DRAWER = 0.15
 """The same for drawers that are higher than wide: pull-outs for bins and bottles [-]."""
 REPEATED_FLAP = 0.1
 """The same for a flap next to a part of its size: two dishwashers side by side [-]."""
-MAX_GAP, MAX_WIDTH_RATIO = 0.06, 1.6
-"""Gap and misalignment [m], and ratio of the widths of neighbors [-]."""
+MAX_GAP, MAX_OFF_LEVEL, MAX_WIDTH_RATIO = 0.06, 0.1, 1.6
+"""Gap between neighbors, difference of their heights [m], and ratio of their widths [-]."""
 
 
 def weighted_by_label(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
@@ -137,7 +137,7 @@ def _unclipped(part: Part, face: FaceImage) -> Area:
 def _is_next_to(one: Area, other: Area) -> bool:
     """Check whether two areas have about one size and height, side by side."""
     sides = min(abs(one.left - other.right), abs(one.right - other.left)) < MAX_GAP
-    level = max(abs(one.bottom - other.bottom), abs(one.top - other.top)) < MAX_GAP
+    level = max(abs(one.bottom - other.bottom), abs(one.top - other.top)) < MAX_OFF_LEVEL
     return sides and level and 1 / MAX_WIDTH_RATIO < one.width / other.width < MAX_WIDTH_RATIO
 
 
