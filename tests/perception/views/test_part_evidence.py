@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.perception.views.painted_box import FRIDGE, camera, image
 
-from momapos.model.records.scans import FaceImage, Part
-from momapos.perception.views.faces import Face
-from momapos.perception.views.front_view import FaceSurroundings
+from momapos.core.geometry.transforms import apply
+from momapos.model.records.scans import FaceImage, Front, Part
+from momapos.perception.views.faces import Face, box_faces
+from momapos.perception.views.front_view import FaceSurroundings, FrontView, choose_view
 from momapos.perception.views.part_evidence import borders, parts_with_evidence, tilt
+from momapos.perception.views.projection import observations
 
 PIXEL = 0.003
 AROUND = 0.1
@@ -149,6 +152,44 @@ def test_three_stacked_parts_with_handles_in_line_support_each_other() -> None:
 def test_a_strip_between_two_seams_needs_a_handle() -> None:
     strip = replace(DOOR, box=(0.1, 0.4, 0.9, 0.5))
     assert kept(with_seam(plain(), strip.box, "left top right bottom"), strip) == ()
+
+
+def seen_front(seam: float) -> tuple[FrontView, tuple[Part, ...]]:
+    """Return the front of a box with a seam of 8 mm of this darkness, and the parts that remain of
+    a freezer door and a fridge door without handles, which a network sees on it."""
+    face = box_faces(FRIDGE)[2]
+
+    def paint(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        front = normals @ face.outward > 0.9
+        dark = front & (np.abs(world[:, 2] - 1.26) < 0.004)
+        return np.full(world.shape, 180.0) * np.where(dark, 1.0 - seam, 1.0)[:, None]
+
+    eyes = [apply(face.T_world_face, np.array([[x, 0.2, 2.2]]))[0] for x in (-0.3, 0.0, 0.4)]
+    frames = [image(camera(tuple(eye), tuple(FRIDGE.center)), FRIDGE, paint) for eye in eyes]
+    doors = (
+        Part("door_left", (0.0, 0.0, 1.0, 0.3), 0.9), Part("door_left", (0.0, 0.3, 1.0, 1.0), 0.9),
+    )  # fmt: skip
+
+    def look(seen: FaceImage) -> Front:
+        margin = (seen.height - face.height) / 2 / seen.height
+        scale, shift = face.height / seen.height, np.array([0.0, margin, 0.0, margin])
+        boxes = [np.array(door.box) * (1, scale, 1, scale) + shift for door in doors]
+        return Front(
+            1.0, tuple(replace(d, box=tuple(b)) for d, b in zip(doors, boxes, strict=True))
+        )
+
+    view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), look)
+    assert view is not None
+    kept = parts_with_evidence(view.front.parts, view.face, view.surroundings, view.front.score)
+    return view, kept
+
+
+def test_in_images_of_a_box_a_seam_decides_whether_it_has_doors() -> None:
+    view, parts = seen_front(seam=0.7)
+    assert len(view.front.parts) == len(view.surroundings.images) - 1 == len(parts) == 2
+    view, parts = seen_front(seam=0.0)
+    assert len(view.front.parts) == 2
+    assert parts == ()
 
 
 def test_no_parts_stay_no_parts() -> None:
