@@ -25,12 +25,12 @@ from momapos.perception.reconstruction import (
 from momapos.perception.segmentation import at_wall
 from momapos.perception.views import (
     FrontView,
+    adjacent_parts,
     box_faces,
     choose_view,
     handle_evidence,
     neighbor_protrusion,
     observations,
-    parts_beside,
     parts_with_evidence,
 )
 
@@ -143,8 +143,10 @@ def _parts(
     if not parts and sure and tools.guess is not None:
         return tools.guess(view.image, item.label).parts, PartSource.GUESSED
     if not labeled:
-        beside = [p for row in survey.rows for p in parts_beside(row.parts, row.face, view.face)]
-        parts = weighted_by_size(parts, view.image, beside)
+        adjacent = [
+            p for row in survey.rows for p in adjacent_parts(row.parts, row.face, view.face)
+        ]
+        parts = weighted_by_size(parts, view.image, adjacent)
     parts = weighted_by_height(parts, view.image, bottom(item.box))
     return weighted_by_label(parts, item.label, _label_confidence(item)), PartSource.PREDICTED
 

@@ -129,8 +129,8 @@ def test_two_flaps_of_one_size_side_by_side_are_doors() -> None:
     image, parts = front_of(0.6, 1.2)
     assert [part.kind for part in weighted_by_size(parts, image)] == ["door_down"] * 2
     image, (part,) = front_of(0.6)
-    beside = replace(part, box=(1.01, 0.0, 2.0, 1.0))
-    assert weighted_by_size([part], image, [beside])[0].kind == "door_left"
+    adjacent = replace(part, box=(1.01, 0.0, 2.0, 1.0))
+    assert weighted_by_size([part], image, [adjacent])[0].kind == "door_left"
 
 
 def test_every_kind_stays_possible_in_every_size() -> None:

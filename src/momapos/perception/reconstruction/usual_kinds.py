@@ -101,7 +101,7 @@ def weighted_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> 
 
 
 def weighted_by_size(
-    parts: Sequence[Part], face: FaceImage, beside: Sequence[Part] = ()
+    parts: Sequence[Part], face: FaceImage, adjacent: Sequence[Part] = ()
 ) -> tuple[Part, ...]:
     """Lower the odds of flaps and drawers that nobody builds in this size, and of flaps in a row.
 
@@ -111,9 +111,9 @@ def weighted_by_size(
     Args:
         parts: Parts of a front; parts without odds stay unchanged.
         face: The front.
-        beside: Parts next to the front, as fractions of it, outside of [0, 1].
+        adjacent: Parts next to the front, as fractions of it, outside of [0, 1].
     """
-    areas = [_unclipped(part, face) for part in (*parts, *beside)]
+    areas = [_unclipped(part, face) for part in (*parts, *adjacent)]
     weighed = []
     for part, area in zip(parts, areas, strict=False):
         factors = dict.fromkeys(TRAINING_SHARES, 1.0)

@@ -60,7 +60,7 @@ def transferred(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part
     return tuple(there)
 
 
-def parts_beside(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...]:
+def adjacent_parts(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...]:
     """Express parts of one face that lie next to another face in its plane.
 
     Args:
