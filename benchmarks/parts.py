@@ -35,7 +35,7 @@ from placement import shared as default_shared
 
 MAX_HUNG_HEIGHT = 1.05
 """Lower cabinets may hang on a wall [m]."""
-LIFTED = generator.Mix({cabinets.hung: 1.0}, bare=generator.HUNG.bare)
+LIFTED = generator.Mix({cabinets.hung: 1.0}, bare=generator.LAST.bare)
 """Wall cabinets only."""
 COLORS = {
     "door_left": "red",

@@ -177,8 +177,30 @@ def compare(
     return rows
 
 
+def false_parts(rows: Sequence[Row], scanned: Scene) -> list[Row]:
+    """Return a row without a joint for each part of a reconstructed room that is none.
+
+    Args:
+        rows: The true parts of all objects of the room; at least one.
+        scanned: The reconstructed scene.
+    """
+    matched = {row.match for row in rows}
+    every = [
+        (f"{item.name}/{joint}", way_of(item, joint, np.eye(4)).kind)
+        for item in scanned.objects
+        for joint in item.model.joints
+    ]
+    return [
+        Row(rows[0].object, "", rows[0].subset, "", match=name, found=kind)
+        for name, kind in every
+        if name not in matched
+    ]
+
+
 def table(rows: Sequence[Row]) -> str:
     """Summarize one set, and list each part that was not opened with its reason."""
+    false = [r for r in rows if not r.joint]
+    rows = [r for r in rows if r.joint]
     located = [r for r in rows if r.match]
     kinds = [r for r in located if r.found == r.kind]
     hinged = [r for r in kinds if r.kind != "drawer"]
@@ -187,6 +209,7 @@ def table(rows: Sequence[Row]) -> str:
 
     counts = [
         ("parts located", len(located), len(rows)),
+        ("precision", len(located), len(located) + len(false)),
         ("kind right, of those located", len(kinds), len(located)),
         ("hinge side right, of doors and flaps", sum(r.side for r in hinged), len(hinged)),
         ("axis within 2 cm, 3 degrees", sum(r.right for r in located), len(located)),
@@ -242,6 +265,8 @@ def cause(row: Row) -> str:
 def shown(row: Row) -> str:
     """Format a row as one line."""
     where = f"{row.object.removeprefix('Kitchen_models/')}/{row.joint} {row.kind}"
+    if not row.joint:
+        return f"{where}: {row.match} ({row.found}) is no part"
     if not row.match:
         return f"{where}: not located" + (" (solvable)" if row.solvable else "")
     axis = (

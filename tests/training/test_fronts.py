@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests import optional
-from training.fronts import cabinets, generator, layouts, pool
+from training.fronts import (
+    blanks,
+    cabinets,
+    canvas,
+    generator,
+    handles,
+    layouts,
+    materials,
+    plans,
+    pool,
+)
 
 from momapos.perception.reconstruction import decode
 
@@ -117,3 +127,49 @@ def test_wall_cabinets_have_lifted_doors_with_low_handles_and_no_drawers() -> No
     low = [sum(p.handle[1::2]) > sum(p.box[1::2]) for p in lifted if p.handle is not None]
     assert len(low) > 5
     assert all(low)
+
+
+@pytest.mark.parametrize("free", ["left", "right"])
+def test_a_cup_handle_of_a_door_is_level_and_next_to_the_free_edge(free: str) -> None:
+    door = canvas.box(0.2, 0.1, 0.7, 0.9)
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        style = handles.HandleStyle(
+            "cup", rng.uniform(0.07, 0.12), rng.uniform(0.028, 0.045), 0.03,
+            rng.uniform(0.0, 0.07), materials.metal(rng), 0.5,
+        )  # fmt: skip
+        left, top, right, bottom = handles.place(rng, style, door, free, rng.random())
+        assert right - left > bottom - top
+        assert door[0] <= left < right <= door[2]
+        assert door[1] <= top < bottom <= door[3]
+        assert ((left + right) / 2 < 0.45) == (free == "left")
+
+
+def test_level_handles_of_base_doors_are_at_the_top_and_never_at_the_hinge() -> None:
+    habit = cabinets.Habit("base", 0.003, 0.0, 0.2, "top", 0.0, 0.0, 0.0, 0.0, level=True)
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        doors = cabinets.leaf(rng, (0.0, 0.0, 0.4, 0.7), habit)
+        assert {door.kind for door in doors} <= {"door_left", "door_right"}
+        for door in doors:
+            assert door.free == "top"
+            assert door.along >= 0.5 if door.kind == "door_left" else door.along <= 0.5
+
+
+@pytest.mark.parametrize("fill", blanks.FILLS)
+def test_a_face_without_parts_has_no_labels(fill: str) -> None:
+    def only(rng: np.random.Generator) -> plans.Plan:
+        rect = (0.0, 0.0, rng.uniform(0.3, 2.0), rng.uniform(0.3, 2.0))
+        return plans.Plan("nothing", rect[2], rect[3], [plans.Cell(rect, None, fill)])
+
+    for seed in range(4):
+        drawn = generator.draw(np.random.default_rng(seed), generator.Mix({only: 1.0}))
+        assert not drawn.parts
+        assert not drawn.front
+
+
+def test_the_last_mix_has_more_faces_without_parts_than_the_first() -> None:
+    def share(families: dict[layouts.Maker, float]) -> float:
+        return families[layouts.nothing] / sum(families.values())
+
+    assert share(layouts.LAST_FAMILIES) > 2 * share(layouts.FAMILIES)

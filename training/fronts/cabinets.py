@@ -50,6 +50,8 @@ class Habit:
     lift: float
     glass: float
     blank: float
+    level: bool = False
+    """Whether hinged doors have level handles, at their top, or at the bottom of wall cabinets."""
 
     @staticmethod
     def draw(rng: np.random.Generator, form: str, gap: float) -> Habit:
@@ -69,6 +71,7 @@ class Habit:
             (0.35 if form == "wall" else 0.04) * (rng.random() < 0.6),
             rng.choice([0.0, 0.0, 0.2, 0.8]),
             rng.choice([0.0, 0.0, 0.1]),
+            bool(rng.random() < 0.35),
         )
 
 
@@ -148,12 +151,24 @@ def leaf(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
     if high < 0.28 and wide > 1.2 * high and rng.random() < 0.85:
         return [drawer_cell(habit, rect)]
     if wide > 0.62 and wide > 0.7 * high and rng.random() < 0.9:
-        return pair(rng, rect, min(habit.gap, 0.01), habit.along, fill)
+        return level(rng, pair(rng, rect, min(habit.gap, 0.01), habit.along, fill), habit)
     if wide > 1.6 * high and rng.random() < 0.5:
         return [drawer_cell(habit, rect)]
     if wide > 0.45 and rng.random() < 0.35:
-        return pair(rng, rect, min(habit.gap, 0.01), habit.along, fill)
-    return [Cell(rect, hinged(rng), fill, along=habit.along)]
+        return level(rng, pair(rng, rect, min(habit.gap, 0.01), habit.along, fill), habit)
+    return level(rng, [Cell(rect, hinged(rng), fill, along=habit.along)], habit)
+
+
+def level(rng: np.random.Generator, doors: list[Cell], habit: Habit) -> list[Cell]:
+    """Give hinged doors level handles if that is the habit: in the free corner, or centered."""
+    if not habit.level:
+        return doors
+    end = 0.5 if rng.random() < 0.4 else rng.uniform(0.0, 0.3)
+    free = "bottom" if habit.form == "wall" else "top"
+    return [
+        replace(door, free=free, along=1 - end if door.kind == "door_left" else end)
+        for door in doors
+    ]
 
 
 def sink(rng: np.random.Generator) -> Plan:
@@ -239,7 +254,7 @@ def hung(rng: np.random.Generator) -> Plan:
     gap = rng.uniform(0.001, 0.008) if rng.random() < 0.7 else rng.uniform(0.01, 0.05)
     rim = rng.uniform(0.0, 0.03)
     habit = replace(Habit.draw(rng, "wall", gap), lift=float(rng.choice([0.1, 0.5, 0.9])))
-    level = bool(rng.random() < 0.3)
+    habit = replace(habit, level=bool(rng.random() < 0.3))
     rows = 1 if height < 0.5 or rng.random() < 0.5 else 2
     inner = (rim, rim, width - rim, height - rim)
     cells = []
@@ -247,11 +262,11 @@ def hung(rng: np.random.Generator) -> Plan:
         most = max(int((band[2] - band[0]) / 0.35), 1)
         columns = int(rng.integers(1, min(most, 4) + 1))
         for field_ in split(rng, band, columns, gap, rows=False, uneven=0.5):
-            cells += _hung_field(rng, field_, habit, level)
+            cells += _hung_field(rng, field_, habit)
     return Plan("hung", width, height, cells)
 
 
-def _hung_field(rng: np.random.Generator, rect: Rect, habit: Habit, level: bool) -> list[Cell]:
+def _hung_field(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
     """Draw one field of a wall cabinet; level handles of hinged doors are in the free corner."""
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     fill = "glass" if rng.random() < habit.glass else "panel"
@@ -265,10 +280,4 @@ def _hung_field(rng: np.random.Generator, rect: Rect, habit: Habit, level: bool)
         doors = pair(rng, rect, min(habit.gap, 0.01), habit.along, fill)
     else:
         doors = [Cell(rect, hinged(rng), fill, along=habit.along)]
-    if not level:
-        return doors
-    end = rng.uniform(0.0, 0.2)
-    return [
-        replace(door, free="bottom", along=1 - end if door.kind == "door_left" else end)
-        for door in doors
-    ]
+    return level(rng, doors, habit)

@@ -272,48 +272,6 @@ def vent(rng: np.random.Generator, canvas: Canvas, rect: Rect) -> None:
         canvas.albedo[window] *= 1 + 0.8 * (along < 0.01)[..., None]
 
 
-def blank(
-    rng: np.random.Generator, canvas: Canvas, plan_rect: Rect, fill: str, body: Material
-) -> None:
-    """Paint a face that has no parts."""
-    left, top, right, bottom = plan_rect
-    wide, high = right - left, bottom - top
-    canvas.fill(plan_rect, body.texture, 0.0, body.gloss, 0.004)
-    if fill == "table":
-        board, leg = rng.uniform(0.02, 0.15), rng.uniform(0.03, 0.1)
-        canvas.fill((left, top + board, right, bottom), materials.random_color(rng), -0.3)
-        for x in (left, right - leg):
-            canvas.fill((x, top, x + leg, bottom), body.texture, 0.0)
-    elif fill == "wall":
-        wall = materials.tiles(rng) if rng.random() < 0.6 else materials.paint(rng)
-        canvas.fill(plan_rect, wall.texture, 0.0, wall.gloss)
-        for _ in range(int(rng.integers(0, 4))):
-            x, y = left + rng.uniform(0, 0.7) * wide, top + rng.uniform(0, 0.7) * high
-            size = rng.uniform(0.08, 0.5, 2)
-            frame = (x, y, x + size[0], y + size[1])
-            canvas.fill(frame, materials.random_color(rng), 0.01, 0.2)
-            if rng.random() < 0.5:
-                canvas.fill(inset(frame, 0.02), materials.random_color(rng), 0.005)
-    elif fill == "shelves":
-        opening(rng, canvas, inset(plan_rect, 0.02), body)
-    elif fill == "clutter":
-        for _ in range(int(rng.integers(3, 25))):
-            x, y = left + rng.uniform(-0.1, 0.9) * wide, top + rng.uniform(-0.1, 0.9) * high
-            size = rng.uniform(0.05, 0.5, 2) * (wide, high)
-            corner = rng.uniform(0, 0.3)
-            shape = (x, y, x + size[0], y + size[1])
-            tone = materials.random_color(rng)
-            canvas.capsule(shape, corner, tone, rng.uniform(-0.2, 0.05), 0.03, flat=rng.random())
-    elif fill == "grille":
-        vent(rng, canvas, inset(plan_rect, 0.1 * wide, 0.1 * high))
-    elif fill == "framed" or (fill == "back" and rng.random() < 0.5):
-        rim = rng.uniform(0.02, 0.15)
-        inner = inset(plan_rect, min(rim, 0.2 * wide), min(rim, 0.2 * high))
-        canvas.fill(inner, body.texture, -rng.uniform(0.003, 0.03))
-        if rng.random() < 0.4:
-            canvas.fill(inner, materials.carcass(rng, False, False).texture)
-
-
 def distractors(rng: np.random.Generator, canvas: Canvas, rect: Rect, fridge: bool) -> None:
     """Paint objects that are not parts: paper, magnets, a logo, a towel, a water dispenser."""
     wide, high = rect[2] - rect[0], rect[3] - rect[1]

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from momapos.model.records.scans import FaceImage, Part, PartKind
 
-from . import camera, fittings, handles, layouts, materials, plans
+from . import blanks, camera, fittings, handles, layouts, materials, plans
 from .canvas import Canvas, Rect, inset
 
 SIDE = 320
@@ -42,8 +42,11 @@ class Mix:
 ORDINARY = Mix()
 HARD = Mix(layouts.HARD_FAMILIES, uniform=0.5, bare=0.25)
 """Plain fronts without handles, and many fields that only look like parts."""
-HUNG = Mix(layouts.HUNG_FAMILIES, bare=0.12)
-"""Wall cabinets, many with lifted doors, among all other families."""
+LAST = Mix(layouts.LAST_FAMILIES, bare=0.12)
+"""Wall cabinets, many with lifted doors, and faces without parts, among all other families."""
+MIN_BARE_SEAM = 0.25
+"""Least darkness of the seams of fronts without handles: with neither, nothing tells a front from
+a panel [-]."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def draw(rng: np.random.Generator, mix: Mix = ORDINARY) -> Drawn:
     body = materials.carcass(rng, plan.appliance, uniform)
     fittings.backdrop(rng, canvas, whole, uniform)
     if plan.family == "nothing":
-        fittings.blank(rng, canvas, whole, plan.cells[0].fill, body)
+        blanks.blank(rng, canvas, whole, plan.cells[0].fill, body)
         fitted: list[_Fitted] = []
         level = 0.0
     else:
@@ -138,6 +141,8 @@ def _furnish(
         other = style
     seam = _Seam.draw(rng, uniform)
     grip = _handle_style(rng, plan, style, bare)
+    if grip is None:
+        seam = replace(seam, dark=max(seam.dark, MIN_BARE_SEAM))
     second = _handle_style(rng, plan, style, bare) if rng.random() < 0.12 else grip
     fixed = rng.random() < 0.12 and not plan.appliance
     same_free = rng.choice(["", "top", "middle", "bottom"], p=[0.7, 0.14, 0.12, 0.04])
@@ -192,7 +197,9 @@ def _handle_style(
     if rng.random() < bare:
         return None
     weights = (0.3, 0.03, 0.3, 0.06, 0.1, 0.1, 0.06, 0.03, 0.04, 0.04)
-    if plan.appliance:
+    if plan.family == "fridge":  # many have flush grips: recesses and profiles along the edge
+        weights = (0.36, 0.18, 0.01, 0.0, 0.0, 0.05, 0.26, 0.0, 0.08, 0.06)
+    elif plan.appliance:
         weights = (0.45, 0.22, 0.01, 0.0, 0.0, 0.06, 0.12, 0.0, 0.04, 0.14)
     return handles.random_style(rng, style.skin, weights, style.mono)
 

@@ -101,9 +101,8 @@ def place(
         long = side * np.clip(style.length + 0.2, 0.4, 0.95)
     elif style.shape == "profile":
         long = side * (0.98 if style.length > 0.2 else style.length * 3)
-    if style.shape == "cup" and upright:
-        upright, free = False, "top"
-        side, depth = width, height
+    if style.shape == "cup" and upright:  # open below, so it stays level, next to the free edge
+        return _in_corner(style, part, free, along)
     long = min(long, 0.9 * side)
     middle = np.clip(along * side, long / 2 + 0.01 * side, side - long / 2 - 0.01 * side)
     away = style.inset + thick / 2
@@ -117,6 +116,16 @@ def place(
         return (x - thick / 2, top + middle - long / 2, x + thick / 2, top + middle + long / 2)
     y = bottom - away if free == "bottom" else top + away
     return (left + middle - long / 2, y - thick / 2, left + middle + long / 2, y + thick / 2)
+
+
+def _in_corner(style: HandleStyle, part: Rect, free: str, along: float) -> Rect:
+    """Return the bounds of a level handle next to the left or right edge of a part."""
+    left, top, right, bottom = part
+    long, thick = min(style.length, 0.45 * (right - left)), min(style.thick, 0.5 * (bottom - top))
+    away = min(style.inset, right - left - long)
+    x = left + away if free == "left" else right - away - long
+    y = float(np.clip(top + along * (bottom - top), top + thick / 2, bottom - thick / 2))
+    return (x, y - thick / 2, x + long, y + thick / 2)
 
 
 def draw(

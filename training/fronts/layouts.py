@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from . import blanks
 from .appliances import dishwasher, fridge, microwave, oven
-from .cabinets import Habit, cabinet, columns_first, desk, hung, niche, rows_first, sink
+from .cabinets import Habit, cabinet, columns_first, desk, hung, level, niche, rows_first, sink
 from .canvas import Rect
 from .plans import Cell, Plan, hinged, split
 
@@ -62,7 +63,7 @@ def _unit(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
         return columns_first(rng, rect, habit)
     count = max(1, round((rect[2] - rect[0]) / rng.uniform(0.3, 0.6)))
     columns = split(rng, rect, count, habit.gap, rows=False, uneven=0.2)
-    return [Cell(column, hinged(rng), along=habit.along) for column in columns]
+    return level(rng, [Cell(c, hinged(rng), along=habit.along) for c in columns], habit)
 
 
 def _moved(cell: Cell, by: float, scale: float) -> Cell:
@@ -74,9 +75,7 @@ def _moved(cell: Cell, by: float, scale: float) -> Cell:
 def nothing(rng: np.random.Generator) -> Plan:
     """Draw a face without parts: a side, a back, a table, a wall, shelves, clutter."""
     width, height = rng.uniform(0.3, 2.0), rng.uniform(0.3, 2.2)
-    fill = str(
-        rng.choice(["side", "back", "table", "wall", "shelves", "clutter", "grille", "framed"])
-    )
+    fill = str(rng.choice(blanks.FILLS, p=blanks.SHARES))
     return Plan("nothing", width, height, [Cell((0, 0, width, height), None, fill)])
 
 
@@ -110,8 +109,9 @@ HARD_FAMILIES: dict[Maker, float] = {
     nothing: 0.12,
 }
 """Frequencies in the second round: more of the rare families."""
-HUNG_FAMILIES: dict[Maker, float] = {hung: 0.4, **HARD_FAMILIES}
-"""Frequencies in the third round: wall cabinets, since lifted doors are rare in the others."""
+LAST_FAMILIES: dict[Maker, float] = {**HARD_FAMILIES, hung: 0.3, nothing: 0.4}
+"""Frequencies in the third round: wall cabinets, since lifted doors are rare in the others, and
+faces without parts."""
 
 
 def random_plan(rng: np.random.Generator, families: dict[Maker, float]) -> Plan:

@@ -23,13 +23,14 @@ WEIGHTS = (
 )
 MIRROR = np.array(decode.MIRRORED_KINDS)
 """Kind of each mirrored part."""
-MIXES = {"ordinary": generator.ORDINARY, "hard": generator.HARD, "hung": generator.HUNG}
+MIXES = {"ordinary": generator.ORDINARY, "hard": generator.HARD, "last": generator.LAST}
 FACES = (16000, 10000, 6000)
 """Number of drawn faces of each mix [-]."""
 FACE_STEPS, PART_STEPS = 12000, 11000
 """Training steps of both networks [-]."""
 LIFT_STEPS, KIND_STEPS = 1000, 1600
-"""Further training steps for lifted doors (first network) and kinds (second network) [-]."""
+"""Further training steps for lifted doors and the front score (first network), and for kinds
+(second network) [-]."""
 WITHOUT_LINES = 0.5
 """Share of images without dark lines: drawn seams are visible more often than real ones [-]."""
 NARROW = torch.backends.mkldnn.is_available() and torch.cpu._is_avx512_bf16_supported()
@@ -231,11 +232,12 @@ def train_part(pools: list[Path], out: Path, plan: Schedule, seed: int) -> None:
 
 
 def train_lifts(pools: list[Path], path: Path, plan: Schedule, seed: int) -> None:
-    """Train only the first network's weights for the heat of lifted doors."""
+    """Train only the first network's weights for the heat of lifted doors and the front score."""
     _make_reproducible(seed)
     net = networks.FaceNetwork()
     export.read(path, net).requires_grad_(False)
     net.heat.requires_grad_(True)
+    net.front.requires_grad_(True)
     lifted = torch.zeros(len(decode.KINDS))
     lifted[decode.KINDS.index("door_up")] = 1.0
     net.heat.weight.register_hook(lambda gradient: gradient * lifted[:, None, None, None])
@@ -315,7 +317,7 @@ def main() -> None:
         (train_kinds, part, Schedule(given.kind_steps, 48, rate=1e-3)),
     ]
     side_by_side(first, [given.pools / "ordinary", given.pools / "hard"], given.seed)
-    side_by_side(more, [given.pools / "hung"], given.seed)
+    side_by_side(more, [given.pools / "last"], given.seed)
 
 
 if __name__ == "__main__":

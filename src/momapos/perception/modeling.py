@@ -14,6 +14,7 @@ from momapos.perception.detection import WITHOUT_DOORS
 from momapos.perception.reconstruction import (
     GivenModel,
     furniture_model,
+    has_parts,
     is_predicted_urdf,
     moved_piece,
     opened_piece,
@@ -21,15 +22,18 @@ from momapos.perception.reconstruction import (
     read_predicted_urdf,
     weighted_by_height,
     weighted_by_label,
+    weighted_by_size,
 )
 from momapos.perception.segmentation import at_wall
 from momapos.perception.views import (
     FrontView,
+    adjacent_parts,
     box_faces,
     choose_view,
     handle_evidence,
     neighbor_protrusion,
     observations,
+    parts_with_evidence,
 )
 
 from .records import MIN_SIDES, Decision, PartSource, ScanConfig, Survey, Tools
@@ -99,11 +103,14 @@ def model_front(
         warnings = (*box.warnings, *warnings)
         return replace(box, source=PartSource.GIVEN, model=model, warnings=warnings)
     if own is None:
-        parts, source = _parts(view, item, tools)
+        parts, source = _parts(view, item, survey, tools, config)
     else:
         parts, source = read_predicted_urdf(own.path), PartSource.GIVEN
     if not parts:
-        return replace(box, reason="no doors or drawers found on its front")
+        reason = "no doors or drawers found on its front"
+        if own is None and view.front.parts:
+            reason = "what looks like a door on its front has no seam and no handle"
+        return replace(box, reason=reason)
     faces = box_faces(item.box)
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
     left, right = (neighbor_protrusion(faces[k], view.face, others) for k in view.face.neighbors)
@@ -143,13 +150,31 @@ def with_observed_motion(decision: Decision, before: Cloud, later: Cloud) -> Dec
     return replace(decision, model=piece, moved={**decision.moved, **moved})
 
 
-def _parts(view: FrontView, item: Detection, tools: Tools) -> tuple[tuple[Part, ...], PartSource]:
-    same = tools.predict is tools.look
-    parts = view.front.parts if same else tools.predict(view.image, item.label).parts
-    if parts or tools.guess is None:
-        parts = weighted_by_height(parts, view.image, bottom(item.box))
-        return weighted_by_label(parts, item.label, _label_confidence(item)), PartSource.PREDICTED
-    return tools.guess(view.image, item.label).parts, PartSource.GUESSED
+def _parts(
+    view: FrontView, item: Detection, survey: Survey, tools: Tools, config: ScanConfig
+) -> tuple[tuple[Part, ...], PartSource]:
+    """Return the parts on a front, and where they come from.
+
+    A part needs a seam, a handle, or a label that brings one. Another predictor than the one that
+    looks at the faces is used where there is such a part. With `views="first"` no evidence is
+    needed, as in the paper.
+    """
+    labeled = item.label_from != "size" and has_parts(item.label)
+    sure = labeled or config.views == "first"
+    parts = view.front.parts
+    if not sure:
+        parts = parts_with_evidence(parts, view.face, view.surroundings, view.front.score)
+    if tools.predict is not tools.look and (parts or sure):
+        parts = tools.predict(view.image, item.label).parts
+    if not parts and sure and tools.guess is not None:
+        return tools.guess(view.image, item.label).parts, PartSource.GUESSED
+    if not labeled:
+        adjacent = [
+            p for row in survey.rows for p in adjacent_parts(row.parts, row.face, view.face)
+        ]
+        parts = weighted_by_size(parts, view.image, adjacent)
+    parts = weighted_by_height(parts, view.image, bottom(item.box))
+    return weighted_by_label(parts, item.label, _label_confidence(item)), PartSource.PREDICTED
 
 
 def _small(item: Detection) -> bool:

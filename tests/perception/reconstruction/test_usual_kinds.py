@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,6 +20,7 @@ from momapos.perception.reconstruction.usual_kinds import (
     USUAL,
     weighted_by_height,
     weighted_by_label,
+    weighted_by_size,
 )
 
 BOX = (0.0, 0.0, 1.0, 1.0)
@@ -93,3 +97,46 @@ def test_drawers_are_improbable_above_eye_level_and_lifted_doors_below_it() -> N
     assert (high.kind, low.kind) == ("door_up", "drawer")
     assert sum(share for _, share in high.odds) == pytest.approx(1.0)
     assert weighted_by_height([upper], face, EYE_HEIGHT - 0.7)[0].kind == "drawer"
+
+
+FLAP_ODDS: dict[PartKind, float] = {
+    "door_down": 0.7, "drawer": 0.1, "door_left": 0.12, "door_right": 0.07, "door_up": 0.01,
+}  # fmt: skip
+
+
+def front_of(*widths: float, height: float = 0.7) -> tuple[FaceImage, list[Part]]:
+    """Return a row of fronts with level bars at their tops, of these widths [m]."""
+    edges = np.concatenate([[0.0], np.cumsum(widths)]) / sum(widths)
+    boxes = [(float(a), 0.0, float(b), 1.0) for a, b in pairwise(edges)]
+    image = FaceImage(
+        np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), sum(widths), height
+    )
+    return image, [replace(seen(FLAP_ODDS), box=box) for box in boxes]
+
+
+def test_a_narrow_front_with_a_level_bar_is_a_door_and_a_dishwasher_stays_a_flap() -> None:
+    image, parts = front_of(0.3)
+    (narrow,) = weighted_by_size(parts, image)
+    assert narrow.kind == "door_left"
+    image, parts = front_of(0.6)
+    (wide,) = weighted_by_size(parts, image)
+    assert wide.kind == "door_down"
+
+
+def test_two_flaps_of_one_size_side_by_side_are_doors() -> None:
+    image, parts = front_of(0.6, 0.6)
+    assert [part.kind for part in weighted_by_size(parts, image)] == ["door_left"] * 2
+    image, parts = front_of(0.6, 1.2)
+    assert [part.kind for part in weighted_by_size(parts, image)] == ["door_down"] * 2
+    image, (part,) = front_of(0.6)
+    adjacent = replace(part, box=(1.01, 0.0, 2.0, 1.0))
+    assert weighted_by_size([part], image, [adjacent])[0].kind == "door_left"
+
+
+def test_every_kind_stays_possible_in_every_size() -> None:
+    for width in (0.2, 0.5, 1.5):
+        for height in (0.15, 0.7, 1.8):
+            image, parts = front_of(width, height=height)
+            (part,) = weighted_by_size(parts, image)
+            assert sum(p for _, p in part.odds) == pytest.approx(1.0)
+            assert min(p for _, p in part.odds) > 0.0

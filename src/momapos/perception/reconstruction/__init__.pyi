@@ -8,9 +8,11 @@ from .scene_builder import place_model as place_model
 from .seen_motion import SeenMotion as SeenMotion
 from .seen_motion import moved_piece as moved_piece
 from .templates import TemplatePredictor as TemplatePredictor
+from .templates import has_parts as has_parts
 from .urdformer import UrdformerPredictor as UrdformerPredictor
 from .urdformer import load_urdformer as load_urdformer
 from .urdformer_files import is_predicted_urdf as is_predicted_urdf
 from .urdformer_files import read_predicted_urdf as read_predicted_urdf
 from .usual_kinds import weighted_by_height as weighted_by_height
 from .usual_kinds import weighted_by_label as weighted_by_label
+from .usual_kinds import weighted_by_size as weighted_by_size

@@ -112,6 +112,11 @@ def common_name(label: str) -> str:
     return ALIASES.get(name, name)
 
 
+def has_parts(label: str) -> bool:
+    """Check whether objects with a label have doors or drawers."""
+    return common_name(label) in TEMPLATES
+
+
 def _fill(band: Band, top: float, width: float, height: float) -> list[Part]:
     """Divide a strip that starts at `top` on a face of this size [m] into its parts."""
     if not band.kinds:

@@ -13,14 +13,14 @@ from dataclasses import replace
 from momapos.model.records import FaceImage, Part, PartKind
 
 from . import decode
-from .height_maps import area_of
+from .height_maps import Area, area_of
 from .templates import common_name
 
 TRAINING_SHARES: Mapping[PartKind, float] = {
-    "door_left": 0.31, "door_right": 0.31, "door_down": 0.09, "door_up": 0.09, "drawer": 0.2,
+    "door_left": 0.285, "door_right": 0.285, "door_down": 0.07, "door_up": 0.07, "drawer": 0.29,
 }  # fmt: skip
 """Shares of the kinds in the last training of the front networks, the prior of their odds;
-`training.fronts.generator.HUNG` draws them like this [-]."""
+`training.fronts.generator.LAST` draws them like this [-]."""
 USUAL: Mapping[str, Mapping[PartKind, float]] = {
     "fridge": {
         "door_left": 0.38, "door_right": 0.45, "door_down": 0.01, "door_up": 0.01, "drawer": 0.15,
@@ -53,6 +53,19 @@ LOW: Mapping[PartKind, float] = {
     "door_left": 0.32, "door_right": 0.32, "door_down": 0.1, "door_up": 0.01, "drawer": 0.25,
 }  # fmt: skip
 """Shares of the kinds below eye level [-]; nobody stoops to lift a door."""
+MIN_UPRIGHT, MIN_ASPECT = 0.45, 1.15
+"""A part is upright if it is higher than the first [m], and than its width times the second [-]."""
+MIN_FLAP_WIDTH, MAX_FLAP_HEIGHT = 0.42, 0.9
+"""The narrowest dishwashers are 45 cm wide; the highest doors that drop down are those of ovens and
+dishwashers [m]."""
+UNUSUAL = 0.02
+"""Probability of a kind in a size that shops do not sell, relative to other sizes [-]."""
+UPRIGHT_DRAWER = 0.15
+"""The same for drawers that are higher than wide: pull-outs for bins and bottles [-]."""
+REPEATED_FLAP = 0.1
+"""The same for a flap next to a part of its size: two dishwashers side by side [-]."""
+MAX_GAP, MAX_OFF_LEVEL, MAX_WIDTH_RATIO = 0.06, 0.1, 1.6
+"""Gap between neighbors, difference of their heights [m], and ratio of their widths [-]."""
 
 
 def weighted_by_label(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
@@ -85,6 +98,47 @@ def weighted_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> 
         return floor + (area.bottom + area.top) / 2
 
     return tuple(_weighed(part, high if middle(part) > EYE_HEIGHT else low) for part in parts)
+
+
+def weighted_by_size(
+    parts: Sequence[Part], face: FaceImage, adjacent: Sequence[Part] = ()
+) -> tuple[Part, ...]:
+    """Lower the odds of flaps and drawers that nobody builds in this size, and of flaps in a row.
+
+    A level bar at the top belongs to a flap, a drawer or a door. But dishwashers and ovens are at
+    least 42 cm wide, and stand alone among doors of the same size.
+
+    Args:
+        parts: Parts of a front; parts without odds stay unchanged.
+        face: The front.
+        adjacent: Parts next to the front, as fractions of it, outside of [0, 1].
+    """
+    areas = [_unclipped(part, face) for part in (*parts, *adjacent)]
+    weighed = []
+    for part, area in zip(parts, areas, strict=False):
+        factors = dict.fromkeys(TRAINING_SHARES, 1.0)
+        upright = area.height > max(MIN_UPRIGHT, MIN_ASPECT * area.width)
+        if (upright and area.width < MIN_FLAP_WIDTH) or area.height > MAX_FLAP_HEIGHT:
+            factors["door_down"] *= UNUSUAL
+        if upright:
+            factors["drawer"] *= UPRIGHT_DRAWER
+        if upright and any(_is_next_to(area, other) for other in areas):
+            factors["door_down"] *= REPEATED_FLAP
+        weighed.append(_weighed(part, factors))
+    return tuple(weighed)
+
+
+def _unclipped(part: Part, face: FaceImage) -> Area:
+    left, top, right, bottom = part.box
+    w, h = face.width, face.height
+    return Area(left * w, (1 - bottom) * h, right * w, (1 - top) * h)
+
+
+def _is_next_to(one: Area, other: Area) -> bool:
+    """Check whether two areas have about one size and height, side by side."""
+    sides = min(abs(one.left - other.right), abs(one.right - other.left)) < MAX_GAP
+    level = max(abs(one.bottom - other.bottom), abs(one.top - other.top)) < MAX_OFF_LEVEL
+    return sides and level and 1 / MAX_WIDTH_RATIO < one.width / other.width < MAX_WIDTH_RATIO
 
 
 def _factors(usual: Mapping[PartKind, float], sure: float) -> dict[PartKind, float]:

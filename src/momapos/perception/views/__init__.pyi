@@ -10,6 +10,8 @@ from .front_view import KnownFront as KnownFront
 from .front_view import ViewMethod as ViewMethod
 from .front_view import choose_view as choose_view
 from .front_view import handle_evidence as handle_evidence
+from .part_evidence import parts_with_evidence as parts_with_evidence
+from .placed_parts import adjacent_parts as adjacent_parts
 from .projection import area as area
 from .projection import corners as corners
 from .projection import observations as observations

@@ -72,8 +72,20 @@ MIN_PARTLY_SHOWN = 0.15
 """Images that show less of a face are not merged into its height map [-]."""
 MAX_MERGED = 12
 """Number of images whose depth is merged into the height map of a face [-]."""
+MAX_SURROUNDINGS = 3
+"""Number of images in which the borders of parts are examined [-]."""
 MAX_EXAMINED = 32
 """Number of images of a face that are examined, the most promising first [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceSurroundings:
+    """A face with its surroundings, in the colors of several images."""
+
+    face: Face
+    """The enlarged face."""
+    images: tuple[FaceImage, ...]
+    """The best first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +99,8 @@ class FrontView:
     """Angle between the line of sight and the face's normal [rad]."""
     image: FaceImage
     front: Front
+    surroundings: FaceSurroundings
+    """The face with its surroundings in the best images."""
     evidence: tuple[float, ...]
     """Mean vote for each face: the mean of its appearance score and handle evidence, times
     its coplanar share, lower if another side has a wall behind it. Voting stops as soon as the
@@ -141,10 +155,12 @@ def _first(
         if visible_share(face, frame) < MIN_SHOWN:
             continue
         image = face_image(face, [frame])
-        front = FaceViews(face, [frame], [0]).look(0, look, MIN_FRONT_PROBABILITY)
+        views = FaceViews(face, [frame], [0])
+        front = views.look(0, look, MIN_FRONT_PROBABILITY)
         if front_evidence(front, image) >= MIN_FRONT_PROBABILITY:
             angle = float(np.arccos(min(1.0, cosines.max())))
-            return FrontView(face, sight.frame, angle, image, front, ())
+            around = views.surroundings([0])
+            return FrontView(face, sight.frame, angle, image, front, around, ())
     return None
 
 
@@ -201,7 +217,8 @@ def _voting(
     front = _with_known(front, face, frames[chosen], known)
     front = replace(front, parts=equalize_doors(image, front.parts))
     angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
-    return FrontView(face, chosen, angle, image, front, tuple(evidence))
+    around = views.surroundings(order[:MAX_SURROUNDINGS])
+    return FrontView(face, chosen, angle, image, front, around, tuple(evidence))
 
 
 def _merged_front(
@@ -307,6 +324,16 @@ class FaceViews:
             if door_evidence(fronts[-1]) >= least:
                 break
         return max(fronts, key=door_evidence)
+
+    def surroundings(self, chosen: Sequence[int]) -> FaceSurroundings:
+        """Return the face with its wider surroundings.
+
+        Args:
+            chosen: Indices of the images whose colors to show.
+        """
+        shown = [self._around(SURROUNDINGS[-1], index) for index in chosen]
+        images = tuple(sampled.image(order) for sampled, order in shown)
+        return FaceSurroundings(shown[0][0].face, images)
 
     def _around(self, around: float, chosen: int) -> tuple[SampledFace, list[int]]:
         """Return the face with its surroundings [m], and its frames with the chosen one first."""

@@ -60,6 +60,27 @@ def transferred(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part
     return tuple(there)
 
 
+def adjacent_parts(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...]:
+    """Express parts of one face that lie next to another face in its plane.
+
+    Args:
+        parts: Rectangles as fractions of `source`.
+        source: The face on which they were detected.
+        target: The other face.
+
+    Returns:
+        Rectangles as fractions of `target`, left or right of it by at most its width.
+    """
+    wide = replace(target, width=3 * target.width)
+    there = [(part, np.array(part.box)) for part in transferred(parts, source, wide)]
+    scaled = [(part, box * (3, 1, 3, 1) - (1, 0, 1, 0)) for part, box in there]
+    return tuple(
+        replace(part, box=(float(box[0]), float(box[1]), float(box[2]), float(box[3])), handle=None)
+        for part, box in scaled
+        if box[[0, 2]].mean() < 0.0 or box[[0, 2]].mean() > 1.0
+    )
+
+
 def shift_handles(
     parts: Sequence[Part], face: Face, camera: Float[np.ndarray, "3"], *, undo: bool = False
 ) -> tuple[Part, ...]:
