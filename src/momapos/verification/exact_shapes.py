@@ -111,13 +111,13 @@ def prepared(model: Articulated) -> tuple[LinkBodies, Shapes]:
 
 
 @lru_cache(maxsize=512)
-def prepared_static(model: Articulated) -> tuple[Shapes, Int[np.ndarray, " k"]]:
+def prepared_static(model: Articulated) -> tuple[LinkBodies, Shapes, Int[np.ndarray, " k"]]:
     """Return the shapes of furniture that stands still, cached for all tasks.
 
     Hollow meshes are in pieces.
 
     Returns:
-        The shapes, and the index of each one's element in `shapes_of`.
+        Its bodies, the shapes, and the index of each one's element in `shapes_of`.
     """
     bodies = bodies_of(model)
     names, numbers, made, element = [], [], [], []
@@ -127,7 +127,7 @@ def prepared_static(model: Articulated) -> tuple[Shapes, Int[np.ndarray, " k"]]:
             numbers.append(bodies.of_link[name])
             made.append(_shape(geometry, hull, bodies.T_body_link[name]))
             element.append(index)
-    return _pack(names, numbers, made), np.array(element, np.int64)
+    return bodies, _pack(names, numbers, made), np.array(element, np.int64)
 
 
 def _static_elements(model: Articulated) -> Iterator[tuple[str, Geometry, StaticElement]]:
@@ -193,6 +193,7 @@ def _place(Ts: F4, body: I1, local: F3) -> np.ndarray:
     return out
 
 
+_CORNERS = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
 _Made = tuple[np.ndarray, np.ndarray, np.ndarray, float, float]
 
 
@@ -208,8 +209,7 @@ def _shape(geometry: Geometry, hull: Hull, T_body_link: np.ndarray) -> _Made:
         return T, np.array([radius, radius, length / 2]), ends, radius, 0.0
     if geometry.kind == "box":
         half = np.array(size) / 2
-        signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
-        return T, half, signs * half, 0.0, 0.0
+        return T, half, _CORNERS * half, 0.0, 0.0
     T_link_box, half = _box_around(hull.vertices)
     points = np.asarray(apply(invert(T_link_box), hull.vertices))
     return T_body_link @ T_link_box, half, points, 0.0, 0.0

@@ -64,10 +64,15 @@ class Scene:
         Raises:
             UnknownNameError: The object does not exist; the message suggests similar names.
         """
-        for item in self.objects:
-            if item.name == name:
-                return item
-        raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
+        item = self._by_name.get(name)
+        if item is None:
+            raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
+        return item
+
+    @cached_property
+    def _by_name(self) -> dict[str, SceneObject]:
+        """The objects by name; of equal names the first one counts."""
+        return {item.name: item for item in reversed(self.objects)}
 
     def is_assumed(self, name: str, joint: str | None) -> bool:
         """Check whether a plan for a joint is an assumption.
