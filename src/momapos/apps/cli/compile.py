@@ -8,6 +8,7 @@ import sys
 from momapos.core.compiled import ENTRIES, store
 
 ANSWER = (
+    "momapos.core.geometry.monotone_chain._chain",
     "momapos.model.collision.base_collision._hit",
     "momapos.model.kinematics.chain.forward",
     "momapos.model.kinematics.chain.stand_at_origin",
@@ -25,7 +26,6 @@ ANSWER = (
     "momapos.planning.grasps.swept_boxes._surface",
     "momapos.planning.grasps.swept_boxes._touches",
     "momapos.planning.navigation.outline_gaps._gaps",
-    "momapos.planning.navigation.convex_hull._chain",
     "momapos.planning.navigation.grid_distance._clearance",
     "momapos.planning.navigation.grid_distance._path_lengths",
     "momapos.planning.navigation.lattice.astar",

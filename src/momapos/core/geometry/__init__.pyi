@@ -1,6 +1,7 @@
 from .cube_samples import halton as halton
 from .cube_samples import latin_hypercube as latin_hypercube
 from .line_detection import dark_lines as dark_lines
+from .monotone_chain import convex_hull as convex_hull
 from .planar import compose as compose
 from .planar import local_points as local_points
 from .planar import place_points as place_points

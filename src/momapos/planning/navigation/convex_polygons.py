@@ -16,11 +16,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from momapos.core.compiled import F1, F2, I1, entry, kernel
-from momapos.core.geometry import all_inside, apply, edge_normals, invert, place_points, signed_area
+from momapos.core.geometry import (
+    all_inside,
+    apply,
+    convex_hull,
+    edge_normals,
+    invert,
+    place_points,
+    signed_area,
+)
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-
-from .convex_hull import convex_hull
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
