@@ -127,8 +127,9 @@ class Scene:
 
         Boxes enclose their objects, so free space in it is free in the room, too.
         """
-        objects = (item if item.name in keep else item.box_proxy for item in self.objects)
-        return replace(self, objects=tuple(objects))
+        objects = tuple(item if item.name in keep else item.box_proxy for item in self.objects)
+        changed = any(one is not item for one, item in zip(objects, self.objects, strict=True))
+        return replace(self, objects=objects) if changed else self
 
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
         """Return the scene with one joint of one object at another value.
