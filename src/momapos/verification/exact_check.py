@@ -328,7 +328,7 @@ class PlanVerifier:
         polygon = self.scene.floor_polygon
         if polygon is None:
             return
-        outlines = [self._base.outline(index) for index in range(len(self._base))]
+        outlines = self._base.outlines
         points = [x @ T[:2, :3].T + T[:2, 3] for x, T in zip(outlines, Ts_base[0], strict=True)]
         balls = np.repeat(self._base.ball, [len(x) for x in outlines])
         gaps = outside(polygon, np.concatenate([np.empty((0, 2)), *points])) + balls

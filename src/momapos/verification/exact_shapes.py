@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -78,6 +78,11 @@ class Shapes:
         angle = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
         rim = disc * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_RIM)])
         return np.asarray(points[:, None] + rim).reshape(-1, 3)
+
+    @cached_property
+    def outlines(self) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+        """The outline of every shape."""
+        return tuple(map(self.outline, range(len(self))))
 
     def placed(self, Ts_world_body: Float[np.ndarray, "s b 4 4"]) -> Float[np.ndarray, "s k 4 4"]:
         """Return world poses of the shapes, given those of the bodies."""
