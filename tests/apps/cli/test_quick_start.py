@@ -106,6 +106,11 @@ def test_a_second_start_uses_the_cached_models(
     assert not heavy & {"trimesh", "yourdfpy", "matplotlib", "jaxtyping", "numba"}
 
 
+def test_a_warm_answer_imports_neither_scipy_nor_numba() -> None:
+    words = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e"]
+    assert not after(words, 0, default_cache_dir()) & (HEAVY - {"numpy"})
+
+
 def test_arguments_are_parsed_without_typeguard(tmp_path: Path) -> None:
     words = [
         "place", "open", "kitchen_small", "fridg", "--robot", "fetch", "--to=30deg", "--json",
