@@ -12,6 +12,7 @@ from .polygons import contains as contains
 from .polygons import edge_distances as edge_distances
 from .polygons import edge_normals as edge_normals
 from .polygons import inscribed_radius as inscribed_radius
+from .polygons import normals_of as normals_of
 from .polygons import signed_area as signed_area
 from .transforms import apply as apply
 from .transforms import invert as invert

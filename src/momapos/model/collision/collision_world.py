@@ -279,6 +279,7 @@ def _state_hits(
     return out
 
 
+@lru_cache(maxsize=8)
 def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
     """Return the arguments of an arm's collision check."""
     return CollisionArrays(spheres.arrays, world.arrays, world.clearance)
