@@ -92,7 +92,7 @@ def solve(
     command = ["solve", str(scan), "open", name, "--robot", robot, "--world", kitchen, *words]
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()) as errors:
-        momapos([*command, "--out", str(out), "--no-pictures", "--no-tolerance", "--json"])
+        momapos([*command, "--out", str(out), "--no-pictures", "--json"])
     if not printed.getvalue():
         return Opening(found, name, "refused", reason=errors.getvalue().strip())
     record = json.loads(printed.getvalue())

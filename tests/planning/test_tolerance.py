@@ -229,11 +229,11 @@ def test_without_a_motion_there_is_no_tolerance() -> None:
     assert placement_tolerance(scene, robot, task, far, Everywhere()).radius == 0.0
 
 
-def test_every_answer_of_place_has_a_tolerance(
+def test_an_answer_of_place_has_a_tolerance_if_it_is_wanted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "plan.json"
-    few = ["--tolerance-samples", "12"]
+    few = ["--tolerance", "--tolerance-samples", "12"]
     assert main(["place", "open", *QUESTION, *few, "--out", str(out)]) == 0
     output = capsys.readouterr().out
     plan = read_plan(out)
@@ -241,12 +241,13 @@ def test_every_answer_of_place_has_a_tolerance(
     assert plan.tolerance.samples == 12
     assert f"tolerance   +-{100 * plan.tolerance.radius:g} cm, +-" in output
     assert "replanning succeeded from 12/12 sampled poses" in output
+    assert f", and {1000 * plan.timing['tolerance']:.0f} ms for the tolerance" in output
     x, y, yaw = plan.base_pose or (0.0, 0.0, 0.0)
     again = ["--at", f"{x},{y},{yaw}", *few, "--json"]
     assert main(["place", "open", *QUESTION, *again]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["tolerance"]["samples"] == 12
-    assert main(["place", "open", *QUESTION, "--no-tolerance", "--json"]) == 0
+    assert main(["place", "open", *QUESTION, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["tolerance"] is None
     assert "tolerance" not in data["timing"]
@@ -255,7 +256,7 @@ def test_every_answer_of_place_has_a_tolerance(
 def test_a_stop_of_a_tour_has_the_smallest_tolerance_of_its_tasks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [*QUESTION, "then", "close", QUESTION[1], "--tolerance-samples", "12"]
+    words = [*QUESTION, "then", "close", QUESTION[1], "--tolerance", "--tolerance-samples", "12"]
     assert main(["place", "open", *words, "--out", str(tmp_path / "tour.json")]) == 0
     found = [read_plan(tmp_path / f"tour_{k}.json").tolerance for k in (1, 2)]
     assert found[0] is not None
@@ -280,6 +281,11 @@ def test_the_output_states_the_tolerance_of_a_stop(answer: PlacementResult) -> N
 def test_an_unusable_number_of_samples_is_refused(samples: int) -> None:
     with pytest.raises(InputError, match="tolerance-samples must be between 1"):
         Options(tolerance_samples=samples)
+
+
+def test_samples_of_a_tolerance_that_is_not_measured_are_refused() -> None:
+    with pytest.raises(InputError, match="--tolerance-samples needs --tolerance"):
+        Options(tolerance_samples=12)
 
 
 def test_zero_samples_are_refused(answer: PlacementResult) -> None:

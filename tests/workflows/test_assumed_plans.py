@@ -233,7 +233,7 @@ def test_the_page_says_what_is_assumed(assumed: PlacementResult) -> None:
 def test_place_exits_with_3_for_an_assumed_plan_unless_it_is_allowed(
     assumed: PlacementResult, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["place", "open", assumed.plan.scene, "cupboard", "--robot", ROBOT, "--no-tolerance"]
+    words = ["place", "open", assumed.plan.scene, "cupboard", "--robot", ROBOT]
     assert main([*words, "--json"]) == 3
     data = json.loads(capsys.readouterr().out)
     assert (data["status"], data["assumption"]["kind"]) == ("assumed", "drawer")
@@ -302,7 +302,7 @@ def test_a_scanned_freezer_door_is_not_solved_as_a_drawer(
 ) -> None:
     scene = optional.there(CASES / "scans/unlikely/scene.json")
     words = ["place", "open", str(scene), "fridge_1/door_2_hinge", "--robot", "tiago"]
-    assert main([*words, "--no-tolerance"]) == 3
+    assert main([*words]) == 3
     shown = capsys.readouterr().out
     assert "door_2_hinge to 30 cm: assumed" in shown
     assert "joint type  drawer (1.5 %)" in shown
@@ -315,7 +315,7 @@ def test_a_tour_with_an_improbable_joint_is_assumed(
     odds: Odds = (("drawer", 0.45), ("door_right", 0.3), ("door_left", 0.25))
     scene = room(tmp_path / "three", odds)
     words = ["place", "open", str(scene.path), "cupboard", "--to", "10cm", "--robot", ROBOT]
-    words += ["--no-tolerance", "--out", str(tmp_path / "tour.json")]
+    words += ["--out", str(tmp_path / "tour.json")]
     words += ["then", "close", "cupboard"]
     assert main(words) == 3
     shown = capsys.readouterr().out

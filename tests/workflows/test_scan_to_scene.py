@@ -486,7 +486,7 @@ def test_one_command_goes_from_a_scan_to_a_plan_as_the_paper_prints_it(
     name, door, _ = same_door(made, folder)
     out = tmp_path / "solved"
     words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
-    words += ["--out", str(out), "--no-pictures", "--no-run", "--no-tolerance"]
+    words += ["--out", str(out), "--no-pictures", "--no-run"]
     assert main([*words, "--method", "paper"]) == 0
     text = capsys.readouterr().out
     assert "by the first frontal image" in text

@@ -7,6 +7,7 @@ from .arguments import finite_number as finite_number
 from .arguments import one_of as one_of
 from .arguments import refuse_above as refuse_above
 from .arguments import refuse_below as refuse_below
+from .arguments import refuse_values_below as refuse_values_below
 from .arguments import shown as shown
 from .arguments import type_words as type_words
 from .arguments import whole_number as whole_number

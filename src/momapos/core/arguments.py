@@ -167,6 +167,15 @@ def refuse_below(config: object, least: float, *names: str) -> None:
         InputError: A field is not.
     """
     check_fields(config)
+    refuse_values_below(config, least, *names)
+
+
+def refuse_values_below(config: object, least: float, *names: str) -> None:
+    """Check lower bounds of some fields of a configuration whose types were checked.
+
+    Raises:
+        InputError: A field is below, or infinite.
+    """
     for name in names:
         value = getattr(config, name)
         if not least <= value < math.inf:

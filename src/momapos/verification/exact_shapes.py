@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -79,6 +79,11 @@ class Shapes:
         rim = disc * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_RIM)])
         return np.asarray(points[:, None] + rim).reshape(-1, 3)
 
+    @cached_property
+    def outlines(self) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+        """The outline of every shape."""
+        return tuple(map(self.outline, range(len(self))))
+
     def placed(self, Ts_world_body: Float[np.ndarray, "s b 4 4"]) -> Float[np.ndarray, "s k 4 4"]:
         """Return world poses of the shapes, given those of the bodies."""
         return np.asarray(_place(Ts_world_body, self.body, self.Ts_body_shape))
@@ -111,13 +116,13 @@ def prepared(model: Articulated) -> tuple[LinkBodies, Shapes]:
 
 
 @lru_cache(maxsize=512)
-def prepared_static(model: Articulated) -> tuple[Shapes, Int[np.ndarray, " k"]]:
+def prepared_static(model: Articulated) -> tuple[LinkBodies, Shapes, Int[np.ndarray, " k"]]:
     """Return the shapes of furniture that stands still, cached for all tasks.
 
     Hollow meshes are in pieces.
 
     Returns:
-        The shapes, and the index of each one's element in `shapes_of`.
+        Its bodies, the shapes, and the index of each one's element in `shapes_of`.
     """
     bodies = bodies_of(model)
     names, numbers, made, element = [], [], [], []
@@ -127,7 +132,7 @@ def prepared_static(model: Articulated) -> tuple[Shapes, Int[np.ndarray, " k"]]:
             numbers.append(bodies.of_link[name])
             made.append(_shape(geometry, hull, bodies.T_body_link[name]))
             element.append(index)
-    return _pack(names, numbers, made), np.array(element, np.int64)
+    return bodies, _pack(names, numbers, made), np.array(element, np.int64)
 
 
 def _static_elements(model: Articulated) -> Iterator[tuple[str, Geometry, StaticElement]]:
@@ -193,6 +198,7 @@ def _place(Ts: F4, body: I1, local: F3) -> np.ndarray:
     return out
 
 
+_CORNERS = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
 _Made = tuple[np.ndarray, np.ndarray, np.ndarray, float, float]
 
 
@@ -208,8 +214,7 @@ def _shape(geometry: Geometry, hull: Hull, T_body_link: np.ndarray) -> _Made:
         return T, np.array([radius, radius, length / 2]), ends, radius, 0.0
     if geometry.kind == "box":
         half = np.array(size) / 2
-        signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
-        return T, half, signs * half, 0.0, 0.0
+        return T, half, _CORNERS * half, 0.0, 0.0
     T_link_box, half = _box_around(hull.vertices)
     points = np.asarray(apply(invert(T_link_box), hull.vertices))
     return T_body_link @ T_link_box, half, points, 0.0, 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -157,12 +158,11 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, OwnElements]:
     part = _part(target, task, bodies, hulls.take(moved))
     fixed, prefixes, of_obstacle = [], [], []
     for item in scene.objects:
-        bodies, _ = prepared(item.model)
-        shapes, element = prepared_static(item.model)
+        shapes, element = _standing(item)
         if item is target:
             kept = np.flatnonzero(np.isin(element, still))
             shapes, element = shapes.take(kept), np.searchsorted(still, element[kept])
-        fixed.append(_in_world(item, bodies, shapes))
+        fixed.append(shapes)
         prefixes.append(f"{item.name}/")
         of_obstacle.append(element if item is target else np.full(len(shapes), -1))
     own = OwnElements(hulls.take(still), np.concatenate(of_obstacle))
@@ -184,8 +184,22 @@ def _moved_shapes(task: Task, bodies: LinkBodies, shapes: Shapes) -> Int[np.ndar
 
 def static_shapes(item: SceneObject) -> Shapes:
     """Return the shapes of an object that stands still, in world coordinates."""
-    bodies, _ = prepared(item.model)
-    return _in_world(item, bodies, prepared_static(item.model)[0])
+    return _standing(item)[0]
+
+
+_STANDING: WeakKeyDictionary[SceneObject, tuple[Shapes, Int[np.ndarray, " k"]]] = (
+    WeakKeyDictionary()
+)
+"""See `_standing`; most objects of a scene are the same in all its versions and for all tasks."""
+
+
+def _standing(item: SceneObject) -> tuple[Shapes, Int[np.ndarray, " k"]]:
+    """Return an object's shapes in world coordinates and their elements, kept with the object."""
+    found = _STANDING.get(item)
+    if found is None:
+        bodies, shapes, element = prepared_static(item.model)
+        found = _STANDING[item] = (_in_world(item, bodies, shapes), element)
+    return found
 
 
 def _in_world(item: SceneObject, bodies: LinkBodies, shapes: Shapes) -> Shapes:

@@ -106,6 +106,11 @@ def test_a_second_start_uses_the_cached_models(
     assert not heavy & {"trimesh", "yourdfpy", "matplotlib", "jaxtyping", "numba"}
 
 
+def test_the_planner_imports_numpy_and_no_other_large_package(tmp_path: Path) -> None:
+    code = "import momapos.planning.plan, momapos.planning.baselines.by_method"
+    assert imported(code, tmp_path)[0] == {"numpy"}
+
+
 def test_arguments_are_parsed_without_typeguard(tmp_path: Path) -> None:
     words = [
         "place", "open", "kitchen_small", "fridg", "--robot", "fetch", "--to=30deg", "--json",

@@ -174,7 +174,12 @@ def test_a_larger_or_shifted_grid_changes_no_result(robots: Callable[[str], Robo
     robot, rng = robots("fetch"), np.random.default_rng(2)
     boxes = random_boxes(6, rng, (-1.0, -1.0, 0.2), (1.0, 1.0, 1.5))
     far = Boxes(np.array([[9.3, -7.77, 4.1 * CELL]]), np.eye(3)[None], np.full((1, 3), 0.05))
-    both = Boxes(*(np.concatenate([getattr(boxes, k), getattr(far, k)]) for k in vars(boxes)))
+    both = Boxes(
+        *(
+            np.concatenate([getattr(boxes, k), getattr(far, k)])
+            for k in ("center", "rotation", "half")
+        )
+    )
     case = situations(robot, 500, rng, 1.0)
     codes = [
         check(
@@ -218,7 +223,8 @@ def test_a_carried_object_is_checked_like_the_hand(robots: Callable[[str], Robot
     alone = check(world, robot.chain, robot.spheres, *case)
     assert (with_it[alone != FREE] != FREE).all()
     Ts = pose_planar(case[1]) @ robot.chain.tool_poses(case[0])
-    inside = gaps(Ts[:, :3, 3] + Ts[:, :3, 2] * 0.12, *vars(world.static).values()).min(1) == 0
+    boxes = world.static.center, world.static.rotation, world.static.half
+    inside = gaps(Ts[:, :3, 3] + Ts[:, :3, 2] * 0.12, *boxes).min(1) == 0
     assert inside.any()
     assert (with_it[inside] != FREE).all()
 

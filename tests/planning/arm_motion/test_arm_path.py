@@ -16,6 +16,7 @@ from momapos.planning.arm_motion import arm_path
 from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, find_paths
 from momapos.planning.arm_motion.hand_clearance import arm_spheres
 from momapos.planning.arm_motion.ik_layers import Layers, solve_layers
+from momapos.planning.arm_motion.path_graph import PathGraph
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.task_setup import PreparedTask, prepare
@@ -102,15 +103,16 @@ def test_a_path_avoids_configurations_that_collide(
     ready = _prepared(robot, "microwave", "door_hinge")
     bases, modes = _base_poses(ready, 120)
     rejected = 0
-    hits = arm_path._hits
+    search = PathGraph.shortest_free_path
 
-    def counted(*args: object) -> bool:
+    def counted(graph: PathGraph) -> tuple[int, np.ndarray]:
         nonlocal rejected
-        hit = hits(*args)  # type: ignore[arg-type]
-        rejected += hit
-        return hit
+        banned = graph.banned.sum()
+        found = search(graph)
+        rejected += graph.banned.sum() - banned
+        return found
 
-    monkeypatch.setattr(arm_path, "_hits", counted)
+    monkeypatch.setattr(PathGraph, "shortest_free_path", counted)
     paths = find_paths(robot, ready.world, ready.motion, bases, modes, {})
     assert rejected > 0
     motion = ready.motion

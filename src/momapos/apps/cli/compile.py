@@ -8,6 +8,7 @@ import sys
 from momapos.core.compiled import ENTRIES, store
 
 ANSWER = (
+    "momapos.core.geometry.monotone_chain._chain",
     "momapos.model.collision.base_collision._hit",
     "momapos.model.kinematics.chain.forward",
     "momapos.model.kinematics.chain.stand_at_origin",
@@ -16,16 +17,15 @@ ANSWER = (
     "momapos.model.collision.collision_world._fill_buckets",
     "momapos.model.collision.collision_world._state_hits",
     "momapos.model.collision.straight_motions._motion_hit",
-    "momapos.planning.arm_motion.arm_path._shortest",
     "momapos.planning.arm_motion.arm_path._track",
     "momapos.planning.arm_motion.enclosure._enclosing",
     "momapos.planning.arm_motion.hand_clearance._hand_hits",
     "momapos.planning.arm_motion.ik_layers._solve_layers",
+    "momapos.planning.arm_motion.path_graph._shortest_free_path",
     "momapos.planning.arm_motion.rrt_connect.connect",
     "momapos.planning.grasps.swept_boxes._surface",
     "momapos.planning.grasps.swept_boxes._touches",
     "momapos.planning.navigation.outline_gaps._gaps",
-    "momapos.planning.navigation.convex_hull._chain",
     "momapos.planning.navigation.grid_distance._clearance",
     "momapos.planning.navigation.grid_distance._path_lengths",
     "momapos.planning.navigation.lattice.astar",

@@ -106,8 +106,8 @@ class SearchOptions:
     """A library robot or a robot file."""
     arm: ArmOption = "any"
     """The arm of a robot with several, such as left; any: the arm of the cheapest plan."""
-    tolerance: Flag = True
-    """Don't measure the tolerance of the base pose."""
+    tolerance: Flag = False
+    """Measure the tolerance of the base pose, which takes longer than to find it."""
     method: MethodOption = None
     """ours, exhaustive (a grid), or a baseline such as paper or habitat (docs/baselines.md)."""
     timeout: TimeoutOption = None

@@ -168,13 +168,11 @@ def _tolerance(plan: PlacementPlan) -> list[str]:
     if found is None:
         why = "  tolerance   not measured: the base moves in the manipulation"
         return [why] if plan.moves_base else []
-    spent = plan.timing.get("tolerance")
-    took = "" if spent is None else f" ({1000 * spent:.0f} ms)"
     if found.radius == 0.0:
-        return [f"  tolerance   none: replanning fails from some base poses nearby{took}"]
+        return ["  tolerance   none: replanning fails from some base poses nearby"]
     size = f"+-{100 * found.radius:g} cm, +-{math.degrees(found.turn):.1f} deg"
     poses = f"{found.samples}/{found.samples} sampled poses"
-    return [f"  tolerance   {size}: replanning succeeded from {poses}{took}"]
+    return [f"  tolerance   {size}: replanning succeeded from {poses}"]
 
 
 def _cost(terms: Mapping[str, CostTerm]) -> list[str]:
@@ -291,17 +289,18 @@ def _span(answer: PlacementResult) -> str:
     return f"{_value(answer, q[0])} to {_value(answer, q[-1])}"
 
 
-AFTER = ("largest value", "advice")
-"""Steps after the search, whose times its total does not contain."""
-
-
-def _times(timing: object) -> str:
-    stages = dict(timing)  # type: ignore[call-overload]
-    total = stages.pop("total", 0.0)
-    stages.pop("tolerance", None)  # printed with the tolerance
-    after = [f", {name} {1000 * stages.pop(name):.0f} ms" for name in AFTER if name in stages]
+def _times(timing: Mapping[str, float]) -> str:
+    """The time of all stages, which add up, and of measuring the tolerance."""
+    stages = dict(timing)
+    total, tolerance = stages.pop("total", 0.0), stages.pop("tolerance", 0.0)
+    stages["other"] = total - sum(stages.values())
     parts = [f"{name} {1000 * value:.0f}" for name, value in stages.items() if value >= 0.0005]
-    return f"{1000 * total:.0f} ms ({', '.join(parts)}){''.join(after)}"
+    return f"{1000 * total:.0f} ms ({', '.join(parts)}){also_for_tolerance(tolerance)}"
+
+
+def also_for_tolerance(seconds: float) -> str:
+    """Say how long it took to measure tolerances [s]; "" for none."""
+    return f", and {1000 * seconds:.0f} ms for the tolerance" if seconds else ""
 
 
 def _rejections(answer: PlacementResult) -> list[str]:

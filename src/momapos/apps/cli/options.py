@@ -62,6 +62,8 @@ else:  # tyro takes the members of a plain tuple for texts, and imports typeguar
     ObjectsArg = Annotated[Several, arg(metavar="OBJECT")]
     SettingsArg = Annotated[Several, arg(metavar="FIELD=VALUE")]
 MAX_SEED = 2**63 - 1
+DEFAULT_SAMPLES = 100
+"""Base poses at which a tolerance is sampled [-]."""
 MAX_SAMPLES = 10_000
 EXIT_STATUS = {"solved": 0, "assumed": 3, "infeasible": 3, "timeout": 4}
 """Exit status of the commands that plan, by the status of the plan."""

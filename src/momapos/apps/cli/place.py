@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from momapos.apps.plots import check_figure_path
-from momapos.core import MAX, TaskError, check_outputs, parse_quantity
+from momapos.core import MAX, InputError, TaskError, check_outputs, parse_quantity
 from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene, refuse_unknown_object
 from momapos.planning.placement import OURS
@@ -23,6 +23,7 @@ from .configuration import (
 )
 from .loading import load_arms_with_maps, load_scene_with_joints, other_robots
 from .options import (
+    DEFAULT_SAMPLES,
     EXIT_STATUS,
     AreasArg,
     BaseArg,
@@ -40,7 +41,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from momapos.model.records import BaseRegion, Task
@@ -75,7 +76,7 @@ class Options(SearchOptions):
     the hand holds), or auto (whichever works first) (default: fixed)."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
-    tolerance_samples: int = 100
+    tolerance_samples: int = DEFAULT_SAMPLES
     """Base poses sampled to measure it."""
     out: OptionalFile = None
     """Write the plan to this JSON file."""
@@ -88,6 +89,8 @@ class Options(SearchOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_samples(self.tolerance_samples)
+        if self.tolerance_samples != DEFAULT_SAMPLES and not self.tolerance:
+            raise InputError("--tolerance-samples needs --tolerance")
 
     def read_config(self) -> PipelineConfig:
         """Read the configuration, with the robustness that --robust requires.
@@ -313,8 +316,9 @@ def _answer(
         scene = scene.with_mass(name, mass)
 
     import json
+    import time
 
-    from momapos.core import TaskDoneError, user_cache
+    from momapos.core import Stopwatch, TaskDoneError, user_cache
     from momapos.planning import add_max_opening, cheapest, with_advice, with_tolerance
     from momapos.planning.grasps import make_task
     from momapos.workflows import plan_by_hypothesis
@@ -333,20 +337,27 @@ def _answer(
     cache = user_cache()
     arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True))
 
+    watch, spent = Stopwatch(time.perf_counter), list[float]()
+
+    def plan(scene: Scene, task: Task) -> list[PlacementResult]:
+        answers = [query.plan(scene, task, *arm) for arm in arms]
+        spent.extend(answer.plan.timing.get("total", 0.0) for answer in answers)
+        return answers
+
     with busy(f"{arms[0][0].name}: planning", len(arms) * config.timeout):
-        scene, task, answers = plan_by_hypothesis(
-            scene, task, lambda scene, task: [query.plan(scene, task, *arm) for arm in arms]
-        )
+        scene, task, answers = plan_by_hypothesis(scene, task, plan)
         if query.needs_smaller_opening(task, answers):
-            answers = [
-                replace(answer, plan=add_max_opening(answer.plan, scene, *arm, config=config))
-                for answer, arm in zip(answers, arms, strict=True)
-            ]
+            with watch.stage("largest value"):
+                answers = [
+                    replace(answer, plan=add_max_opening(answer.plan, scene, *arm, config=config))
+                    for answer, arm in zip(answers, arms, strict=True)
+                ]
         answer = cheapest(answers, farthest=task.farthest)
     chosen = next(arm for arm, one in zip(arms, answers, strict=True) if one is answer)
     if options.advice and query.at is None and config.place.method in OURS:
-        with busy(f"{chosen[0].name}: advice"):
+        with busy(f"{chosen[0].name}: advice"), watch.stage("advice"):
             answer = with_advice(answer, other_robots(options.robot, cache))
+    answer = _with_all_time(answer, sum(spent), watch.seconds)
     if options.tolerance:
         with busy(f"{chosen[0].name}: tolerance"):
             answer = with_tolerance(answer, samples=options.tolerance_samples)
@@ -355,6 +366,23 @@ def _answer(
     tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=True)]
     _deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
     return exit_status(answer.plan.status, allow_assumed=options.allow_assumed)
+
+
+def _with_all_time(
+    answer: PlacementResult, planning: float, later: Mapping[str, float]
+) -> PlacementResult:
+    """Return an answer whose timing includes what was spent on others, and on more than it.
+
+    Args:
+        answer: The chosen answer.
+        planning: Time of all answers: of every arm and hypothesis [s].
+        later: Time of further stages [s].
+    """
+    timing = dict(answer.plan.timing)
+    others = planning - timing.get("total", 0.0)
+    more = {**({"other attempts": others} if others > 0.0 else {}), **later}
+    timing |= {**more, "total": timing.get("total", 0.0) + sum(more.values())}
+    return replace(answer, plan=replace(answer.plan, timing=timing))
 
 
 def _draw(

@@ -225,6 +225,9 @@ def _to_dict(answer: ScanAnswer, record: RunRecord | None, options: SolveOptions
     from .scan_options import stand_ins
 
     plan, timing = answer.result.plan, dict(answer.timing)
+    if "tolerance" in plan.timing:
+        spent = plan.timing["tolerance"]
+        timing |= {"tolerance": spent, "total": timing.pop("total") + spent}
     if record is not None:
         timing |= {**record.time, "total": timing.pop("total") + sum(record.time.values())}
     return {

@@ -163,7 +163,9 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
                 region=region, config=config, seed=options.seed,
             ))  # fmt: skip
     order = tuple(EXIT_STATUS)
+    spent = sum(one.seconds for one in tours)
     tour = min(tours, key=lambda t: (-len(t.steps), order.index(t.status), max(t.stops), t.driving))
+    tour = replace(tour, seconds=spent)
     if options.tolerance:
         with busy(f"{tour.steps[0].plan.robot_name}: tolerance"):
             tour = replace(tour, steps=tuple(
@@ -197,7 +199,7 @@ def _deliver(tour: Tour, options: Options) -> None:
 
 def _summary(tour: Tour, options: Options) -> str:
     """Summarize a tour: each stop and its tasks, and why a task has no plan."""
-    from .console import pose_text, summary, task_text
+    from .console import also_for_tolerance, pose_text, summary, task_text
 
     name = tour.steps[0].plan.robot_name
     done = [step for step in tour.steps if step.plan.feasible]
@@ -217,7 +219,10 @@ def _summary(tour: Tour, options: Options) -> str:
         lines += [f"    assumed: {plan.assumes}"] if plan.assumes else []
         lines += [f"    note: {words}" for words in step.notes]
     lines += [f"  assumed     {words}" for words in tour.assumed]
-    lines += [f"  time        {1000 * tour.seconds:.0f} ms"]
+    tolerance = also_for_tolerance(
+        sum(step.plan.timing.get("tolerance", 0.0) for step in tour.steps)
+    )
+    lines += [f"  time        {1000 * tour.seconds:.0f} ms{tolerance}"]
     if not tour.steps[-1].plan.feasible:
         lines += ["", summary(tour.steps[-1], None)]
     if options.out is not None:

@@ -122,9 +122,10 @@ def _tuple_checker(hint: Any, members: list[Fits]) -> Fits:
             return True
         if type(value) not in (kind, tuple) or len(value) != len(members):
             return False
-        if all(member(item) for member, item in zip(members, value, strict=True)):
-            last = value
-            return True
-        return False
+        for member, item in zip(members, value, strict=True):  # faster than all()
+            if not member(item):
+                return False
+        last = value
+        return True
 
     return fits

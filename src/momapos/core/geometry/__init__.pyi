@@ -1,6 +1,7 @@
 from .cube_samples import halton as halton
 from .cube_samples import latin_hypercube as latin_hypercube
 from .line_detection import dark_lines as dark_lines
+from .monotone_chain import convex_hull as convex_hull
 from .planar import compose as compose
 from .planar import local_points as local_points
 from .planar import place_points as place_points
@@ -11,6 +12,7 @@ from .polygons import contains as contains
 from .polygons import edge_distances as edge_distances
 from .polygons import edge_normals as edge_normals
 from .polygons import inscribed_radius as inscribed_radius
+from .polygons import normals_of as normals_of
 from .polygons import signed_area as signed_area
 from .spacing import point_spacing as point_spacing
 from .transforms import apply as apply

@@ -83,7 +83,11 @@ def signed_area(polygon: Float[np.ndarray, "k 2"]) -> float:
 
 def edge_normals(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, "*batch k 2"]:
     """Return outward unit normals of a counterclockwise polygon's edges, in order of corners."""
-    edge = following(polygon) - polygon
+    return normals_of(following(polygon) - polygon)
+
+
+def normals_of(edge: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """Return the unit normals to the right of some edges; zero for edges without length."""
     normal = np.stack([edge[..., 1], -edge[..., 0]], -1)
     return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
 

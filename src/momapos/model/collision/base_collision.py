@@ -186,8 +186,7 @@ def _near(
     """Return the boxes that the base can touch at some of its poses."""
     if not len(bases) or not len(base):
         return np.zeros(0, np.int64)
-    spread = np.einsum("bij,bj->bi", np.abs(boxes.rotation), boxes.half)
-    own = np.einsum("bij,bj->bi", np.abs(base.rotation), base.half) + clearance
+    spread, own = boxes.extent, base.extent + clearance
     reach = (np.hypot(*base.center[:, :2].T) + np.hypot(*own[:, :2].T)).max()
     low = np.append(bases[:, :2].min(0) - reach, (base.center[:, 2] - own[:, 2]).min())
     high = np.append(bases[:, :2].max(0) + reach, (base.center[:, 2] + own[:, 2]).max())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,7 +87,7 @@ class CollisionWorld:
     @property
     def _blocks(self) -> Float32[np.ndarray, "rows 8"]:
         """Return the bounds of the static boxes in blocks of eight, see `WorldArrays`."""
-        extent = np.einsum("bij,bj->bi", np.abs(self.static.rotation), self.static.half)
+        extent = self.static.extent
         bounds = np.full((-(-len(extent) // LANES) * LANES, 6), np.inf, np.float32)
         bounds[: len(extent), :3] = self.static.center - extent
         bounds[: len(extent), 3:] = -(self.static.center + extent)
@@ -113,7 +113,18 @@ def build_world(
         spheres: The robot.
         clearance: Clearance of robot spheres [m].
     """
-    reach = float(spheres.radius.max()) + clearance
+    buckets = _buckets(static, float(spheres.radius.max()) + clearance)
+    return CollisionWorld(static, tuple(labels), moving, grasped, clearance, *buckets)
+
+
+@lru_cache(maxsize=8)
+def _buckets(static: Boxes, reach: float) -> tuple[np.ndarray, ...]:
+    """Sort static boxes into buckets for spheres of up to a radius [m], cached: all motions in one
+    version of a scene share them.
+
+    Returns:
+        `grid_origin` to `filled` of `CollisionWorld`.
+    """
     corners = np.einsum("bij,bj->bij", static.rotation, static.half)
     extent = np.abs(corners).sum(2)
     if len(static):
@@ -126,9 +137,7 @@ def build_world(
     filled = np.zeros(shape + 1, np.int32)
     sums = (np.diff(start) > 0).reshape(shape).astype(np.int32)
     filled[1:, 1:, 1:] = sums.cumsum(0).cumsum(1).cumsum(2)
-    return CollisionWorld(
-        static, tuple(labels), moving, grasped, clearance, low, shape, start, index, filled
-    )
+    return low, shape, start, index, filled
 
 
 @entry
@@ -270,6 +279,7 @@ def _state_hits(
     return out
 
 
+@lru_cache(maxsize=8)
 def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
     """Return the arguments of an arm's collision check."""
     return CollisionArrays(spheres.arrays, world.arrays, world.clearance)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -140,8 +140,9 @@ class Segments:
     """Mimic joints that follow the chain but do not carry the tool, such as a head's."""
 
 
+@lru_cache(maxsize=64)
 def chain_arrays(chain: Chain) -> ChainArrays:
-    """Return the chain as an argument of kernels."""
+    """Return the chain as an argument of kernels, whose types are checked once for each record."""
     return ChainArrays(
         chain.h, chain.d, chain.slides, chain.dof, chain.ratio, chain.tool_offset,
         chain.tool_rotation,

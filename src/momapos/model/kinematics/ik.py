@@ -7,6 +7,7 @@ with the nearest tool poses; see `ik_model`.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -265,6 +266,7 @@ def _solve_all(poses: F3, arm: ArmArrays) -> tuple[np.ndarray, np.ndarray]:
     return out[:, :most], counts
 
 
+@lru_cache(maxsize=64)
 def arm_arrays(chain: Chain, ik: IkModel) -> ArmArrays:
     """Return an arm as an argument of kernels."""
     return ArmArrays(chain_arrays(chain), chain_limits(chain), ik_arrays(ik))

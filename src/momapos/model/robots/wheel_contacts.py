@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import apply, invert
+from momapos.core.geometry import apply, convex_hull, edge_normals, invert
 from momapos.model.urdf import Articulated
 
 from .running_gear import WHEEL
@@ -97,11 +97,9 @@ def _within(
 
 def _hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"] | None:
     """Return the corners of the convex hull; None if it is too narrow to stand on."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = ConvexHull(points)
-    except (QhullError, ValueError):
+    hull = convex_hull(points) if len(points) > 2 else points
+    if len(hull) < 3:
         return None
-    inside = -hull.equations[:, :2] @ points.T - hull.equations[:, 2:]
-    return points[hull.vertices] if inside.max(1).min() >= MIN_WIDTH else None
+    normals = edge_normals(hull)
+    inside = (normals * hull).sum(1)[:, None] - normals @ hull.T
+    return hull if inside.max(1).min() >= MIN_WIDTH else None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 _PARTS = 1024
-"""Number of parts whose masses are cached [-]."""
+"""Number of parts whose masses and resistances are cached [-]."""
 _STEP = 1e-5
 """Difference of joint values for the derivative of a height [rad] or [m]."""
 
@@ -122,6 +122,7 @@ def stays_in_place(
     return np.abs(weight_at(item, joint, values, config)) < friction
 
 
+@lru_cache(maxsize=_PARTS)
 def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) -> JointResistance:
     """Return the resistance of a joint with assumed values where the scene gives none.
 

@@ -64,10 +64,15 @@ class Scene:
         Raises:
             UnknownNameError: The object does not exist; the message suggests similar names.
         """
-        for item in self.objects:
-            if item.name == name:
-                return item
-        raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
+        item = self._by_name.get(name)
+        if item is None:
+            raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
+        return item
+
+    @cached_property
+    def _by_name(self) -> dict[str, SceneObject]:
+        """The objects by name; of equal names the first one counts."""
+        return {item.name: item for item in reversed(self.objects)}
 
     def is_assumed(self, name: str, joint: str | None) -> bool:
         """Check whether a plan for a joint is an assumption.
@@ -122,8 +127,9 @@ class Scene:
 
         Boxes enclose their objects, so free space in it is free in the room, too.
         """
-        objects = (item if item.name in keep else item.box_proxy for item in self.objects)
-        return replace(self, objects=tuple(objects))
+        objects = tuple(item if item.name in keep else item.box_proxy for item in self.objects)
+        changed = any(one is not item for one, item in zip(objects, self.objects, strict=True))
+        return replace(self, objects=objects) if changed else self
 
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
         """Return the scene with one joint of one object at another value.

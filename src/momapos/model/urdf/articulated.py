@@ -194,9 +194,16 @@ class Articulated:
 
     def moved_by(self, joint: str) -> tuple[str, ...]:
         """Return the links that move with a joint and with its mimic joints."""
-        moving = (self.joint(joint), *self.followers(joint))
-        below = {link for one in moving for link in self.links_below(one.child)}
-        return tuple(name for name in self.links if name in below)
+        if joint not in self._moved:
+            moving = (self.joint(joint), *self.followers(joint))
+            below = {link for one in moving for link in self.links_below(one.child)}
+            self._moved[joint] = tuple(name for name in self.links if name in below)
+        return self._moved[joint]
+
+    @cached_property
+    def _moved(self) -> dict[str, tuple[str, ...]]:
+        """The results of `moved_by` so far."""
+        return {}
 
     @cached_property
     def hulls(self) -> dict[str, tuple[Hull, ...]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,6 +72,11 @@ class Boxes:
 
     def __len__(self) -> int:
         return len(self.center)
+
+    @cached_property
+    def extent(self) -> Float[np.ndarray, "b 3"]:
+        """Half edges of the boxes around them that are aligned with the axes [m]."""
+        return np.einsum("bij,bj->bi", np.abs(self.rotation), self.half)
 
     def take(self, rows: Int[np.ndarray, " k"]) -> Boxes:
         """Return a subset of the boxes."""

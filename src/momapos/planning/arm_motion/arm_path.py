@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core.compiled import B1, F1, F2, F3, I1, I2, entry
+from momapos.core.compiled import F1, F2, F3, I1, entry
 from momapos.core.geometry import invert, pose_planar
 from momapos.model.collision import FREE, CollisionWorld, check
 from momapos.model.kinematics import (
@@ -26,27 +26,24 @@ from .arm_models import ArmModel, hand_poses, robot_of, split_states, standing_a
 from .hand_clearance import arm_spheres, hand_hits_along
 from .ik_layers import (
     CUT_OFF,
-    MAX_STEP,
     NOWHERE,
     Layers,
     full_turns,
     joint_scale,
-    joint_step,
     solve_layers,
 )
 from .ik_layers import OVERLOADED as OVERLOADED_LAYER
+from .path_graph import PathGraph
 from .task_loads import TaskLoads
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
 
 BaseCodes: TypeAlias = "Callable[[Float[np.ndarray, 'd 3'], Int[np.ndarray, ' d']], np.ndarray]"
 """Returns what the base hits at poses, given the index of the part's value at each, as a code."""
 HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
 """Collision codes of the hand at every step of a motion, by grasp; for grasps that do not turn."""
 UNREACHABLE, HIT, BROKEN, FOUND, OVERLOADED = 0, 1, 2, 3, 4
-MAX_TURN = float(np.radians(25.0))
-"""Largest turn of the hand about a bar between waypoints [rad]."""
 MAX_DENSE_STEP = 0.25
 """Largest joint step between states [rad]; see `PRISMATIC_SCALE` for prismatic joints."""
 
@@ -100,34 +97,19 @@ def find_paths(
     )
     loads = TaskLoads(robot_of(robot), motion)
     return [
-        _connect(robot, world, loads, bases[j], _Graph.of(layers, motion, j), hand, stands)
+        _connect(
+            robot,
+            world,
+            loads,
+            bases[j],
+            PathGraph.of(robot, world, motion, bases[j], layers, j),
+            hand,
+            stands,
+        )  # fmt: skip
         if passed == len(order)
         else _failure(layers, j, int(order[passed]), loads)
         for j, passed in enumerate(layers.passed.tolist())
     ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Graph:
-    """The configurations of a job, grouped by waypoint."""
-
-    q: Float[np.ndarray, "m n"]
-    grasps: Int[np.ndarray, " m"]
-    checked: Bool[np.ndarray, " m"]
-    """Which configurations were checked for collision; updated."""
-    banned: Bool[np.ndarray, " m"]
-    """Which configurations are excluded; updated."""
-    first: Int[np.ndarray, " w_plus_1"]
-    """First index of each waypoint's configurations, and their number."""
-
-    @classmethod
-    def of(cls, layers: Layers, motion: TaskMotion, job: int) -> _Graph:
-        counts = layers.counts[job, motion.layer_of]
-        first = np.append(0, np.cumsum(counts))
-        begin = layers.first[job, motion.layer_of] - first[:-1]
-        which = np.arange(first[-1]) + np.repeat(begin, counts)
-        q, grasps, checked = (x[which] for x in (layers.q, layers.grasps, layers.checked))
-        return cls(q, grasps, checked, np.zeros(len(q), bool), first)
 
 
 def _failure(layers: Layers, job: int, waypoint: int, loads: TaskLoads) -> ArmPath:
@@ -157,7 +139,7 @@ def _connect(
     world: CollisionWorld,
     loads: TaskLoads,
     base: np.ndarray,
-    graph: _Graph,
+    graph: PathGraph,
     hand: HandCodes,
     stands: BaseCodes | None,
 ) -> ArmPath:
@@ -165,23 +147,15 @@ def _connect(
     chain, grasps, motion = robot.chain, graph.grasps, loads.motion
     standing = standing_arm(robot)
     full_turn, scale = full_turns(chain), joint_scale(chain)
-    # The turn of the hand is an additional joint of the path.
-    states = np.column_stack([graph.q, motion.turning.angles[grasps]])
-    free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
     count, number = len(motion.layer_of), motion.layer_of
-    lanes, row = motion.lanes
-    lane = np.ascontiguousarray(lanes[:, grasps])
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
-        chosen = np.full(count, -1)
-        reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
-        if reached == count and _hits(robot, world, motion, base, graph, chosen):
-            reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
+        reached, chosen = graph.shortest_free_path()
         if reached < count:
             if worst.status != BROKEN:
                 return worst
             return ArmPath(BROKEN, int(number[reached]), count, FREE)
-        q = _unwrap(graph.q[chosen], full_turn, chain.lower, chain.upper)
+        q = _unwrap(graph.nodes.q[chosen], full_turn, chain.lower, chain.upper)
         tools = motion.tool_poses(grasps[chosen])
         targets = invert(pose_planar(base)) @ tools
         dense = np.empty((len(motion.object_q), chain.size))
@@ -220,33 +194,6 @@ def waypoint_name(waypoint: int) -> str:
     return "the pre-grasp" if waypoint == 0 else f"waypoint {waypoint}"
 
 
-def _hits(
-    robot: ArmModel,
-    world: CollisionWorld,
-    motion: TaskMotion,
-    base: np.ndarray,
-    graph: _Graph,
-    chosen: Int[np.ndarray, " w"],
-) -> bool:
-    """Check the nodes of a path for collision; if one collides, check all other nodes as well."""
-    step = np.repeat(motion.waypoint_steps, np.diff(graph.first))
-
-    def check_those(nodes: Int[np.ndarray, " k"]) -> None:
-        at = base if base.ndim == 1 else base[step[nodes]]
-        here, states = split_states(robot, at, graph.q[nodes])
-        graph.checked[nodes] = True
-        graph.banned[nodes] |= check(
-            world, standing_arm(robot).chain, arm_spheres(robot_of(robot)), states, here,
-            motion.value[step[nodes]], motion.holding[step[nodes]],
-        ) != FREE  # fmt: skip
-
-    check_those(chosen[~graph.checked[chosen]])
-    if not graph.banned[chosen].any():
-        return False
-    check_those(np.flatnonzero(~graph.checked))
-    return True
-
-
 def _hand_codes(
     robot: ArmModel,
     world: CollisionWorld,
@@ -274,52 +221,6 @@ def _hand_codes(
     if still:
         known[grasp] = codes
     return codes
-
-
-@entry
-def _shortest(
-    q: F2,
-    start: I1,
-    lane: I2,
-    row: I1,
-    banned: B1,
-    full_turn: B1,
-    scale: F1,
-    chosen: I1,
-) -> int:
-    """Find the path with the smallest sum of steps; return the number of layers reached.
-
-    A step connects states of the same lane, by the lanes in the layer's row.
-    """
-    count, layers = len(q), len(start) - 1
-    cost, parent = np.full(count, np.inf), np.full(count, -1)
-    for i in range(start[0], start[1]):
-        if not banned[i]:
-            cost[i] = 0.0
-    for w in range(1, layers):
-        any_reached = False
-        for i in range(start[w], start[w + 1]):
-            if banned[i]:
-                continue
-            for j in range(start[w - 1], start[w]):
-                if cost[j] >= cost[i] or lane[row[w], i] != lane[row[w], j]:
-                    continue
-                d = joint_step(q[j], q[i], full_turn, scale, MAX_STEP)
-                if d < MAX_STEP and cost[j] + d < cost[i]:
-                    cost[i], parent[i] = cost[j] + d, j
-                    any_reached = True
-        if not any_reached:
-            return w
-    best = -1
-    for i in range(start[layers - 1], start[layers]):
-        if cost[i] < np.inf and (best < 0 or cost[i] < cost[best]):
-            best = i
-    if best < 0:
-        return layers - 1
-    for w in range(layers - 1, -1, -1):
-        chosen[w] = best
-        best = parent[best]
-    return layers
 
 
 def _unwrap(

@@ -174,6 +174,37 @@ def _hits_static(hand, placed, query, memory, world, stamp):
     return FREE
 
 
+@kernel
+def _dips(hand, placed, exact):
+    """Return whether the gripper extends below z = 0, by its boxes or else by its spheres.
+
+    The arm's kernels check all other links.
+    """
+    spheres, (center, rotation, half) = hand.spheres, hand.boxes
+    for g in range(len(spheres.segment)):
+        if spheres.gripper[g] == OTHER:
+            continue
+        down, height = placed.R[spheres.segment[g], 2], placed.p[spheres.segment[g], 2]
+        if exact:
+            for k in range(hand.start[g], hand.start[g + 1]):
+                low = height
+                for i in range(3):
+                    along = 0.0
+                    for j in range(3):
+                        along += down[j] * rotation[k, j, i]
+                    low += down[i] * center[k, i] - abs(along) * half[k, i]
+                if low < 0.0:
+                    return True
+        else:
+            for s in range(spheres.start[g], spheres.start[g + 1]):
+                low = height - spheres.radius[s]
+                for i in range(3):
+                    low += down[i] * spheres.center[s, i]
+                if low < 0.0:
+                    return True
+    return False
+
+
 @entry
 def _hand_hits(
     Ts: F3,
@@ -205,6 +236,8 @@ def _hand_hits(
             continue
         query = _Query(standing, cleared, margin, exact[i])
         out[i] = _hits_static(hand, placed, query, memory, world, i)
+        if out[i] == FREE and _dips(hand, placed, exact[i]):
+            out[i] = FLOOR
     return out
 
 
@@ -290,7 +323,7 @@ def hand_hits(
     if len(hand.start) == 1:
         return np.full(len(Ts_world_tool), FREE)
     travel = np.zeros(len(Ts_world_tool)) if travel is None else np.ascontiguousarray(travel, float)
-    codes = _hand_hits(
+    return np.asarray(_hand_hits(
         np.ascontiguousarray(Ts_world_tool),
         travel,
         np.ascontiguousarray(value),
@@ -299,31 +332,7 @@ def hand_hits(
         hand,
         world.arrays,
         world.clearance,
-    )
-    low = np.where(exact, *_lowest(hand, Ts_world_tool, travel))
-    codes[(codes == FREE) & (low < 0.0)] = FLOOR
-    return codes
-
-
-def _lowest(
-    hand: HandArrays, Ts_world_tool: Float[np.ndarray, "m 4 4"], travel: Float[np.ndarray, " m"]
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Return the heights of the lowest points of the gripper's boxes and spheres [m].
-
-    The arm's kernels check all other links.
-    """
-    down, height = Ts_world_tool[:, 2, :3], Ts_world_tool[:, 2, 3, None]
-    inward = (travel * (down @ hand.closing))[:, None] * np.array([0.0, -1.0, 1.0])
-    spheres, (center, rotation, half) = hand.spheres, hand.boxes
-    gripper = spheres.gripper != OTHER
-    side = np.repeat(spheres.segment, np.diff(hand.start))
-    reach = np.einsum("mij,ij->mi", np.abs(np.einsum("mk,ikj->mij", down, rotation)), half)
-    boxes = down @ center.T + inward[:, side] - reach
-    count = np.diff(spheres.start)
-    mine = np.repeat(gripper, count)
-    side = np.repeat(spheres.segment, count)[mine]
-    balls = down @ spheres.center[mine].T + inward[:, side] - spheres.radius[mine]
-    return (height + boxes).min(1, initial=np.inf), (height + balls).min(1, initial=np.inf)
+    ))  # fmt: skip
 
 
 def hits_while_closing(

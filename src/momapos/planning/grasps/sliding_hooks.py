@@ -14,8 +14,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from momapos.core.geometry import invert, rotation_about
 from momapos.model.records import Hold
@@ -230,6 +228,9 @@ def _groups(
     slide_lane: Int[np.ndarray, " g"],
 ) -> list[Int[np.ndarray, " k"]]:
     """Group the hooks connected by slides and turns; keep the groups with a slide."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     rows = np.flatnonzero(hooks)
     first = len(turn_lane)
     lanes = [turn_lane[rows] + first, slide_lane[rows] + first + int(turn_lane.max()) + 1]

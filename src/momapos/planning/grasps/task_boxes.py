@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -16,6 +17,8 @@ from .handle_records import Handle
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+_SCENES = 8
+"""Number of scenes whose static boxes are cached; one question has a few versions [-]."""
 Body: TypeAlias = "tuple[Float[np.ndarray, 'v 4 4'], Mapping[str, Float[np.ndarray, '4 4']]]"
 """A rigid body that moves: its world pose at each value, and the poses of its links in it."""
 
@@ -94,23 +97,25 @@ def held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:
 
 def scene_boxes(scene: Scene) -> Boxes:
     """Return all boxes of a scene."""
-    return static_boxes(scene, None, set())[0]
+    return static_boxes(scene, None, frozenset())[0]
 
 
+@lru_cache(maxsize=_SCENES)
 def static_boxes(
-    scene: Scene, target: SceneObject | None, moved: set[str]
-) -> tuple[Boxes, list[str]]:
-    """Return the boxes of all static links, and their labels.
+    scene: Scene, target: SceneObject | None, moved: frozenset[str]
+) -> tuple[Boxes, tuple[str, ...]]:
+    """Return the boxes of all static links, and their labels, cached for all motions of a part.
 
     Args:
         scene: The scene.
         target: The object with moving links, if any.
         moved: Names of these links.
     """
-    found, labels = [], []
+    found: list[Boxes] = []
+    labels: list[str] = []
     for item in scene.objects:
         for link, boxes in item.static_boxes.items():
             if item is not target or link not in moved:
                 found.append(boxes)
                 labels += item.static_labels(link)
-    return Boxes.join(found), labels
+    return Boxes.join(found), tuple(labels)

@@ -114,7 +114,7 @@ def in_scene(motion: TaskMotion, scene: Scene) -> TaskMotion:
     target = scene.object(motion.task.object)
     joint = motion.task.joint
     moved = target.model.links if joint is None else target.model.moved_by(joint)
-    static, labels = static_boxes(scene, target, set(moved))
+    static, labels = static_boxes(scene, target, frozenset(moved))
     return replace(motion, static=static, labels=(*labels, *motion.labels[len(motion.static) :]))
 
 
@@ -160,7 +160,7 @@ def _joint_motion(
     moving, moving_labels, grasped = moving_boxes(
         target, list(bodies.values()), held_elements(chosen.grasps.handles)
     )
-    static, labels = static_boxes(scene, target, set(target.model.moved_by(joint.name)))
+    static, labels = static_boxes(scene, target, frozenset(target.model.moved_by(joint.name)))
     held = len(chosen.Ts_part_tool)
     Ts_world_carrier = np.stack([bodies[h.carrier][0] for h in chosen.grasps.handles])
     Ts_held = Ts_world_carrier[chosen.grasps.handle] @ chosen.Ts_part_tool[:, None]
@@ -247,7 +247,7 @@ def _rigid_motion(
     weight = _weight(target, Ts_world_object, T_object, config)
     T_object_link = {n: invert(T_object) @ T for n, T in target.link_poses().items()}
     moving, moving_labels, grasped = moving_boxes(target, [(Ts_world_object, T_object_link)], None)
-    static, labels = static_boxes(scene, target, set(target.model.links))
+    static, labels = static_boxes(scene, target, frozenset(target.model.links))
     approach = _straight_approach(robot, T_object @ Ts_object_tool, config.grasps)
     steps = approach.shape[1]
     if task.verb == "pick":

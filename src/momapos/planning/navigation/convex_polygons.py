@@ -16,11 +16,18 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from momapos.core.compiled import F1, F2, I1, entry, kernel
-from momapos.core.geometry import all_inside, apply, edge_normals, invert, place_points, signed_area
+from momapos.core.geometry import (
+    all_inside,
+    apply,
+    convex_hull,
+    edge_normals,
+    invert,
+    normals_of,
+    place_points,
+    signed_area,
+)
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-
-from .convex_hull import convex_hull
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -154,8 +161,11 @@ def pack(
         return ConvexPolygons(
             none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ()
         )
-    corner, normal = np.concatenate(polygons), np.concatenate(list(map(edge_normals, polygons)))
-    bounds = np.array([[*p.min(0), *p.max(0)] for p in polygons])
+    corner, after = np.concatenate(polygons), np.arange(1, first[-1] + 1)
+    after[first[1:] - 1] = first[:-1]
+    normal = normals_of(corner[after] - corner)
+    low, high = (ends.reduceat(corner, first[:-1]) for ends in (np.minimum, np.maximum))
+    bounds = np.concatenate([low, high], axis=1)
     level = np.einsum("pi,pi->p", corner, normal)
     return ConvexPolygons(
         corner, normal, level, first, np.array(layers, np.int64), bounds, tuple(names)

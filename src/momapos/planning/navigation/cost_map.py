@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageDraw
 
+from momapos.core.geometry import convex_hull
 from momapos.model.robots import Robot
 from momapos.model.urdf import Boxes
 
-from .convex_hull import convex_hull
 from .grid_distance import clearance, path_lengths
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,7 +57,7 @@ class PlacementGeometry:
         """All boxes, the static ones first."""
         return Boxes.join([self.static, self.sweep])
 
-    @property
+    @cached_property
     def shoulder(self) -> Float[np.ndarray, "3"]:
         """The arm's first revolute axis at mid-height of its range, base frame [m]."""
         chain = self.robot.chain
@@ -81,6 +81,7 @@ class PlacementGeometry:
         return float(chain.half_travel[:first][along].sum())
 
 
+@lru_cache(maxsize=16)
 def arm_radius(geometry: PlacementGeometry) -> Float[np.ndarray, " w"]:
     """Return the horizontal reach Delta_r at each waypoint's height; NaN if it is out of reach [m].
 

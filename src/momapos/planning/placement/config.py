@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from momapos.core import InputError, refuse_above, refuse_below
+from momapos.core import InputError, refuse_above, refuse_below, refuse_values_below
 
 Method = Literal[
     "ours", "exhaustive",
@@ -82,11 +82,12 @@ class PlaceConfig:
         refuse_above(self, MAX_SAMPLES, "count", "grasps")
         refuse_above(self, MAX_STEPS, "together", "improve", "looks")
         refuse_above(self, MAX_ROUNDS, "rounds")
-        refuse_below(self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin")
-        refuse_below(self, 0, "margin_turn", "sweep_room", "robust_radius", "robust_turn")
-        refuse_below(self, 0, "weight_driving", "weight_clearance")
-        refuse_below(self, 0, "weight_manipulability", "weight_effort")
+        refuse_values_below(
+            self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin", "margin_turn",
+            "sweep_room", "robust_radius", "robust_turn", "weight_driving", "weight_clearance",
+            "weight_manipulability", "weight_effort",
+        )  # fmt: skip
         if not self.weight_room >= 0:
             raise InputError(f"weight_room must be at least 0, or inf, not {self.weight_room:g}")
-        refuse_below(self, 0.005, "grid_cell")
-        refuse_below(self, 0.5, "grid_turn")
+        refuse_values_below(self, 0.005, "grid_cell")
+        refuse_values_below(self, 0.5, "grid_turn")

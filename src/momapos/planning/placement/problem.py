@@ -106,7 +106,9 @@ class Search:
         """Return base poses of the last round that are within reach but have no arm path."""
         if not self.poses:
             return np.zeros((0, 3))
-        return self.poses[-1][[one.status in NO_PATH for one in self.outcomes[-1]]]
+        every = self.outcomes[-1].tolist()
+        wanted = {key: one.status in NO_PATH for key, one in _distinct(every).items()}
+        return self.poses[-1][[wanted[key] for key in map(id, every)]]
 
     def merge(self, other: Search) -> None:
         """Add the result of another search of the same poses, without its reasons for failures."""
@@ -122,8 +124,7 @@ class Search:
     def candidates(self) -> Candidates:
         """Count the outcomes for the plan."""
         every = np.concatenate([np.zeros(0, object), *self.outcomes]).tolist()
-        # Most poses share an outcome object: counting by identity avoids hashing text.
-        shared = dict(zip(map(id, every), every, strict=True))
+        shared = _distinct(every)
         counts: Counter[PoseOutcome] = Counter()
         for key, count in Counter(map(id, every)).items():
             if shared[key].status not in _UNCOUNTED:
@@ -143,6 +144,11 @@ class Search:
             return None
         x, y, yaw = np.concatenate(self.poses)[every.index(best)].tolist()
         return NearestMiss((x, y, yaw), str(best))
+
+
+def _distinct(outcomes: Sequence[PoseOutcome]) -> dict[int, PoseOutcome]:
+    """Return outcomes by identity: most poses share one, so that no text needs hashing."""
+    return dict(zip(map(id, outcomes), outcomes, strict=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Convex hulls on the floor: monotone chain (Andrew 1979)."""
+"""Convex hulls on the floor: monotone chain (Andrew 1979); scipy's hulls are slow to import."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.compiled import F2, entry
+from ..compiled import F2, entry
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -18,7 +18,7 @@ def convex_hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"]:
     A corner that protrudes by less than 0.1 nm is omitted.
 
     Args:
-        points: At least three points that are not on one line.
+        points: At least three points. On one line they have no area, and two corners remain.
     """
     order = np.lexsort((points[:, 1], points[:, 0]))
     return _chain(np.ascontiguousarray(points[order], float))
