@@ -24,8 +24,9 @@ PREFERRED_CLEARANCE = 0.005
 from its path by millimeters, and between the checked states it may come closer [m]."""
 BRIEF_SHARE = 0.25
 """Share of the checks for a path between two grasps or home; most are easy or infeasible [-]."""
-_UNBOUNDED = np.pi
-"""Half range, around the start, in which a joint without limits is sampled [rad]."""
+_MIN_BEYOND = np.pi / 4
+"""Least range beyond the ends in which a joint without limits is sampled, where a whole turn that
+contains both is no wider [rad]."""
 
 
 def brief_config(config: PlannerConfig) -> PlannerConfig:
@@ -79,8 +80,9 @@ def plan_motion(
         return None
     if free(start, goal):
         return np.stack([start, goal])
-    low = np.where(np.isfinite(lower), lower, np.minimum(start, goal) - _UNBOUNDED)
-    high = np.where(np.isfinite(upper), upper, np.maximum(start, goal) + _UNBOUNDED)
+    beyond = np.maximum(np.pi - np.abs(goal - start) / 2, _MIN_BEYOND)
+    low = np.where(np.isfinite(lower), lower, np.minimum(start, goal) - beyond)
+    high = np.where(np.isfinite(upper), upper, np.maximum(start, goal) + beyond)
     ends = np.clip(start, low, high), np.clip(goal, low, high)
     if config.planner is None:
         path, _ = connect(*ends, low, high, free.arrays, config.budget, seed)
