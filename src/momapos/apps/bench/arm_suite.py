@@ -244,7 +244,7 @@ def _row(arms: _Arms, files: ProblemFiles, planner: str, seed: int, clock: Clock
     spent = clock() - begin
     if path is None:
         return replace(row, result="unsolved", seconds=spent)
-    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    length = float(np.linalg.norm(np.diff(path.corners, axis=0), axis=1).sum())
     return replace(row, result="solved", seconds=spent, length=length)
 
 

@@ -1,4 +1,5 @@
 from .arm_planner import RESOLUTION as RESOLUTION
+from .arm_planner import FreePath as FreePath
 from .arm_planner import brief_config as brief_config
 from .arm_planner import interpolate as interpolate
 from .arm_planner import plan_with_clearance as plan_with_clearance

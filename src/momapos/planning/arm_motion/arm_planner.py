@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Protocol
 
@@ -12,6 +12,7 @@ from momapos.model.collision import StraightMotions
 
 from .config import PlannerConfig
 from .ompl_planner import ompl_path
+from .rounding import round_corners
 from .rrt_connect import connect
 
 if TYPE_CHECKING:
@@ -32,6 +33,27 @@ contains both is no wider [rad]."""
 def brief_config(config: PlannerConfig) -> PlannerConfig:
     """Limit the planner for a path between two grasps or home, see `BRIEF_SHARE`."""
     return replace(config, checks=max(1, round(BRIEF_SHARE * config.budget)))
+
+
+@dataclass(frozen=True, eq=False)
+class FreePath:
+    """A free path between two configurations."""
+
+    corners: Float[np.ndarray, "k n"]
+    """States with straight motions between them, including both ends."""
+    free: StraightMotions
+    """The check that the path passes."""
+
+    def states(self, then: Float[np.ndarray, "m n"] | None = None) -> Float[np.ndarray, "s n"]:
+        """Return close states of the path with rounded corners.
+
+        Args:
+            then: States that follow the last one, whose corner with the path is rounded as well.
+        """
+        states = interpolate(self.corners)
+        if then is not None:
+            states = np.concatenate([states, then])
+        return round_corners(states, self.free, RESOLUTION)
 
 
 class MotionCheckerFactory(Protocol):
@@ -105,7 +127,7 @@ def plan_with_clearance(
     *,
     config: PlannerConfig,
     seed: int,
-) -> Float[np.ndarray, "k n"] | None:
+) -> FreePath | None:
     """Find a path with `PREFERRED_CLEARANCE`, or else a free one past obstacles, see `plan_motion`.
 
     Spheres judge the clearance. Where they leave no path, hulls decide what is free.
@@ -114,5 +136,5 @@ def plan_with_clearance(
         free = checker(extra_clearance=clearance, fine=fine)
         path = plan_motion(start, goal, lower, upper, free, config=config, seed=seed)
         if path is not None:
-            return path
+            return FreePath(path, free)
     return None

@@ -36,13 +36,14 @@ from .arm_path import (
 from .arm_planner import (
     RESOLUTION,
     brief_config,
-    interpolate,
     plan_with_clearance,
 )
 from .config import PlannerConfig
 from .free_turn import find_short_paths
 from .hand_clearance import hand_hits_along
 from .payload import payload_hits_at_home, with_payload
+from .posture import smooth_posture
+from .rounding import fill_curve
 from .task_loads import TaskLoads
 
 if TYPE_CHECKING:
@@ -186,17 +187,17 @@ class Feasibility:
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
+        q = self.with_smooth_posture(base, q, grasp)
         checker = partial(
             build_motions, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        path = self._path(
+        approach = self._path(
             self.robot.home, q[0], checker, (grasp, 0) if self._carrying else None,
-            self.planner, self.seed + grasp,
+            self.planner, self.seed + grasp, fill_curve(q[: hold + 1], RESOLUTION)[1:],
         )  # fmt: skip
-        if path is None:
+        if approach is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
-        approach = np.concatenate([interpolate(path), q[1 : hold + 1]])
         Ts_world_tool = self._tools(q, base)
         steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
         steps = steps[hold:]
@@ -214,6 +215,28 @@ class Feasibility:
         if refusal is not None:
             return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)
         return motion, PoseOutcome(PoseStatus.FEASIBLE)
+
+    def with_smooth_posture(
+        self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
+    ) -> Float[np.ndarray, "d n"]:
+        """Return arm states with the same tool poses and fewer corners, if they are free.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad].
+            q: Arm states at every step of the motion.
+            grasp: The grasp mode.
+        """
+        smooth, motion = smooth_posture(self.robot, q), self.motion
+        if smooth is None:
+            return q
+        steps = np.arange(len(q))
+        codes = check(
+            self.world, self.robot.chain, self.robot.spheres.by_hulls, smooth,
+            np.tile(base, (len(q), 1)), motion.value, motion.holding,
+        )  # fmt: skip
+        member = int(motion.turning.members(np.array([grasp]))[0, 0])
+        borne = TaskLoads(self.robot, motion).at(base, smooth, member, steps)
+        return smooth if (codes == FREE).all() and not borne.refused.any() else q
 
     def path_home(
         self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], grasp: int
@@ -244,8 +267,9 @@ class Feasibility:
         )  # fmt: skip
         carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
         config = brief_config(self.planner)
-        path = self._path(q, self.robot.home, checker, carried, config, self.seed + grasp)
-        return None if path is None else chain.joint_values(interpolate(path)[1:])
+        ends = q, self.robot.home
+        path = self._path(*ends, checker, carried, config, self.seed + grasp, np.empty((0, len(q))))
+        return None if path is None else chain.joint_values(path[1:])
 
     def _path(
         self,
@@ -255,18 +279,23 @@ class Feasibility:
         carried: tuple[int, int] | None,
         config: PlannerConfig,
         seed: int,
+        then: Float[np.ndarray, "m n"],
     ) -> Float[np.ndarray, "k n"] | None:
-        """Plan a free arm motion whose states the motors and the base bear.
+        """Return states of a free arm motion that the motors and the base bear, and what follows.
 
         Loads rarely decide, so the search considers them only if its first path exceeds them.
         """
         loads, chain = TaskLoads(self.robot, self.motion), self.robot.chain
         ends = start, goal, chain.lower, chain.upper
         path = plan_with_clearance(*ends, checker, config=config, seed=seed)
-        if path is None or not loads.free(interpolate(path), carried).refused.any():
-            return path
+        if path is None:
+            return None
+        states = path.states(then)
+        if not loads.free(states[: len(states) - len(then)], carried).refused.any():
+            return states
         bounded = partial(checker, load=loads.of_hand(carried))
-        return plan_with_clearance(*ends, bounded, config=config, seed=seed)
+        path = plan_with_clearance(*ends, bounded, config=config, seed=seed)
+        return None if path is None else path.states(then)
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
