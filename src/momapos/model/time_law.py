@@ -105,7 +105,7 @@ def _window(spline: Any, profile: _Profile, limits: Limits) -> float:
 
 
 def _slowdown(spline: Any, along: tuple[Float[np.ndarray, " t"], ...], limits: Limits) -> float:
-    """Return the factor on the duration with which a motion keeps all limits, see `_derivatives`."""
+    """Return the factor on the duration with which a motion keeps all limits."""
     _, *rates = _derivatives(spline, along)
     bounds = limits.speed, limits.acceleration, limits.jerk
     excess = [(np.abs(x).max(0) / bound).max() for x, bound in zip(rates, bounds, strict=True)]

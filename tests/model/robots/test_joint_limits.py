@@ -62,7 +62,8 @@ def test_trajectories_keep_the_acceleration_limits(
 def test_trajectories_keep_the_jerk_limits(tmp_path: Path, jerk: float) -> None:
     robot, step = robot_of(tmp_path, limited(f'jerk="{jerk}"')), 0.002
     column = list(robot.moved_joints).index("j3")
-    free = robot_of(tmp_path, mobile_manipulator())
+    (tmp_path / "free").mkdir()
+    free = robot_of(tmp_path / "free", mobile_manipulator())
     both = (time_motion(one, motion_of(one), DEFAULT, step) for one in (robot, free))
     for timed, sooner in zip(*both, strict=True):
         assert (np.abs(np.diff(timed.a[:, column])) / step).max() <= 1.05 * jerk
