@@ -241,7 +241,7 @@ def _half(shape: _Primitive, where: str) -> list[float]:
             f"numbers above 0 and below {MAX_SIZE:g} m"
         )
     if count == 3:
-        return (size / 2).tolist()  # type: ignore[no-any-return]
+        return (size / 2).tolist()
     height, radius = size.tolist()
     return [radius, radius, height / 2]
 
