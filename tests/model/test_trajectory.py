@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.core.errors import InputError
+from momapos.model.time_law import WINDOW
 from momapos.model.trajectory import joined, still, time_path
 
 STEP = 0.004
@@ -44,10 +45,55 @@ def test_a_trajectory_stays_on_its_path_at_a_corner() -> None:
     assert np.abs(timed.v[at_corner]).max() < 0.01
 
 
-def test_a_straight_path_takes_the_time_of_a_trapezoidal_profile() -> None:
+@pytest.mark.parametrize("jerk", [np.inf, 10.0])
+def test_a_straight_path_takes_the_time_of_a_trapezoidal_profile_and_of_its_jerk(
+    jerk: float,
+) -> None:
     q = np.linspace([0.0], [1.0], 30)
-    timed = time_path(q, np.array([0.5]), np.array([1.0]), STEP)
-    assert len(timed) * STEP == pytest.approx(1.0 / 0.5 + 0.5 / 1.0, abs=0.03)
+    timed = time_path(q, np.array([0.5]), np.array([1.0]), STEP, jerk=np.array([jerk]))
+    more = max(WINDOW, 2.0 * 1.0 / jerk)
+    assert timed.state_times[-1] == pytest.approx(1.0 / 0.5 + 0.5 / 1.0 + more, abs=0.03)
+
+
+def rounded() -> np.ndarray:
+    """Return two straight motions with a smooth bend between them."""
+    t = np.linspace(0.0, 1.0, 40)[:, None]
+    bend = np.array([[0.8, 0.0]]) + 0.2 * np.hstack(
+        [np.sin(t * np.pi / 2), 1 - np.cos(t * np.pi / 2)]
+    )
+    ends = np.linspace([0, 0], [0.8, 0], 26), np.linspace([1, 0.2], [1, 1], 26)
+    return np.concatenate([ends[0], bend[1:-1], ends[1]])
+
+
+@pytest.mark.parametrize("jerk", [np.inf, 40.0, 3.0])
+@pytest.mark.parametrize("path", [0, 1, 2])
+def test_acceleration_is_continuous_and_the_jerk_within_its_limit(path: int, jerk: float) -> None:
+    q = rounded() if path == 2 else wavy(np.random.default_rng(path))
+    n, fine = q.shape[1], 0.001
+    speed, acceleration = SPEED[:n], ACCELERATION[:n]
+    timed = time_path(q, speed, acceleration, fine, jerk=np.full(n, jerk))
+    assert (np.abs(timed.v) <= 1.01 * speed).all()
+    assert (np.abs(timed.a) <= 1.01 * acceleration).all()
+    change = np.abs(np.diff(timed.a, axis=0)) / fine
+    # Over the window the acceleration changes by at most from one limit to the other; a bend adds.
+    assert change.max() <= 1.05 * min(jerk, 4.0 * acceleration.max() / WINDOW)
+    assert np.abs(timed.a[[0, -1]]).max() == 0.0
+    np.testing.assert_allclose(np.gradient(timed.v, fine, axis=0)[1:-1], timed.a[1:-1], atol=0.1)
+
+
+def test_a_small_jerk_limit_takes_longer() -> None:
+    q = wavy(np.random.default_rng(0))
+    times = [
+        time_path(q, SPEED, ACCELERATION, STEP, jerk=np.full(3, jerk)).state_times[-1]
+        for jerk in (np.inf, 5.0, 0.5)
+    ]
+    assert times[0] < times[1] < times[2]
+
+
+def test_a_rounded_corner_takes_less_time_than_a_stop() -> None:
+    sharp = np.concatenate([np.linspace([0, 0], [1, 0], 26), np.linspace([1, 0], [1, 1], 26)])
+    times = [time_path(q, np.ones(2), np.ones(2), STEP).state_times[-1] for q in (sharp, rounded())]
+    assert times[1] < 0.96 * times[0]
 
 
 def test_the_tool_stays_within_its_speed_limit() -> None:

@@ -1,8 +1,8 @@
 from .base_limits import limited_base_path as limited_base_path
+from .time_law import Trajectory as Trajectory
 from .trajectory import DEFAULT as DEFAULT
 from .trajectory import SpeedConfig as SpeedConfig
 from .trajectory import TimedTrajectory as TimedTrajectory
-from .trajectory import Trajectory as Trajectory
 from .trajectory import time_motion as time_motion
 from .trajectory import time_path as time_path
 from .trajectory import time_plan as time_plan

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import logging
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -26,12 +25,16 @@ from momapos.model.records import Motion, PlacementPlan, Verb
 from momapos.model.robots import Robot
 
 from .base_limits import BasePath, limited_base_path
+from .time_law import Limits, Trajectory, time_piece
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-MAX_CORNER_ANGLE = np.radians(10.0)
-"""The arm stops where its path turns by more than this in joint space [rad]."""
+MAX_CORNER_ANGLE = np.radians(20.0)
+"""The arm stops where its path turns by more than this in joint space [rad]. A spline leaves the
+straight motions between states by an eighth of their length times this angle: 2 mrad in free
+motions, whose states are 0.04 rad apart. States that follow a moved part are up to 0.25 rad apart
+on a curve, which turns by up to 15 degrees in between; the spline is nearer to it than they are."""
 MIN_STEP = 1e-4
 """Shortest time between samples; a plan of one minute then has 600,000 [s]."""
 MIN_SPEED = 1e-3
@@ -40,10 +43,6 @@ _MIN_STATE_DISTANCE = 1e-9
 """Nearer states count as equal [rad] or [m]."""
 _MIN_TOOL_MOTION = 1e-6
 """A coordinate of the tool that moves less is not limited [m]."""
-_NO_LIMIT = 1e3
-"""A finite number in place of infinity [m/s] or [m/s^2]."""
-_MIN_GRID_POINTS = 400
-"""Smallest number of points per piece at which the limits hold [-]."""
 BASE_COLUMNS = ("base_x", "base_y", "base_yaw")
 """Names of the base's coordinates in tables."""
 DEFAULT_SPEED = 1.5
@@ -70,24 +69,6 @@ class SpeedConfig:
     def __post_init__(self) -> None:
         check_fields(self)
         refuse_below(self, MIN_SPEED, *(item.name for item in fields(self)))
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """Samples at equal time steps; the first and last are at rest."""
-
-    q: Float[np.ndarray, "t n"]
-    v: Float[np.ndarray, "t n"]
-    a: Float[np.ndarray, "t n"]
-    state_times: Float[np.ndarray, " m"]
-    """Time at which each state of the path is passed, from the first sample [s]."""
-    base: Float[np.ndarray, "t 3"] | None = None
-    """x [m], y [m], yaw [rad] of the base; None if it stands still."""
-    base_v: Float[np.ndarray, "t 3"] | None = None
-    """Velocity of the base in the world [m/s], [m/s], [rad/s]."""
-
-    def __len__(self) -> int:
-        return len(self.q)
 
 
 @compare_by_content
@@ -213,22 +194,23 @@ def time_motion(
     slides = np.array([joint.kind == "prismatic" for joint in joints])
     usual = np.where(slides, config.slide_acceleration, config.acceleration)
     acceleration = np.minimum(usual, [joint.acceleration for joint in joints])
+    jerk = np.array([joint.jerk for joint in joints])
     approach = motion.approach if len(motion.approach) else motion.q[:1]
     carry = config.carry_acceleration
     held = config.manipulation_speed * speed
     if verb == "place":
         tool = robot.chain.tool_poses(robot.chain.freedom_values(approach))[:, :3, 3]
         way = time_path(
-            approach, held, acceleration, step,
+            approach, held, acceleration, step, jerk=jerk,
             tool=tool, tool_speed=config.tool_speed, tool_acceleration=carry,
         )  # fmt: skip
     else:
-        way = time_path(approach, config.approach_speed * speed, acceleration, step)
+        way = time_path(approach, config.approach_speed * speed, acceleration, step, jerk=jerk)
     base = None
     if motion.base is not None:
         base = limited_base_path(robot, motion.base, config.manipulation_speed)
     return way, time_path(
-        motion.q, held, acceleration, step,
+        motion.q, held, acceleration, step, jerk=jerk,
         tool=motion.Ts_world_tool[:, :3, 3], tool_speed=config.tool_speed,
         tool_acceleration=carry if verb == "pick" else np.inf,
         base=base,
@@ -247,21 +229,24 @@ def time_path(
     acceleration: Float[np.ndarray, " n"],
     step: float,
     *,
+    jerk: Float[np.ndarray, " n"] | None = None,
     tool: Float[np.ndarray, "m 3"] | None = None,
     tool_speed: float = np.inf,
     tool_acceleration: float = np.inf,
     base: BasePath | None = None,
 ) -> Trajectory:
-    """Follow a path as fast as the limits allow (Pham and Pham, TOPP-RA, 2018).
+    """Follow a path with continuous acceleration, nearly as fast as the limits allow.
 
     Between corners, the path is a cubic spline through its states, which are close together. The
-    arm stops at corners, so that the spline does not leave the checked path.
+    arm stops at corners, so that the spline does not leave the checked path; the planner rounds
+    them where there is room.
 
     Args:
         q: States [rad] or [m].
         speed: Speed limit of each joint [rad/s] or [m/s].
         acceleration: Acceleration limit of each joint [rad/s^2] or [m/s^2].
         step: Time between samples [s].
+        jerk: Jerk limit of each joint [rad/s^3] or [m/s^3]; None for none.
         tool: Positions of the tool at the states, if the tool has limits [m].
         tool_speed: Speed limit of the tool [m/s].
         tool_acceleration: Acceleration limit of the tool along each axis [m/s^2].
@@ -271,10 +256,10 @@ def time_path(
         InputError: The limits cannot be met, or a state is not finite.
     """
     n = q.shape[1]
+    limits = [Limits(speed, acceleration, np.full(n, np.inf) if jerk is None else jerk)]
     if base is not None:
         q = np.column_stack([q, base.poses])
-        speed = np.concatenate([speed, base.speed])
-        acceleration = np.concatenate([acceleration, base.acceleration])
+        limits.append(Limits(base.speed, base.acceleration, np.full(3, np.inf)))
     if not np.isfinite(q).all():
         raise InputError("the motion contains NaN or infinity")
     keep = np.append(True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > _MIN_STATE_DISTANCE)
@@ -283,23 +268,20 @@ def time_path(
     if len(q) < 2:
         return _split(replace(still(q[0], 1), state_times=np.zeros(len(state))), n)
     # The tool adds coordinates with limits: the distance along its path, and x, y, z.
-    more, also = [q], [(speed, acceleration)]
+    columns = [q]
     if tool is not None:
-        more += [_along(tool[keep])[:, None], tool[keep]]
+        columns += [_along(tool[keep])[:, None], tool[keep]]
         most = tool_acceleration
-        also.append((np.array([tool_speed, *[np.inf] * 3]), np.array([np.inf, most, most, most])))
+        bounds = np.array([[tool_speed, *[np.inf] * 3], [np.inf, most, most, most], [np.inf] * 4])
+        limits.append(Limits(*bounds))
     if base is not None:  # the norm of x and y
-        more.append(_along(q[:, n : n + 2])[:, None])
-        also.append((base.speed[:1], np.array([np.inf])))
-    whole, limits = (
-        np.column_stack(more),
-        [np.concatenate(all_) for all_ in zip(*also, strict=True)],
-    )
-    ends = np.flatnonzero(_corners(q))
-    pieces = []
-    for first, last in pairwise(ends):
-        part = slice(first, last + 1)
-        pieces.append(_piece(whole[part], q.shape[1], limits[0], limits[1], step))
+        columns.append(_along(q[:, n : n + 2])[:, None])
+        limits.append(Limits(base.speed[:1], *np.full((2, 1), np.inf)))
+    whole, bound = np.column_stack(columns), Limits.join(limits)
+    pieces = [
+        _piece(whole[first : last + 1], q.shape[1], bound, step)
+        for first, last in pairwise(np.flatnonzero(_corners(q)))
+    ]
     timed, _ = joined(pieces)
     begin = np.cumsum([0, *map(len, pieces[:-1])]) * step
     passed = [t + piece.state_times[1:] for t, piece in zip(begin, pieces, strict=True)]
@@ -314,8 +296,8 @@ def _split(timed: Trajectory, n: int) -> Trajectory:
     return Trajectory(*arm, timed.state_times, timed.q[:, n:], timed.v[:, n:])
 
 
-def _along(points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
-    """Return the distance along a path of points [m]."""
+def _along(points: Float[np.ndarray, "m d"]) -> Float[np.ndarray, " m"]:
+    """Return the distance along a path of points or states [m] or [rad]."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
@@ -327,67 +309,16 @@ def _corners(q: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
     return np.concatenate([[True], cosine < np.cos(MAX_CORNER_ANGLE), [True]])
 
 
-def _piece(
-    path: Float[np.ndarray, "m c"],
-    n: int,
-    speed: Float[np.ndarray, " d"],
-    acceleration: Float[np.ndarray, " d"],
-    step: float,
-) -> Trajectory:
-    """Time-parameterize a smooth piece from rest to rest.
+def _piece(path: Float[np.ndarray, "m c"], n: int, limits: Limits, step: float) -> Trajectory:
+    """Time a smooth piece from rest to rest.
 
     The first n coordinates are joints. The others only impose limits, if finite and if they move.
     """
-    import toppra
-    from toppra import algorithm, constraint
-
-    logging.getLogger("toppra").setLevel(logging.ERROR)
-    bounded = np.isfinite(speed) | np.isfinite(acceleration)
-    counts = (np.arange(path.shape[1]) < n) | (bounded & (np.ptp(path, axis=0) > _MIN_TOOL_MOTION))
-    speed = np.minimum(speed[counts], _NO_LIMIT)
-    acceleration = np.minimum(acceleration[counts], _NO_LIMIT)
-    s = _along_max(path[:, :n])
-    spline = toppra.SplineInterpolator(s, path[:, counts])
-    limits = [
-        constraint.JointVelocityConstraint(np.stack([-speed, speed], 1)),
-        constraint.JointAccelerationConstraint(np.stack([-acceleration, acceleration], 1)),
-    ]
-    grid = np.linspace(s[0], s[-1], max(_MIN_GRID_POINTS, 2 * len(s)))
-    solver = algorithm.TOPPRA(limits, spline, grid, parametrizer="ParametrizeConstAccel")
-    timed = solver.compute_trajectory(0.0, 0.0)
-    if timed is None:
-        raise InputError("no trajectory along the motion meets the joints' limits")
-    t = np.append(np.arange(0.0, timed.duration, step), timed.duration)
-    position, velocity, change = (timed(t, order)[:, :n] for order in (0, 1, 2))
-    velocity[-1], change[-1] = 0.0, 0.0
-    passed = _passing_times(grid, solver.problem_data.sd_vec, s)
-    return Trajectory(position, velocity, change, passed)
-
-
-def _passing_times(
-    grid: Float[np.ndarray, " g"], speed: Float[np.ndarray, " g"], s: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, " m"]:
-    """Return when points of a path are passed, at constant acceleration between grid points [s].
-
-    Args:
-        grid: Increasing positions along the path.
-        speed: Speed along the path at each grid point.
-        s: Positions of the points along the path.
-    """
-    step = np.diff(grid)
-    begin = np.append(0.0, np.cumsum(2 * step / (speed[:-1] + speed[1:])))
-    i = np.clip(np.searchsorted(grid, s, side="right") - 1, 0, len(step) - 1)
-    squared = speed**2
-    share = (s - grid[i]) / step[i]
-    here = np.sqrt(squared[i] + share * (squared[i + 1] - squared[i]))
-    way = s - grid[i]
-    total = speed[i] + here
-    return begin[i] + np.divide(2 * way, total, out=np.zeros_like(way), where=way > 0)
-
-
-def _along_max(q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
-    """Return the distance along a path, by the joint that moves most in each step."""
-    return np.append(0.0, np.cumsum(np.abs(np.diff(q, axis=0)).max(1)))
+    bounded = np.isfinite(limits.speed) | np.isfinite(limits.acceleration)
+    counts = bounded & (np.ptp(path, axis=0) > _MIN_TOOL_MOTION)
+    counts[:n] = True
+    timed = time_piece(path[:, counts], _along(path[:, :n]), limits.take(counts), step)
+    return replace(timed, q=timed.q[:, :n], v=timed.v[:, :n], a=timed.a[:, :n])
 
 
 def joined(parts: list[Trajectory]) -> tuple[Trajectory, Int[np.ndarray, " t"]]:

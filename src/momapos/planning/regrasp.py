@@ -19,7 +19,6 @@ from momapos.planning.arm_motion import (
     RESOLUTION,
     Feasibility,
     brief_config,
-    interpolate,
     near_home,
     plan_with_clearance,
 )
@@ -138,6 +137,7 @@ class TwoGrasps:
         chain = self.second.robot.chain
         start = chain.freedom_values(pulled.motion.q[-1])
         q = near_home(screened.q, start, chain.lower, chain.upper)
+        q = self.second.with_smooth_posture(base, q, screened.grasp)
         between = self._between(base, start, q[0])
         if between is None:
             return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
@@ -155,16 +155,17 @@ class TwoGrasps:
     def _between(
         self, base: Float[np.ndarray, "3"], start: Float[np.ndarray, " n"], goal: np.ndarray
     ) -> Float[np.ndarray, "k n"] | None:
-        """Plan a free arm path while the door stands ajar."""
+        """Return states of a free arm path while the door stands ajar."""
         chain = self.second.robot.chain
         checker = partial(
             build_motions, self.second.world, chain, self.second.robot.spheres.by_hulls, base,
             value=int(self.second.motion.value[0]), holding=False, step=RESOLUTION,
         )  # fmt: skip
-        return plan_with_clearance(
+        path = plan_with_clearance(
             start, goal, chain.lower, chain.upper, checker,
             config=brief_config(self.config.arm_planner), seed=self.seed,
         )  # fmt: skip
+        return None if path is None else path.states()
 
     def _joined(
         self,
@@ -175,7 +176,7 @@ class TwoGrasps:
     ) -> Motion:
         """Join both grasps into one motion; the door rests between them."""
         assert pushed.q is not None
-        free, second = interpolate(between)[1:], self.second.motion
+        free, second = between[1:], self.second.motion
         chain = self.second.robot.chain
         q = np.concatenate([chain.freedom_values(pulled.q), free, pushed.q[1:]])
         ajar = np.repeat(pulled.object_q[-1], len(free))

@@ -168,7 +168,8 @@ def arm_home_path(
     )  # fmt: skip
     if path is None:
         return None
-    return chain.joint_values(interpolate(np.concatenate([q[None], path])))
+    away = interpolate(np.stack([q, begin]))
+    return chain.joint_values(np.concatenate([away[:-1], path.states()]))
 
 
 def _free_state(

@@ -13,6 +13,7 @@ from momapos.core.compiled import (
     less,
     load_lanes,
     magnitude,
+    root,
     spread,
     store_lanes,
 )
@@ -25,11 +26,12 @@ def every_operation(rows: S2, number: float) -> float:
     store_lanes(rows, 3, magnitude(a * b - spread(number)))
     store_lanes(rows, 4, a + b)
     rows[5, 0] = less(a, b)
+    store_lanes(rows, 6, root(a * a))
     return highest(load_lanes(rows, 3))
 
 
 def test_compiled_lanes_agree_with_numpy() -> None:
-    start = np.random.default_rng(0).normal(size=(6, LANES)).astype(np.float32)
+    start = np.random.default_rng(0).normal(size=(7, LANES)).astype(np.float32)
     compiled, plain = start.copy(), start.copy()
     results = every_operation(compiled, 0.25), every_operation.py_func(plain, 0.25)
     np.testing.assert_allclose(results[0], results[1], rtol=1e-6)

@@ -14,7 +14,7 @@ from tests.model.collision.test_collision import segment_poses, world_of
 from momapos.core.compiled import LANES
 from momapos.core.geometry.transforms import invert, pose
 from momapos.model.collision.arm_collision import FREE
-from momapos.model.collision.collision_world import CollisionWorld, check
+from momapos.model.collision.collision_world import CollisionWorld, build_world, check
 from momapos.model.collision.spheres import MARGIN, Spheres, box_spheres, carry
 from momapos.model.collision.straight_motions import HandLoad, StraightMotions, build_motions
 from momapos.model.robots.load_limits import robot_loads
@@ -69,6 +69,45 @@ def test_a_motion_is_free_if_all_its_states_are(
     ]
     assert found == expected
     assert set(found) == {True, False}
+
+
+@pytest.mark.parametrize("hulls_decide", [False, True])
+def test_cylinders_are_hit_between_the_box_around_them_and_the_prism_in_them(
+    robot: Robot, *, hulls_decide: bool
+) -> None:
+    rng = np.random.default_rng(11)
+    world = world_of(robot, rng, static=6, moving=0, clearance=0.0)
+    half = 1.8 * world.static.half
+    half[:, 1] = half[:, 0]
+    spheres = robot.spheres.by_hulls if hulls_decide else robot.spheres
+
+    def free_of(half: np.ndarray, *, cylinder: bool) -> list[bool]:
+        boxes = replace(world.static, half=half)
+        made = build_world(
+            boxes, world.moving, world.grasped, world.labels, spheres, clearance=0.0,
+            cylinder=np.full(len(half), cylinder),
+        )  # fmt: skip
+        free = build_motions(
+            made, robot.chain, spheres, BASE, value=0, holding=False, step=STEP, fine=hulls_decide
+        )
+        found = [free(a, b) for a, b in pairs]
+        if cylinder and not hulls_decide:
+            assert found == [
+                free_states(robot, made, spheres, BASE, states_between(a, b), 0, holding=False)
+                for a, b in pairs
+            ]
+        return found
+
+    pairs = moves(robot, rng, 150)
+    inner = half * [np.sqrt(0.5), np.sqrt(0.5), 1.0]
+    around, exact, inside = (
+        np.array(free_of(size, cylinder=round_))
+        for size, round_ in ((half, False), (half, True), (inner, False))
+    )
+    # Links next to an edge of the prism may count as hit without touching it, see near_obstacles.
+    assert not (around & ~exact).any()
+    assert (exact & ~inside).mean() <= (0.05 if hulls_decide else 0.0)
+    assert around.sum() < inside.sum() < len(pairs)
 
 
 def test_a_base_far_from_the_origin_hits_the_same(robot: Robot) -> None:

@@ -58,6 +58,18 @@ def test_trajectories_keep_the_acceleration_limits(
     assert np.abs(approach.a).max() > 0.9 * min(limit, DEFAULT.slide_acceleration)
 
 
+@pytest.mark.parametrize("jerk", [0.05, 0.5])
+def test_trajectories_keep_the_jerk_limits(tmp_path: Path, jerk: float) -> None:
+    robot, step = robot_of(tmp_path, limited(f'jerk="{jerk}"')), 0.002
+    column = list(robot.moved_joints).index("j3")
+    (tmp_path / "free").mkdir()
+    free = robot_of(tmp_path / "free", mobile_manipulator())
+    both = (time_motion(one, motion_of(one), DEFAULT, step) for one in (robot, free))
+    for timed, sooner in zip(*both, strict=True):
+        assert (np.abs(np.diff(timed.a[:, column])) / step).max() <= 1.05 * jerk
+        assert len(timed) > len(sooner)
+
+
 @pytest.mark.parametrize(
     ("urdf", "more", "limits"),
     [

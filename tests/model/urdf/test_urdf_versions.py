@@ -107,16 +107,21 @@ def test_the_smaller_limit_of_acceleration_and_deceleration_holds(
     assert bool(urdf.notes) == ('"0"' in limits)
 
 
-def test_a_leader_keeps_the_acceleration_of_its_followers(tmp_path: Path) -> None:
+def test_a_leader_keeps_the_acceleration_and_the_jerk_of_its_followers(tmp_path: Path) -> None:
     follower = '<mimic joint="i" multiplier="-2"/>' + LIMIT.replace("/>", ' acceleration="3"/>')
     wide = follower.replace('lower="-1" upper="2"', 'lower="-9" upper="9"')
     assert read(tmp_path, three(LIMIT, wide)).joints[0].acceleration == 1.5
+    jerk = wide.replace('acceleration="3"', 'jerk="8"')
+    assert read(tmp_path, three(LIMIT, jerk)).joints[0].jerk == 4.0
 
 
-def test_a_jerk_limit_is_reported_once_with_its_joints(tmp_path: Path) -> None:
+def test_a_jerk_limit_is_read_and_a_jerk_of_zero_is_reported(tmp_path: Path) -> None:
     jerk = LIMIT.replace("/>", ' jerk="9"/>')
-    (note,) = read(tmp_path, three(jerk, jerk), version="1.2").notes
-    assert "'i', 'j'" in note
+    urdf = read(tmp_path, three(jerk, LIMIT), version="1.2")
+    assert [joint.jerk for joint in urdf.joints] == [9.0, np.inf]
+    assert not urdf.notes
+    (note,) = read(tmp_path, three(jerk.replace("9", "0"), jerk), version="1.2").notes
+    assert "'i'" in note
     assert "jerk" in note
 
 

@@ -226,8 +226,9 @@ def test_a_path_keeps_clearance_where_possible(
     def checker(*, extra_clearance: float, fine: bool) -> StraightMotions:
         return motions_of(gantry, *walls, extra=extra_clearance, fine=fine)
 
-    path = plan_with_clearance(A, B, LOW, HIGH, checker, config=PlannerConfig(), seed=1)
-    assert path is not None
+    found = plan_with_clearance(A, B, LOW, HIGH, checker, config=PlannerConfig(), seed=1)
+    assert found is not None
+    path = found.corners
     near, far = (checker(extra_clearance=extra, fine=True) for extra in (0.0, PREFERRED_CLEARANCE))
     assert all(near(state, state) for state in path)
     states = interpolate(path)

@@ -1,4 +1,12 @@
 from .answer_maps import draw_maps as draw_maps
+from .arm_suite import ARM_FILE as ARM_FILE
+from .arm_suite import arm_heading as arm_heading
+from .arm_suite import arm_outcomes as arm_outcomes
+from .arm_suite import arm_tables as arm_tables
+from .arm_suite import check_arm_suite as check_arm_suite
+from .arm_suite import read_arm_results as read_arm_results
+from .arm_suite import run_arm_suite as run_arm_suite
+from .arm_suite import write_arm_results as write_arm_results
 from .bench_records import Commit as Commit
 from .bench_records import GraspSet as GraspSet
 from .bench_records import Outcome as Outcome
@@ -26,6 +34,7 @@ from .report_tables import compared_tables as compared_tables
 from .row_store import RowStore as RowStore
 from .runner import jobs_of as jobs_of
 from .runner import run_jobs as run_jobs
+from .suites import ARM_SUITE as ARM_SUITE
 from .suites import SUITES as SUITES
 from .suites import protocols_of as protocols_of
 from .suites import refuse_unknown as refuse_unknown

@@ -194,6 +194,8 @@ def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTas
     return laboratory_tasks(seed, robots, folder)
 
 
+ARM_SUITE = "motionbenchmaker"
+"""The suite of arm motions, see `arm_suite`; all others are of base placement."""
 SUITES = {
     "smoke": SuiteKind(_smoke, ("segway_ur5e",), COMPARED),
     "openings": SuiteKind(
@@ -223,7 +225,7 @@ def refuse_unknown(name: str, robots: Sequence[str]) -> None:
         UnknownNameError: The message offers the nearest names.
     """
     if name not in SUITES:
-        raise unknown_name("suite", name, SUITES, "momapos bench")
+        raise unknown_name("suite", name, (*SUITES, ARM_SUITE), "momapos bench")
     for robot in robots:
         if robot not in library_names():
             raise unknown_name("robot", robot, library_names(), "the library")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args
 from tyro.conf import Positional, arg
 
 from momapos.apps.bench import (
+    ARM_SUITE,
     SUITES,
     Commit,
     GraspSet,
@@ -56,6 +57,7 @@ def bench_run(
     scan: int = Settings.scan,
     disturbances: int = 3,
     record: OptionalFolder = None,
+    problems: OptionalFolder = None,
     json: Flag = False,
 ) -> int:
     """Run all tasks of a suite with all methods; skip tasks that already have a result.
@@ -63,12 +65,13 @@ def bench_run(
     Exit status: 0 all tasks have a result; 2 unusable input.
 
     Args:
-        suite: smoke, openings, paper-sim, paper-real, paper-table or ablations; see
-            docs/benchmark.md.
+        suite: smoke, openings, paper-sim, paper-real, paper-table, ablations or motionbenchmaker;
+            see docs/benchmark.md.
         out: The results folder; a stopped run continues in it.
         methods: Methods of `momapos place`, or variants such as paper:paper.group=1 (default: those
-            of the suite).
-        robots: Library robots (default: those of the suite).
+            of the suite); for motionbenchmaker ours or RRTConnect, which is OMPL's.
+        robots: Library robots (default: those of the suite); for motionbenchmaker also robot files
+            and URDFs of arms.
         workers: Number of parallel processes on this machine.
         scheduler: Run on the workers of this Dask scheduler, such as tcp://192.168.0.1:8786. They
             must see the results folder under the same path.
@@ -87,10 +90,25 @@ def bench_run(
             5 cm and 5 deg from it, at which the arm motion is replanned; 0: none.
         record: With --execute, write the record of each new run to this folder, in a folder for
             each robot; 'momapos export' makes a set of episodes of these.
+        problems: For motionbenchmaker, the folder that contains the folders KIND_ROBOT.
         json: Print one JSON object, and nothing else.
     """
     # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
+    if suite == ARM_SUITE:
+        _within("--limit", limit, 0, MAX_TASKS)
+        unused = {
+            "--workers": workers != 2, "--scheduler": scheduler, "--commit": commit,
+            "--grasps": grasps, "--execute": execute, "--scan": scan,
+            "--timeout": timeout != Settings.timeout, "--disturbances": disturbances != 3,
+            "--task-limit": task_limit != Settings.limit, "--record": record,
+        }  # fmt: skip
+        wrong = [name for name, given in unused.items() if given]
+        if wrong:
+            raise InputError(f"{suite} plans arm motions, one by one; leave out {', '.join(wrong)}")
+        return _run_arms(problems, robots, methods, out, limit, seed, json=json)
+    if problems is not None:
+        raise InputError(f"--problems is for {ARM_SUITE}; {suite} makes its own tasks")
     refuse_unknown(suite, robots)
     _within("--workers", workers, 1, MAX_COUNT)
     _within("--limit", limit, 0, MAX_TASKS)
@@ -178,8 +196,12 @@ def bench_report(
     """
     check_outputs([html, parquet])
     _within("--maps", maps, 0, MAX_COUNT)
-    from momapos.apps.bench import all_rows, in_order, read_folder
+    from momapos.apps.bench import ARM_FILE, all_rows, in_order, read_folder
 
+    if (folder / ARM_FILE).is_file():
+        if compare is not None or html is not None or parquet is not None:
+            raise InputError(f"{folder}: results of {ARM_SUITE} are reported as Markdown or --json")
+        return _report_arms(folder, json=json)
     found = read_folder(folder)
     rows = in_order(found.suite, all_rows(folder))
     if not rows:
@@ -215,6 +237,55 @@ def bench_report(
         from momapos.apps.bench import markdown
 
         print(markdown(heading, tables))
+    return 0
+
+
+def _run_arms(
+    problems: Path | None, robots: tuple[str, ...], planners: tuple[str, ...], out: Path,
+    limit: int, seed: int, *, json: bool,
+) -> int:  # fmt: skip
+    """Plan the arm problems of a folder, and print the number of results."""
+    if problems is None:
+        raise InputError(f"{ARM_SUITE} needs --problems, the folder that contains KIND_ROBOT")
+    from momapos.apps.bench import (
+        arm_outcomes,
+        check_arm_suite,
+        run_arm_suite,
+        write_arm_results,
+    )
+
+    robots = tuple(dict.fromkeys(robots)) or ("fetch",)
+    planners = tuple(dict.fromkeys(planners)) or ("ours",)
+    check_arm_suite(robots, planners)
+    check_outputs(folders=[out])
+    with progress(ARM_SUITE) as report:
+        found = run_arm_suite(
+            problems, robots, planners, limit=limit, seed=seed,
+            on_row=lambda done, count: report(done / count, f"{done}/{count}"),
+        )  # fmt: skip
+    out.mkdir(parents=True, exist_ok=True)
+    write_arm_results(found, out)
+    outcomes = dict(arm_outcomes(found))
+    if json:
+        facts = {"suite": ARM_SUITE, "out": str(out), "problems": len(found.rows)}
+        print(json_format.dumps({**facts, "results": outcomes}))
+    else:
+        print(f"{ARM_SUITE}: {len(found.rows)} results, in {out}")
+        for run, counts in outcomes.items():
+            print(f"  {run}: " + ", ".join(f"{n} {what}" for what, n in counts.items()))
+        print(f"Show tables with 'momapos bench report {out}'.")
+    return 0
+
+
+def _report_arms(folder: Path, *, json: bool) -> int:
+    """Print the results of arm problems."""
+    from momapos.apps.bench import arm_heading, arm_tables, markdown, read_arm_results, to_plain
+
+    found = read_arm_results(folder)
+    if json:
+        print(json_format.dumps(to_plain(found)))
+    else:
+        print(markdown(arm_heading(found), arm_tables(found)))
     return 0
 
 

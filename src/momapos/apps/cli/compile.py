@@ -16,7 +16,7 @@ ANSWER = (
     "momapos.model.collision.self_collision._contacts",
     "momapos.model.collision.collision_world._fill_buckets",
     "momapos.model.collision.collision_world._state_hits",
-    "momapos.model.collision.straight_motions._motion_hit",
+    "momapos.model.collision.straight_motions._path_hit",
     "momapos.planning.arm_motion.arm_path._track",
     "momapos.planning.arm_motion.enclosure._enclosing",
     "momapos.planning.arm_motion.hand_clearance._hand_hits",

@@ -26,5 +26,6 @@ from .lanes import larger as larger
 from .lanes import less as less
 from .lanes import load_lanes as load_lanes
 from .lanes import magnitude as magnitude
+from .lanes import root as root
 from .lanes import spread as spread
 from .lanes import store_lanes as store_lanes

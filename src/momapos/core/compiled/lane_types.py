@@ -49,6 +49,7 @@ for _operator in (operator.add, operator.sub, operator.mul):
     _types(_operator, _two)
 _types(lanes.larger, _two)
 _types(lanes.magnitude, signature(_vector, _vector))
+_types(lanes.root, signature(_vector, _vector))
 _types(lanes.less, signature(types.int64, _vector, _vector))
 _types(lanes.highest, signature(types.float64, _vector))
 _types(lanes.spread, signature(_vector, types.float64))
@@ -87,7 +88,17 @@ def _larger(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
 
 @lower_builtin(lanes.magnitude, _vector)
 def _magnitude(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-    name, kind = f"llvm.fabs.v{lanes.LANES}f32", ir.FunctionType(_VECTOR, [_VECTOR])
+    return _by_lane("fabs", builder, args)
+
+
+@lower_builtin(lanes.root, _vector)
+def _root(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+    return _by_lane("sqrt", builder, args)
+
+
+def _by_lane(what: str, builder: Any, args: Any) -> Any:
+    """Call LLVM's intrinsic of one vector."""
+    name, kind = f"llvm.{what}.v{lanes.LANES}f32", ir.FunctionType(_VECTOR, [_VECTOR])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)
 
 

@@ -42,6 +42,11 @@ def larger(a: Float32[np.ndarray, "8"], b: Float32[np.ndarray, "8"]) -> Float32[
     return np.maximum(a, b)
 
 
+def root(a: Float32[np.ndarray, "8"]) -> Float32[np.ndarray, "8"]:
+    """Return square roots of numbers that are not negative."""
+    return np.sqrt(a)
+
+
 def less(a: Float32[np.ndarray, "8"], b: Float32[np.ndarray, "8"]) -> int:
     """Return in which lanes a < b: bit k is lane k."""
     return int(np.packbits(a < b, bitorder="little")[0])

@@ -37,6 +37,16 @@ def box_gap(c, r, center, rotation, half, b):
 
 
 @kernel
+def cylinder_gap(c, r, center, rotation, half, b):
+    """Return the same as `box_gap` for the cylinder in box b, about the box's third axis."""
+    x, y, z = c[0] - center[b, 0], c[1] - center[b, 1], c[2] - center[b, 2]
+    along = x * rotation[b, 0, 2] + y * rotation[b, 1, 2] + z * rotation[b, 2, 2]
+    across = np.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
+    side, end = max(across - half[b, 0], 0.0), max(abs(along) - half[b, 2], 0.0)
+    return side * side + end * end - r * r
+
+
+@kernel
 def place_bounds(R, p, spheres, bounds):
     """Write the centers of the links' bounding spheres to bounds (groups, 3)."""
     segment, bound_center = spheres.segment, spheres.bound_center

@@ -1,4 +1,4 @@
-"""The obstacles of an arm as boxes: static boxes, and boxes that the task moves.
+"""The obstacles of an arm: static boxes and cylinders, and boxes that the task moves.
 
 Static boxes are in a bucket grid: each cell lists the boxes that a robot sphere centered in it
 could touch. Moving boxes are few and are tested directly, at each joint value of the motion.
@@ -31,6 +31,7 @@ from .arm_collision import (
     KNOWN,
     SELF,
     box_gap,
+    cylinder_gap,
     hit_boxes,
     hit_floor,
     hit_self,
@@ -52,6 +53,8 @@ class CollisionWorld:
     """The obstacles of one robot's arm during one task."""
 
     static: Boxes
+    cylinder: Bool[np.ndarray, " b"]
+    """Static boxes that stand for the cylinder in them, about their third axis."""
     labels: tuple[str, ...]
     """Name of each static box, then of each moving box."""
     moving: MovingBoxes
@@ -79,9 +82,9 @@ class CollisionWorld:
         """Return the world as an argument of kernels."""
         static, moving = self.static, self.moving
         return WorldArrays(
-            static.center, static.rotation, static.half, moving.center, moving.rotation,
-            moving.half, self.grasped, self.grid_origin, self.grid_shape, self.grid_start,
-            self.grid_index, self.filled, self._blocks,
+            static.center, static.rotation, static.half, self.cylinder, moving.center,
+            moving.rotation, moving.half, self.grasped, self.grid_origin, self.grid_shape,
+            self.grid_start, self.grid_index, self.filled, self._blocks,
         )  # fmt: skip
 
     @property
@@ -102,6 +105,7 @@ def build_world(
     spheres: Spheres,
     *,
     clearance: float,
+    cylinder: Bool[np.ndarray, " b"] | None = None,
 ) -> CollisionWorld:
     """Build a world, with the static boxes sorted into buckets for one robot.
 
@@ -112,9 +116,13 @@ def build_world(
         labels: Names of the static boxes, then of the moving ones.
         spheres: The robot.
         clearance: Clearance of robot spheres [m].
+        cylinder: Which static boxes stand for the cylinder in them, about their third axis; their
+            other two edges are equal. None for none.
     """
+    if cylinder is None:
+        cylinder = np.zeros(len(static), bool)
     buckets = _buckets(static, float(spheres.radius.max()) + clearance)
-    return CollisionWorld(static, tuple(labels), moving, grasped, clearance, *buckets)
+    return CollisionWorld(static, cylinder, tuple(labels), moving, grasped, clearance, *buckets)
 
 
 @lru_cache(maxsize=8)
@@ -212,6 +220,14 @@ def bucket_at(m, world):
 
 
 @kernel
+def static_gap(c, r, world, b):
+    """Return the squared distance of a sphere's center from static shape b minus r squared."""
+    if world.cylinder[b]:
+        return cylinder_gap(c, r, world.center, world.rotation, world.half, b)
+    return box_gap(c, r, world.center, world.rotation, world.half, b)
+
+
+@kernel
 def _hit_static(R, p, bounds, spheres, world, margin):
     center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius = spheres.segment, spheres.bound_radius
@@ -229,8 +245,7 @@ def _hit_static(R, p, bounds, spheres, world, margin):
                 continue
             for at in range(grid_start[cell], grid_start[cell + 1]):
                 b = grid_index[at]
-                r = radius[s] + margin
-                if box_gap(m, r, world.center, world.rotation, world.half, b) < 0.0:
+                if static_gap(m, radius[s] + margin, world, b) < 0.0:
                     return b
     return FREE
 

@@ -20,12 +20,12 @@ from momapos.core.compiled import (
     larger,
     less,
     load_lanes,
-    magnitude,
     spread,
     store_lanes,
 )
 
 from .arm_collision import FINGER, KNOWN, PALM
+from .eight_distances import near_box, near_shape, within
 from .sphere_cover import MARGIN
 
 ROUNDING = 4e-6
@@ -149,32 +149,6 @@ def _kept(rows, first):
 
 
 @kernel
-def _within(a, b, distance):
-    """Return in which lanes two points are nearer than a distance."""
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return less(x * x + y * y + z * z, spread(distance * distance))
-
-
-@kernel
-def _near_box(c, r, center, rotation, half, b):
-    """Return in which lanes a sphere overlaps box b, see `box_gap`."""
-    x = c[0] - spread(center[b, 0])
-    y = c[1] - spread(center[b, 1])
-    z = c[2] - spread(center[b, 2])
-    zero = spread(0.0)
-    square = zero
-    for k in range(3):
-        local = (
-            x * spread(rotation[b, 0, k])
-            + y * spread(rotation[b, 1, k])
-            + z * spread(rotation[b, 2, k])
-        )
-        excess = larger(magnitude(local) - spread(half[b, k]), zero)
-        square = square + excess * excess
-    return less(square, spread(r * r))
-
-
-@kernel
 def collisions(base, state, chain, room, fine, states):
     """Find collisions of eight states.
 
@@ -239,7 +213,7 @@ def _moving_hits(state, spheres, world, margin, fine, states):
             if state.holding and role == PALM and world.grasped[b]:
                 continue
             boxes = center, rotation, half
-            hit |= _group_hits(g, bound, far, b, boxes, spheres, margin, fine, states)
+            hit |= _group_hits(g, bound, far, b, boxes, False, spheres, margin, fine, states)
             if hit != 0 and not fine:
                 return hit
     return hit
@@ -262,7 +236,9 @@ def _static_hits(spheres, world, margin, fine, states):
             b = block * LANES
             while bits != 0:
                 if bits & 1:
-                    hit |= _group_hits(g, bound, far, b, boxes, spheres, margin, fine, states)
+                    hit |= _group_hits(
+                        g, bound, far, b, boxes, world.cylinder[b], spheres, margin, fine, states
+                    )
                     if hit != 0 and not fine:
                         return hit
                 bits, b = bits >> 1, b + 1
@@ -308,14 +284,17 @@ def _overlapping(blocks, block, low, high):
 
 
 @kernel
-def _group_hits(g, bound, far, b, boxes, spheres, margin, fine, states):
-    """Return in which lanes a group of spheres hits box b; some of them unless `fine`."""
-    (center, rotation, half), hit = boxes, 0
-    if _near_box(bound, far, center, rotation, half, b) == 0:
+def _group_hits(g, bound, far, b, boxes, cylinder, spheres, margin, fine, states):
+    """Return in which lanes a group of spheres hits box b, or the cylinder in it.
+
+    Unless `fine`, only some of these lanes.
+    """
+    hit = 0
+    if near_shape(bound, far, boxes, b, cylinder) == 0:
         return hit
     for s in range(spheres.start[g], spheres.start[g + 1]):
         c = _moved(states.poses, spheres.segment[g], spheres.center, s)
-        hit |= _near_box(c, spheres.radius[s] + margin, center, rotation, half, b)
+        hit |= near_shape(c, spheres.radius[s] + margin, boxes, b, cylinder)
         if hit != 0 and not fine:
             return hit
     return hit
@@ -329,19 +308,19 @@ def _links_near(spheres, states, rounding):
         i, j = spheres.pairs[k, 0], spheres.pairs[k, 1]
         bound, far = _kept(states.bounds, 3 * j), spheres.bound_radius[j] + MARGIN + rounding
         own = _kept(states.bounds, 3 * i)
-        if _within(own, bound, spheres.bound_radius[i] + far) == 0:
+        if within(own, bound, spheres.bound_radius[i] + far) == 0:
             continue
         for s in range(spheres.start[i], spheres.start[i + 1]):
             a = _moved(states.poses, spheres.segment[i], spheres.center, s)
-            if _within(a, bound, spheres.radius[s] + far) == 0:
+            if within(a, bound, spheres.radius[s] + far) == 0:
                 continue
             for t in range(spheres.start[j], spheres.start[j + 1]):
                 c = _moved(states.poses, spheres.segment[j], spheres.center, t)
                 reach = spheres.radius[s] + spheres.radius[t] + rounding
-                near = _within(a, c, reach + MARGIN)
+                near = within(a, c, reach + MARGIN)
                 if near == 0:
                     continue
-                if not spheres.exact[k] and _within(a, c, reach) != 0:
+                if not spheres.exact[k] and within(a, c, reach) != 0:
                     return HIT
                 doubt |= near
     return doubt
@@ -366,16 +345,16 @@ def _base_near(base, spheres, states, rounding):
         for b in range(spheres.base_pairs.shape[1]):
             if not spheres.base_pairs[g, b]:
                 continue
-            if _near_box(bound, far, center, rotation, half, b) == 0:
+            if near_box(bound, far, center, rotation, half, b) == 0:
                 continue
             for i in range(spheres.start[g], spheres.start[g + 1]):
                 m = _moved(states.poses, spheres.segment[g], spheres.center, i)
                 m = _into_base(m, x, y, c, s)
                 r = spheres.radius[i] + rounding
-                near = _near_box(m, r + MARGIN, center, rotation, half, b)
+                near = near_box(m, r + MARGIN, center, rotation, half, b)
                 if near == 0:
                     continue
-                met = _near_box(m, r, center, rotation, half, b)
+                met = near_box(m, r, center, rotation, half, b)
                 if met != 0 and not spheres.base_exact[g, b]:
                     return HIT
                 doubt |= near

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core.compiled import F1, LANES, entry, kernel
+from momapos.core.compiled import F1, F2, LANES, entry, kernel
 from momapos.model.kinematics import (
     ArmScratch,
     Chain,
@@ -163,9 +163,13 @@ def _interpolate(a, b, steps, back, out):
 
 
 @entry
-def _motion_hit(a: F1, b: F1, motion: MotionArrays) -> bool:
-    """Return whether one motion collides; a = b checks a state."""
-    return motion_hit(a, b, motion, False, motion_scratch(motion, len(a)))
+def _path_hit(states: F2, motion: MotionArrays) -> bool:
+    """Return whether one of the straight motions between states collides."""
+    scratch = motion_scratch(motion, states.shape[1])
+    for i in range(1, len(states)):
+        if motion_hit(states[i - 1], states[i], motion, i > 1, scratch):
+            return True
+    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +180,11 @@ class StraightMotions:
 
     def __call__(self, a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:
         """Return whether the straight motion is free, including its ends."""
-        return not _motion_hit(a, b, self.arrays)
+        return self.along(np.stack([a, b]))
+
+    def along(self, states: Float[np.ndarray, "m n"]) -> bool:
+        """Return whether all straight motions from state to state are free."""
+        return not _path_hit(np.ascontiguousarray(states, float), self.arrays)
 
 
 def build_motions(

@@ -168,6 +168,8 @@ class WorldArrays(NamedTuple):
     center: F2
     rotation: F3
     half: F2
+    cylinder: B1
+    """Which static boxes are cylinders about their third axis."""
     moving_center: F3
     moving_rotation: F4
     moving_half: F3

@@ -79,12 +79,14 @@ def _shared(leader: Joint, follower: Joint, mimic: Mimic) -> tuple[float, float]
 
 
 def _narrowed(leader: Joint, follower: Joint, mimic: Mimic) -> Joint:
-    """Return the leader with limits of position, speed and acceleration narrowed for a follower."""
+    """Return the leader with all limits narrowed for a follower."""
     shared = _shared(leader, follower, mimic)
     if shared is None or mimic.ratio == 0.0:
         return leader
     velocity = min(leader.velocity, follower.velocity / abs(mimic.ratio))
     acceleration = min(leader.acceleration, follower.acceleration / abs(mimic.ratio))
+    jerk = min(leader.jerk, follower.jerk / abs(mimic.ratio))
     return replace(
-        leader, lower=shared[0], upper=shared[1], velocity=velocity, acceleration=acceleration
-    )
+        leader, lower=shared[0], upper=shared[1], velocity=velocity, acceleration=acceleration,
+        jerk=jerk,
+    )  # fmt: skip

@@ -71,15 +71,14 @@ class JointReader:
             axis / length if length > 1e-9 else axis, lower, upper,
             limits.get("velocity") or math.inf,
             effort=limits.get("effort") or math.inf,
-            acceleration=self._acceleration(name, limits),
+            acceleration=self._least(name, limits, "acceleration", "deceleration"),
+            jerk=self._least(name, limits, "jerk"),
         )  # fmt: skip
-        if joint.movable and limits.get("jerk", math.inf) < math.inf:
-            self._note(_JERK, name)
         return self._within_soft_limits(joint, element.find("safety_controller"), factor)
 
-    def _acceleration(self, name: str, limits: Mapping[str, float]) -> float:
-        """Return the smaller limit of acceleration and deceleration; infinite without one."""
-        found = [limits[key] for key in ("acceleration", "deceleration") if key in limits]
+    def _least(self, name: str, limits: Mapping[str, float], *keys: str) -> float:
+        """Return the smallest of some limits; infinite without one."""
+        found = [limits[key] for key in keys if key in limits]
         if 0.0 in found:
             self._note(_STILL, name)
         return min((value for value in found if value > 0), default=math.inf)
@@ -111,8 +110,7 @@ class JointReader:
 
 
 _LIMITS = {"lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"}
-_JERK = "the jerk limit of <limit> is not kept; trajectories keep speed and acceleration limits"
-_STILL = "an acceleration or deceleration of 0 in <limit> counts as none"
+_STILL = "an acceleration, deceleration or jerk of 0 in <limit> counts as none"
 _OUTSIDE = "the soft limits of <safety_controller> leave no range and count as none"
 _GAINS = (
     "k_position and k_velocity of <safety_controller> are gains of the robot's controller; plans "

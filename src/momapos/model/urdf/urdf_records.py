@@ -93,6 +93,8 @@ class Joint:
     acceleration: float = math.inf
     """Limit of acceleration and deceleration, the smaller one [rad/s^2] or [m/s^2]; infinite if
     the file has none."""
+    jerk: float = math.inf
+    """Limit of the jerk [rad/s^3] or [m/s^3]; infinite if the file has none."""
 
     @property
     def movable(self) -> bool:

@@ -2,6 +2,7 @@ from .arm_models import DrivingArm as DrivingArm
 from .arm_path import ArmPath as ArmPath
 from .arm_path import find_paths as find_paths
 from .arm_planner import RESOLUTION as RESOLUTION
+from .arm_planner import FreePath as FreePath
 from .arm_planner import brief_config as brief_config
 from .arm_planner import interpolate as interpolate
 from .arm_planner import plan_with_clearance as plan_with_clearance
@@ -9,8 +10,8 @@ from .carried_motion import adapt_motion as adapt_motion
 from .config import PlannerConfig as PlannerConfig
 from .enclosure import enclosed_by as enclosed_by
 from .feasibility import Feasibility as Feasibility
-from .feasibility import collision_free_grasps as collision_free_grasps
 from .feasibility import near_home as near_home
+from .free_grasps import collision_free_grasps as collision_free_grasps
 from .free_turn import fitted_bases as fitted_bases
 from .hand_clearance import arm_spheres as arm_spheres
 from .ik_layers import solve_layers as solve_layers

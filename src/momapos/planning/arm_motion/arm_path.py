@@ -105,7 +105,7 @@ def find_paths(
             PathGraph.of(robot, world, motion, bases[j], layers, j),
             hand,
             stands,
-        )  # fmt: skip
+        )
         if passed == len(order)
         else _failure(layers, j, int(order[passed]), loads)
         for j, passed in enumerate(layers.passed.tolist())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Protocol
 
@@ -12,6 +12,7 @@ from momapos.model.collision import StraightMotions
 
 from .config import PlannerConfig
 from .ompl_planner import ompl_path
+from .rounding import round_corners
 from .rrt_connect import connect
 
 if TYPE_CHECKING:
@@ -24,13 +25,35 @@ PREFERRED_CLEARANCE = 0.005
 from its path by millimeters, and between the checked states it may come closer [m]."""
 BRIEF_SHARE = 0.25
 """Share of the checks for a path between two grasps or home; most are easy or infeasible [-]."""
-_UNBOUNDED = np.pi
-"""Half range, around the start, in which a joint without limits is sampled [rad]."""
+_MIN_BEYOND = np.pi / 4
+"""Least range beyond the ends in which a joint without limits is sampled, where a whole turn that
+contains both is no wider [rad]."""
 
 
 def brief_config(config: PlannerConfig) -> PlannerConfig:
     """Limit the planner for a path between two grasps or home, see `BRIEF_SHARE`."""
     return replace(config, checks=max(1, round(BRIEF_SHARE * config.budget)))
+
+
+@dataclass(frozen=True, eq=False)
+class FreePath:
+    """A free path between two configurations."""
+
+    corners: Float[np.ndarray, "k n"]
+    """States with straight motions between them, including both ends."""
+    free: StraightMotions
+    """The check that the path passes."""
+
+    def states(self, then: Float[np.ndarray, "m n"] | None = None) -> Float[np.ndarray, "s n"]:
+        """Return close states of the path with rounded corners.
+
+        Args:
+            then: States that follow the last one, whose corner with the path is rounded as well.
+        """
+        states = interpolate(self.corners)
+        if then is not None:
+            states = np.concatenate([states, then])
+        return round_corners(states, self.free, RESOLUTION)
 
 
 class MotionCheckerFactory(Protocol):
@@ -79,8 +102,9 @@ def plan_motion(
         return None
     if free(start, goal):
         return np.stack([start, goal])
-    low = np.where(np.isfinite(lower), lower, np.minimum(start, goal) - _UNBOUNDED)
-    high = np.where(np.isfinite(upper), upper, np.maximum(start, goal) + _UNBOUNDED)
+    beyond = np.maximum(np.pi - np.abs(goal - start) / 2, _MIN_BEYOND)
+    low = np.where(np.isfinite(lower), lower, np.minimum(start, goal) - beyond)
+    high = np.where(np.isfinite(upper), upper, np.maximum(start, goal) + beyond)
     ends = np.clip(start, low, high), np.clip(goal, low, high)
     if config.planner is None:
         path, _ = connect(*ends, low, high, free.arrays, config.budget, seed)
@@ -103,7 +127,7 @@ def plan_with_clearance(
     *,
     config: PlannerConfig,
     seed: int,
-) -> Float[np.ndarray, "k n"] | None:
+) -> FreePath | None:
     """Find a path with `PREFERRED_CLEARANCE`, or else a free one past obstacles, see `plan_motion`.
 
     Spheres judge the clearance. Where they leave no path, hulls decide what is free.
@@ -112,5 +136,5 @@ def plan_with_clearance(
         free = checker(extra_clearance=clearance, fine=fine)
         path = plan_motion(start, goal, lower, upper, free, config=config, seed=seed)
         if path is not None:
-            return path
+            return FreePath(path, free)
     return None

@@ -37,13 +37,13 @@ from .arm_path import (
 from .arm_planner import (
     RESOLUTION,
     brief_config,
-    interpolate,
     plan_with_clearance,
 )
 from .config import PlannerConfig
 from .free_turn import find_short_paths
-from .hand_clearance import hand_hits_along
-from .payload import payload_hits_at_home, with_payload
+from .payload import with_payload
+from .posture import smooth_posture
+from .rounding import fill_curve
 from .task_loads import TaskLoads
 
 if TYPE_CHECKING:
@@ -211,17 +211,17 @@ class Feasibility:
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
+        q = self.with_smooth_posture(base if bases is None else bases, q, grasp)
         checker = partial(
             build_motions, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        path = self._path(
+        approach = self._path(
             self.robot.home, q[0], checker, (grasp, 0) if self._carrying else None,
-            self.planner, self.seed + grasp,
+            self.planner, self.seed + grasp, fill_curve(q[: begin + 1], RESOLUTION)[1:],
         )  # fmt: skip
-        if path is None:
+        if approach is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
-        approach = np.concatenate([interpolate(path), q[1 : begin + 1]])
         Ts_world_tool = self._tools(q, base if bases is None else bases)
         steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
         steps = steps[begin:]
@@ -244,6 +244,28 @@ class Feasibility:
         if refusal is not None:
             return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)
         return motion, PoseOutcome(PoseStatus.FEASIBLE)
+
+    def with_smooth_posture(
+        self, base: Float[np.ndarray, "*d 3"], q: Float[np.ndarray, "d n"], grasp: int
+    ) -> Float[np.ndarray, "d n"]:
+        """Return arm states with the same tool poses and fewer corners, if they are free.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad], or one at every step.
+            q: Arm states at every step of the motion.
+            grasp: The grasp mode.
+        """
+        smooth, motion = smooth_posture(self.robot, q), self.motion
+        if smooth is None:
+            return q
+        steps = np.arange(len(q))
+        codes = check(
+            self.world, self.robot.chain, self.robot.spheres.by_hulls, smooth,
+            np.array(np.broadcast_to(base, (len(q), 3))), motion.value, motion.holding,
+        )  # fmt: skip
+        member = int(motion.turning.members(np.array([grasp]))[0, 0])
+        borne = TaskLoads(self.robot, motion).at(base, smooth, member, steps)
+        return smooth if (codes == FREE).all() and not borne.refused.any() else q
 
     def path_home(
         self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], grasp: int
@@ -274,8 +296,9 @@ class Feasibility:
         )  # fmt: skip
         carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
         config = brief_config(self.planner)
-        path = self._path(q, self.robot.home, checker, carried, config, self.seed + grasp)
-        return None if path is None else chain.joint_values(interpolate(path)[1:])
+        ends = q, self.robot.home
+        path = self._path(*ends, checker, carried, config, self.seed + grasp, np.empty((0, len(q))))
+        return None if path is None else chain.joint_values(path[1:])
 
     def _path(
         self,
@@ -285,18 +308,23 @@ class Feasibility:
         carried: tuple[int, int] | None,
         config: PlannerConfig,
         seed: int,
+        then: Float[np.ndarray, "m n"],
     ) -> Float[np.ndarray, "k n"] | None:
-        """Plan a free arm motion whose states the motors and the base bear.
+        """Return states of a free arm motion that the motors and the base bear, and what follows.
 
         Loads rarely decide, so the search considers them only if its first path exceeds them.
         """
         loads, chain = TaskLoads(self.robot, self.motion), self.robot.chain
         ends = start, goal, chain.lower, chain.upper
         path = plan_with_clearance(*ends, checker, config=config, seed=seed)
-        if path is None or not loads.free(interpolate(path), carried).refused.any():
-            return path
+        if path is None:
+            return None
+        states = path.states(then)
+        if not loads.free(states[: len(states) - len(then)], carried).refused.any():
+            return states
         bounded = partial(checker, load=loads.of_hand(carried))
-        return plan_with_clearance(*ends, bounded, config=config, seed=seed)
+        path = plan_with_clearance(*ends, bounded, config=config, seed=seed)
+        return None if path is None else path.states(then)
 
     def _tools(
         self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"]
@@ -332,35 +360,6 @@ os.register_at_fork(after_in_child=_threads.cache_clear)  # a forked child has n
 
 def _farther(path: ArmPath, other: ArmPath) -> bool:
     return path.status == FOUND or path.passed > other.passed
-
-
-def collision_free_grasps(
-    robot: Robot, world: CollisionWorld, motion: TaskMotion
-) -> tuple[Bool[np.ndarray, " g"], str]:
-    """Find the grasps whose hand is free at every waypoint, for any base pose.
-
-    Returns:
-        A mask over the grasps, and the name of the most frequent obstacle of the others.
-    """
-    alive, hits = np.arange(len(motion.Ts_world_tool)), []
-    # Most failures occur at the grasp itself: check it first.
-    for steps in (motion.waypoint_steps[1:2], np.delete(motion.waypoint_steps, 1)):
-        Ts = motion.Ts_world_tool[alive[:, None], steps].reshape(-1, 4, 4)
-        width = np.repeat(motion.grasps.width[alive], len(steps))
-        codes = hand_hits_along(robot, world, motion, Ts, np.tile(steps, len(alive)), width)
-        hits.append(codes[codes != FREE])
-        alive = alive[(codes.reshape(len(alive), len(steps)) == FREE).all(1)]
-    free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
-    counts = np.bincount(np.concatenate(hits) - FLOOR)
-    obstacle = world.reason(int(counts.argmax()) + FLOOR) if len(counts) else ""
-    if motion.task.verb == "place" and free.any():
-        touched = payload_hits_at_home(robot, motion)
-        free &= touched < 0
-        if not free.any():
-            names = (*robot.spheres.links, robot.base_link)
-            worst = names[np.bincount(touched[touched >= 0]).argmax()]
-            obstacle = f"{worst} at home with {motion.task.object} in it"
-    return free, obstacle
 
 
 def near_home(

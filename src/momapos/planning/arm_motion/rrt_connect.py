@@ -3,7 +3,9 @@
 Two trees grow toward samples and toward each other (Kuffner and LaValle, RRT-Connect, ICRA 2000),
 always the smaller one (Kuffner and LaValle, Balanced Bidirectional RRT Search, 2005). A node whose
 extension failed ignores samples that are far from it (Yershova et al., Dynamic-Domain RRTs, ICRA
-2005). Samples are Halton points, which cover the joint ranges more evenly than random ones.
+2005). Samples are Halton points, which cover the joint ranges more evenly than random ones. Some
+are near a node instead: they lead out of a narrow place, where samples of the whole range are rare
+(Hsu, Latombe and Motwani, Path Planning in Expansive Configuration Spaces, 1999).
 """
 
 from __future__ import annotations
@@ -34,6 +36,10 @@ DOMAIN, MIN_DOMAIN, DOMAIN_CHANGE = 4.0, 1.0, 1e-4
 """Radius within which a node takes samples after its first failure, its least value, and its
 relative change with each further failure or success [rad]: the defaults of VAMP (Thomason et al.,
 Motions in Microseconds via Vectorized Sampling-Based Planning, ICRA 2024)."""
+LOCAL, NEARBY = 25, 0.7
+"""Every how many samples one is near a node, and the largest difference of a joint from it [rad] or
+[m]. Of the Fetch's problems of MotionBenchMaker, 95 % of the solved ones then take 72 ms instead of
+180; every 10th, or 0.3, solve as many, and every 2nd takes half as much time again."""
 SAMPLES_PER_CHECK = 20
 """The search also ends after this many samples per check, since a sample may check nothing [-]."""
 SHORTCUTS = 60
@@ -147,6 +153,21 @@ def _grow(tree, q, motion, new, rows, scratch):
 
 
 @kernel
+def _wander(tree, number, lower, upper, motion, new, scratch):
+    """Extend a node to a sample near it; return the new node, or -1 for a collision."""
+    n = len(new)
+    near = int(_halton(number, PRIMES[n % len(PRIMES)]) * tree.size[0])
+    reach = NEARBY * _halton(number, PRIMES[(n + 1) % len(PRIMES)])
+    for k in range(n):
+        share = _halton(number, PRIMES[k % len(PRIMES)])
+        there = tree.q[near, k] + reach * (2.0 * share - 1.0)
+        new[k] = min(max(there, lower[k]), upper[k])
+    if motion_hit(tree.q[near], new, motion, True, scratch):
+        return -1
+    return _add(tree, new, near)
+
+
+@kernel
 def _connect(tree, goal, motion, new, rows, checks, scratch):
     """Extend a tree to a configuration; return the last node, whether it is there, and checks."""
     near, distance = _nearest(tree, goal, rows)
@@ -172,10 +193,13 @@ def _search(start, goal, lower, upper, motion, checks, seed, scratch):
             break
         if one.size[0] > other.size[0]:
             one, other, forward = other, one, not forward
-        for k in range(n):
-            share = _halton(number, PRIMES[k % len(PRIMES)])
-            q[k] = lower[k] + (upper[k] - lower[k]) * share
-        tip = _grow(one, q, motion, new, rows, scratch)
+        if number % LOCAL == 0:
+            tip = _wander(one, number // LOCAL, lower, upper, motion, new, scratch)
+        else:
+            for k in range(n):
+                share = _halton(number, PRIMES[k % len(PRIMES)])
+                q[k] = lower[k] + (upper[k] - lower[k]) * share
+            tip = _grow(one, q, motion, new, rows, scratch)
         if tip == -2:
             continue
         spent += 1
