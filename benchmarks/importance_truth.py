@@ -35,7 +35,8 @@ from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.planning.arm_motion.feasibility import Feasibility, collision_free_grasps
+from momapos.planning.arm_motion.feasibility import Feasibility
+from momapos.planning.arm_motion.free_grasps import collision_free_grasps
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import hand_path, make_task

@@ -51,7 +51,7 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("command", "most"), [("place open", 30), ("place pick", 30), ("rank", 15), ("solve", 30)]
+    ("command", "most"), [("place open", 30), ("place pick", 30), ("rank", 15), ("solve", 32)]
 )
 def test_a_help_text_has_few_options(
     command: str, most: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -13,7 +13,6 @@ import numpy as np
 
 from momapos.core.geometry import pose_planar
 from momapos.model.collision import (
-    FLOOR,
     FREE,
     CollisionWorld,
     Spheres,
@@ -47,7 +46,7 @@ from .rounding import fill_curve
 from .task_loads import TaskLoads
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
 
 Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
 """The exact check: return None if a motion is valid, else the reason why not."""
