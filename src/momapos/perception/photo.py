@@ -19,7 +19,7 @@ from momapos.core.geometry import UprightBox
 from momapos.model.records import Cloud, Detection, FaceImage, Frame
 from momapos.perception.reconstruction import GivenModel, build_scene
 from momapos.perception.segmentation import RoomShell
-from momapos.perception.views import Face, FrontView, box_faces
+from momapos.perception.views import Face, FaceSurroundings, FrontView, box_faces
 
 from .modeling import model_front
 from .records import Decision, Modeled, ScanConfig, Survey, Tools
@@ -90,7 +90,7 @@ def model_photo(
     unknown = np.full(color.shape[:2], np.nan, np.float32)
     image = FaceImage(color, unknown, width, height)
     front, face = tools.look(image, photo.label), box_faces(box)[FRONT]
-    view = FrontView(face, 0, 0.0, image, front, ())
+    view = FrontView(face, 0, 0.0, image, front, FaceSurroundings(face, (image,)), ())
     frame = _frame(photo, face, (left, top, right, bottom))
     nothing = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     seen = Survey(

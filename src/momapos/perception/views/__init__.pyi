@@ -5,6 +5,7 @@ from .closed_images import part_on as part_on
 from .faces import Face as Face
 from .faces import box_faces as box_faces
 from .faces import neighbor_protrusion as neighbor_protrusion
+from .front_view import FaceSurroundings as FaceSurroundings
 from .front_view import FrontView as FrontView
 from .front_view import KnownFront as KnownFront
 from .front_view import ViewMethod as ViewMethod

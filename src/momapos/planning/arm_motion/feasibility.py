@@ -98,8 +98,8 @@ class Feasibility:
             ):  # fmt: skip
                 if path.q is not None and motion is None:
                     motion, outcome = self._complete(base, path.q, grasp, path.bases)
-        path = None if motion is None else motion.base
-        return Attempt(motion, outcome, base=None if path is None else path[0])
+        moved = None if motion is None else motion.base
+        return Attempt(motion, outcome, base=None if moved is None else moved[0])
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None

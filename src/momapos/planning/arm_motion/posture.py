@@ -17,7 +17,7 @@ from .arm_path import follow
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from .turning_arm import ArmModel
+    from .arm_models import ArmModel
 
 SPREADS = (6.0, 3.0)
 """Standard deviations of the filter that are tried, in steps. Waypoints are four steps apart."""
