@@ -190,10 +190,12 @@ def _room_beside(
     assert plan.motion is not None
     radius = float(np.linalg.norm(robot.footprint, axis=1).max())
     path = np.array([plan.base_pose]) if plan.base_path is None else plan.base_path
-    shoulder = place_points(np.array([plan.base_pose]), answer.prepared.geometry.shoulder[None, :2])
+    bases = np.array([plan.base_pose]) if plan.motion.base is None else plan.motion.base
+    path = np.concatenate([path, bases])
+    shoulder = place_points(bases, answer.prepared.geometry.shoulder[None, :2])[:, 0]
     tool = plan.motion.Ts_world_tool[:, :2, 3]
     share = np.linspace(0.0, 1.0, 5)[:, None, None]
-    arm = (share * tool + (1.0 - share) * shoulder.reshape(1, 1, 2)).reshape(-1, 2)
+    arm = (share * tool + (1.0 - share) * shoulder).reshape(-1, 2)
     points = np.concatenate([path[:, :2], arm])
     taken = np.repeat([radius, ARM_ROOM], [len(path), len(arm)])
     corners = item.bounds[None, :, None, :2] + offsets[:, None, None]

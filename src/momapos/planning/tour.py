@@ -153,7 +153,7 @@ def _solved(visit: list[PlacementResult]) -> bool:
 
 def _base(visit: list[PlacementResult]) -> Float[np.ndarray, "3"]:
     """Return the base pose of a solved stop: x [m], y [m], yaw [rad]."""
-    pose = visit[-1].plan.base_pose
+    pose = visit[-1].plan.final_base_pose
     assert pose is not None
     return np.array(pose)
 
@@ -230,9 +230,10 @@ class _Planner:
             found = self._from_one_pose(first, last, start, in_others, share * left)
             if found.plan.feasible or last == first:
                 break
-        if not found.plan.feasible or found.plan.base_pose is None:
+        pose = found.plan.final_base_pose
+        if not found.plan.feasible or pose is None:
             return [found]
-        base = np.array(found.plan.base_pose)
+        base = np.array(pose)
         others = [
             plan_at_pose(replace(self._query(k), start=base), base)
             for k in range(first + 1, last + 1)

@@ -68,7 +68,7 @@ def slides_of(arm: ArmModel) -> Float[np.ndarray, "k 3"]:
 
 
 def split_states(
-    arm: ArmModel, base: Float[np.ndarray, "#d 3"], states: Float[np.ndarray, "d n"]
+    arm: ArmModel, base: Float[np.ndarray, "*d 3"], states: Float[np.ndarray, "d n"]
 ) -> tuple[Float[np.ndarray, "d 3"], Float[np.ndarray, "d m"]]:
     """Return the base pose at each state, and the states of the arm on it.
 
