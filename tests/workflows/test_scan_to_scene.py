@@ -399,7 +399,7 @@ def test_one_command_plans_the_opening_of_a_door_from_a_scan(
     out = tmp_path / "new" / "solved"
     words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
     words += ["--max-frames", "20", "--out", str(out), "--json", "--no-pictures"]
-    words += ["--world", "kitchen_small"]
+    words += ["--world", "kitchen_small", "--tolerance"]
     assert main(words) == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["status"], record["done"]) == ("solved", True)

@@ -71,7 +71,8 @@ def test_cached_data_of_a_task_is_computed_before_the_measurement(
         one
         for module in (handle_shapes, handles, part_grasps, joint_resistance)
         for one in vars(module).values()
-        if hasattr(one, "cache_info")
+        # An answer states the resistance that it assumed, which makes one more scene object.
+        if hasattr(one, "cache_info") and one is not joint_resistance.known_resistance
     ]
     assert len(caches) > 5
     drawer = SuiteTask(

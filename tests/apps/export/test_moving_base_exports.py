@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import optional
 from tests.simulation.toy import Toy, toy
 from tests.verification.door_case import Case
 from tests.verification.moving_case import chain, moving_case, stops_case
@@ -129,7 +130,7 @@ def test_tables_and_bags_have_the_moving_base(tmp_path: Path) -> None:
     assert "2_drive_and_arm" in {row["phase"] for row in rows}
     assert timeline.base_path is not None
     np.testing.assert_allclose(timeline.base_path[-1], plan.final_base_pose, atol=1e-9)
-    pytest.importorskip("rosbags")
+    optional.module("rosbags")
     write_recording(timeline, ready.scene, ready.robot, "map", tmp_path / "bag")
     assert (tmp_path / "bag").is_dir()
 

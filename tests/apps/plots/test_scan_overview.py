@@ -16,7 +16,7 @@ from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.records import Decision, Modeled, PartSource
 from momapos.perception.segmentation.instance_boxes import inside
 from momapos.perception.views.faces import box_faces
-from momapos.perception.views.front_view import FrontView
+from momapos.perception.views.front_view import FaceSurroundings, FrontView
 
 CABINET: Corners = ((-0.4, 0.0, 0.0), (0.4, 0.6, 0.9))
 CRATE: Corners = ((2.5, -2.8, 0.0), (3.0, -2.2, 0.5))
@@ -46,7 +46,7 @@ def made() -> Modeled:
     face = box_faces(decisions[0].detection.box)[3]
     gray = np.full((90, 80, 3), 90, np.uint8)
     image = FaceImage(gray, np.zeros((90, 80), np.float32), face.width, face.height)
-    view = FrontView(face, 1, 0.0, image, Front(0.9, (part,)), ())
+    view = FrontView(face, 1, 0.0, image, Front(0.9, (part,)), FaceSurroundings(face, (image,)), ())
     model = furniture_model(decisions[0].detection, -np.pi / 2, image, (part,))
     decisions[0] = replace(
         decisions[0], view=view, parts=(part,), source=PartSource.PREDICTED, model=model, reason=""

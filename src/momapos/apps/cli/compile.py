@@ -40,6 +40,7 @@ ANSWER = (
 )
 """Kernels for planning."""
 VERIFY = (
+    "momapos.core.geometry.monotone_chain._chain",
     "momapos.verification.convex.overlap",
     "momapos.verification.exact_shapes._place",
     "momapos.verification.sweep._deepest",
