@@ -19,7 +19,7 @@ from .files import open_regular
 from .torch_files import MAX_BYTES, check_archive
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Shaped
 
 _GLOBALS = {"numpy ndarray", "numpy dtype", "_codecs encode"}
 _RECONSTRUCT = {"numpy.core.multiarray _reconstruct", "numpy._core.multiarray _reconstruct"}
@@ -32,7 +32,7 @@ _TYPES = {"b1", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"
 _ORDERS = {"<", ">", "|"}
 
 
-def load_array(path: Path) -> Num[np.ndarray, "..."] | None:
+def load_array(path: Path) -> Shaped[np.ndarray, "..."] | None:
     """Read an array of numbers from a file of `torch.save`.
 
     Returns:
@@ -72,7 +72,7 @@ def _steps(program: bytes) -> list[tuple[str, object]] | None:
     return steps if first in _RECONSTRUCT else None
 
 
-def _array(steps: list[tuple[str, object]]) -> Num[np.ndarray, "..."]:
+def _array(steps: list[tuple[str, object]]) -> Shaped[np.ndarray, "..."]:
     """Rebuild the array from its state: version, shape, type, order of axes, bytes."""
     state = [name for name, _ in steps].index("MARK") + 2
     shape = []

@@ -96,7 +96,7 @@ def _is_bar(image: FaceImage, part: Part, *, upright: bool) -> bool:
     row = there[contrast[there].argmax()]
     ends = [
         abs(float(_thin(gray[:, beyond].mean(axis=1), away)[row]))
-        for beyond in _beyond(np.rint(box[[0, 2]] * columns).astype(int), left, right)
+        for beyond in _beyond(np.rint(box[[0, 2]] * columns).astype(int), int(left), int(right))
     ]
     least = max(MIN_BAR, MIN_BAR_RATIO * float(np.percentile(others, 90)))
     return bool(contrast[row] > least and all(end < MAX_BEYOND * contrast[row] for end in ends))
