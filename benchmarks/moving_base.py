@@ -53,8 +53,9 @@ def report(every: list[tuple[str, str, str, str]], use: BaseUse, folder: Path) -
     reach = load_reach(robot)
     counts: Counter[str] = Counter()
     needed: list[float] = []
+    kitchens = {name: scene_of(name) for _, name, _, _ in every}  # read once, as in one program
     for k, (_, scene_name, item, joint) in enumerate(every):
-        scene = scene_of(scene_name)
+        scene = kitchens[scene_name]
         began = time.process_time()
         try:
             plan = plan_base_placement(
