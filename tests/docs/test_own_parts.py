@@ -65,7 +65,6 @@ def test_a_cost_of_ones_own_counts() -> None:
         (lambda poses: [True] * len(poses), "numbers, one per base pose"),
         (lambda poses: -np.ones(len(poses)), "at least 0; keep_poses excludes"),
         (lambda poses: np.full(len(poses), np.inf), "at least 0; keep_poses excludes"),
-        (3.0, "pose_cost must be"),
     ],
 )
 def test_a_wrong_cost_is_refused_by_its_name(cost: Any, words: str) -> None:
