@@ -136,8 +136,15 @@ def _answer_to(
 ) -> PlacementResult:
     """Answer the query for another value; add the time to the query's stopwatch."""
     task = replace(query.task, to=float(value), farthest=False)
+    return answer_on_watch(query, replace(query, task=task, config=config), answer)
+
+
+def answer_on_watch(
+    query: PlacementQuery, other: PlacementQuery, answer: Answer
+) -> PlacementResult:
+    """Answer another question as a part of a query, whose stopwatch counts the time."""
     watch = Stopwatch(query.watch.clock)
-    result = answer(replace(query, task=task, config=config, watch=watch))
+    result = answer(replace(other, watch=watch))
     for stage, seconds in watch.seconds.items():
         query.watch.seconds[stage] = query.watch.seconds.get(stage, 0.0) + seconds
     return result

@@ -106,7 +106,7 @@ class SearchSetup:
 
     def with_grasps(self, variant: SlidingHook | TwoGrasps) -> Problem:
         """Return the problem, solved with more than one grasp."""
-        attempt = _accepted(variant, self.drives, self.robust)
+        attempt = self.accepted(variant)
         problem = variant.problem(self.problem)
         also = [variant.pulling] if isinstance(variant, TwoGrasps) else []
         reason = problem.infeasible_reason or self.passage.no_way(problem.geometry, *also)

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
 from momapos.model.records import Hold, Motion, PlacementPlan
 from momapos.model.scene import stays_in_place
 
-from .max_opening_plan import MIN_TIMEOUT, by_samples
+from .max_opening_plan import MIN_TIMEOUT, answer_on_watch, by_samples
 from .query import PlacementQuery
 from .result import PlacementResult
 
@@ -120,11 +119,8 @@ def _leg(
         return None
     config = by_samples(replace(query.config, timeout=left))
     config = replace(config, motion=replace(config.motion, home_again=again))
-    watch = Stopwatch(query.watch.clock)
     task = replace(query.task, to=to, farthest=False)
-    found = answer(replace(at, task=task, config=config, watch=watch))
-    for stage, seconds in watch.seconds.items():
-        query.watch.seconds[stage] = query.watch.seconds.get(stage, 0.0) + seconds
+    found = answer_on_watch(query, replace(at, task=task, config=config), answer)
     motion = found.plan.motion
     can_be_joined = motion is not None and motion.latch_q is None and motion.base is None
     return found if can_be_joined and found.plan.base_path is not None else None

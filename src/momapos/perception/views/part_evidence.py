@@ -201,8 +201,8 @@ def _lines(strip: Float[np.ndarray, "n w"], at: int, search: int) -> tuple[float
     if mean.shape[1] < 2 * SIDE + 2:
         return 0.0, 0.0
     before, middle, after = mean[:, : -2 * SIDE], mean[:, SIDE:-SIDE], mean[:, 2 * SIDE :]
-    beside = np.minimum(before, after)
-    dark = _along(np.nan_to_num((beside - middle) / (beside + DARK_OFFSET)))
+    next_to = np.minimum(before, after)
+    dark = _along(np.nan_to_num((next_to - middle) / (next_to + DARK_OFFSET)))
     change = np.nan_to_num((after - before) / (np.maximum(after, before) + DARK_OFFSET))
     return dark, max(_along(change), _along(-change))
 
