@@ -14,6 +14,7 @@ import pytest
 import momapos
 from momapos.apps.synthetic_scans.recording import synthetic_scan
 from momapos.core.errors import InputError
+from momapos.model.kinematics.ik import solve_ik
 from momapos.model.records.scans import ImageDetection, Scan
 from momapos.model.scene.scene_files import load_scene
 from momapos.perception.pipeline import default_tools
@@ -33,7 +34,9 @@ def run(name: str, **given: Any) -> dict[str, Any]:
 
 
 def test_examples_are_short() -> None:
-    assert [title for title, _ in BLOCKS] == ["Cost", "Filter", "Reachability", "Detector"]
+    assert [title for title, _ in BLOCKS] == [
+        "Cost", "Filter", "Reachability", "Detector", "Inverse"
+    ]  # fmt: skip
     for _, code in BLOCKS:
         assert len([line for line in code.splitlines() if line.strip()]) <= MAX_LINES
 
@@ -111,3 +114,40 @@ def test_a_detector_of_ones_own_labels_what_is_seen(
     )  # fmt: skip
     labels = {d.detection.label for d in names["made"].decisions}
     assert "fridge" in labels
+
+
+def test_inverse_kinematics_of_ones_own_finds_the_states() -> None:
+    names = run("Inverse")
+    plan, plain = names["result"].plan, names["plain"]
+    assert plan.status == "solved"
+    elbow = plain.moved_joints.index("elbow_joint")
+    assert (plan.motion.q[:, elbow] >= 0.0).all()
+    usual = momapos.plan_base_placement(names["scene"], plain, names["task"]).plan
+    assert usual.status == "solved"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda states: states[0], r"of shape \(\d+, b, 6\)"),
+        (lambda states: states + 0.1, "misses its pose by"),
+        (list, "list"),
+    ],
+)
+def test_wrong_inverse_kinematics_is_refused(wrong: Any, words: str) -> None:
+    scene, robot = momapos.load_scene("kitchen_small"), momapos.load_robot("segway_ur5e")
+    task = momapos.make_task(scene, "open", "fridge", "door_hinge")
+
+    def solve(Ts: np.ndarray) -> Any:
+        return wrong(solve_ik(robot.chain, robot.ik, Ts)[0])
+
+    with pytest.raises(InputError, match=words):
+        momapos.plan_base_placement(scene, robot.with_inverse_kinematics(solve), task)
+
+
+def test_states_without_a_solution_or_beyond_limits_are_left_out() -> None:
+    scene, robot = momapos.load_scene("kitchen_small"), momapos.load_robot("segway_ur5e")
+    task = momapos.make_task(scene, "open", "fridge", "door_hinge")
+    nothing = robot.with_inverse_kinematics(lambda Ts: np.full((len(Ts), 0, 6), np.nan))
+    assert momapos.plan_base_placement(scene, nothing, task).plan.status == "infeasible"
+    assert momapos.plan_base_placement(scene, robot, task).plan.status == "solved"

@@ -27,6 +27,18 @@ class ReachScorer(Protocol):
         ...
 
 
+class InverseKinematics(Protocol):
+    """Solves for the states of an arm with its tool at given poses."""
+
+    def __call__(self, Ts_base_tool: Float[np.ndarray, "m 4 4"], /) -> Float[np.ndarray, "m b n"]:
+        """Return up to b states of the n arm joints for each tool pose in the base frame.
+
+        Rows without a state are NaN. Joints are ordered as `Robot.chain.names` [rad] or [m]. States
+        beyond the joints' limits are not used.
+        """
+        ...
+
+
 class Segmenter(Protocol):
     """Segments a cloud (z up) into objects; the remaining points are the room or noise."""
 

@@ -13,13 +13,23 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from momapos.core import Cache, RobotError, UnknownNameError, as_path, expect, unknown_name
+from momapos.core import (
+    Cache,
+    RobotError,
+    UnknownNameError,
+    as_path,
+    expect,
+    expect_callable,
+    unknown_name,
+)
 from momapos.core.geometry import apply, invert
 from momapos.model.collision import LinkHulls, Spheres, arm_spheres
 from momapos.model.kinematics import Chain, IkModel, Segments, build_chain, build_ik, fine_ik
-from momapos.model.urdf import Articulated, Boxes, once
+from momapos.model.records import InverseKinematics
+from momapos.model.urdf import Articulated, Boxes
 
 from .file_values import TomlTable
+from .footprint import read_footprint
 from .gripper_guess import FINGER, HAND
 from .robot_names import find_robot, library_file
 from .robot_tables import (
@@ -38,8 +48,6 @@ from .srdf import read_srdf
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-MAX_FOOTPRINT_CORNERS = 1_000
-"""Maximum number of footprint corners [-]."""
 MAX_REACH = 5.0
 """Maximum reach of an arm [m]; the size of maps and grids grows with its cube."""
 Drive = Literal["differential", "omni", "car"]
@@ -115,6 +123,8 @@ class Robot:
     unchanged."""
     fully_open: Robot | None = field(default=None, repr=False)
     """The robot with its hand fully open, if this hand is not; see `hand_openings`."""
+    own_ik: InverseKinematics | None = field(default=None, repr=False)
+    """Solves for the states at the waypoints in place of `ik`; see `with_inverse_kinematics`."""
 
     @property
     def source(self) -> str:
@@ -161,6 +171,29 @@ class Robot:
         ik, finer = fine_ik(self.chain), copy(self)
         vars(finer)["ik"] = ik
         return finer
+
+    def with_inverse_kinematics(self, solve: InverseKinematics) -> Robot:
+        """Return the same robot with inverse kinematics of your own.
+
+        It finds the states at the waypoints of a task. Between waypoints the planner follows the
+        tool by Newton steps as always, and the reachability map keeps its own. Searches in which
+        the hand turns about a bar, or the base moves, have joints that it does not know and keep
+        the planner's.
+
+        Args:
+            solve: Returns states (m, b, n) of the arm joints for tool poses (m, 4, 4) in the base
+                frame; rows without a state are NaN.
+
+        Raises:
+            InputError: It cannot be called.
+        """
+        expect_callable("solve", solve)
+        robot = copy(self)
+        vars(robot).pop("finer", None)
+        vars(robot)["own_ik"] = solve
+        if self.fully_open is not None:
+            vars(robot)["fully_open"] = self.fully_open.with_inverse_kinematics(solve)
+        return robot
 
     @cached_property
     def spheres(self) -> Spheres:
@@ -282,7 +315,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
         arm_joints=tuple(own.texts("arm_joints")),
         gripper_links=tuple(own.texts("gripper_links")),
         home=own.vector("home"),
-        footprint=_footprint(base, path, cache),
+        footprint=read_footprint(base, path, cache),
         drive=base.choice("drive", DRIVES),  # type: ignore[arg-type]
         min_turning_radius=_turning_radius(base),
         max_speed=base.positive("max_speed", 0.5),
@@ -379,24 +412,3 @@ def _check(robot: Robot) -> None:
         )
     if abs(float(robot.approach_axis @ robot.closing_axis)) > 1e-3:
         raise RobotError(f"{robot.path}: approach_axis and closing_axis must be perpendicular")
-
-
-def _footprint(base: TomlTable, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:
-    points = base.matrix("footprint", 2)
-    return once(cache, "footprint", (points,), lambda: _outline(points, path))
-
-
-def _outline(points: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarray, "k 2"]:
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) > MAX_FOOTPRINT_CORNERS or np.abs(points).max(initial=0.0) > MAX_REACH:
-        raise RobotError(
-            f"{path}: base.footprint must have at most {MAX_FOOTPRINT_CORNERS} corners, within "
-            f"{MAX_REACH:g} m of the origin"
-        )
-    try:
-        return points[ConvexHull(points).vertices]
-    except (QhullError, ValueError) as error:
-        raise RobotError(
-            f"{path}: base.footprint must enclose an area, as [[x, y], ...]"
-        ) from error

@@ -29,10 +29,12 @@ from momapos.model.kinematics import (
     solve_sample,
     state_loads,
 )
+from momapos.model.robots import Robot
 from momapos.planning.grasps import TaskMotion
 
 from .arm_models import ArmModel, robot_of, slides_of, standing_arm
 from .hand_clearance import arm_spheres
+from .own_ik import copy_states, own_states
 from .task_loads import load_arrays
 
 if TYPE_CHECKING:
@@ -118,6 +120,9 @@ class Waypoints(NamedTuple):
     """Force on the hand of each grasp at every step, in the world [N]."""
     point: F3
     """Where it acts [m]."""
+    own: F3
+    """States by the user's own inverse kinematics at each job, waypoint and grasp of its mode,
+    with NaN where there is none; empty if the arm's own is used."""
 
 
 class Found(NamedTuple):
@@ -169,13 +174,17 @@ def solve_layers(
     scale = joint_scale(chain)
     locked = scale.copy()
     locked[ik.active] = 0.0
+    solve = robot.own_ik if isinstance(robot, Robot) else None
+    own, (force, point) = np.empty((0, 0, chain.size)), map(np.ascontiguousarray, motion.hand_loads)
+    if solve is not None:
+        own = own_states(solve, chain, paths, grasps, step, motion.Ts_world_tool)
     return Layers(*_solve_layers(
         Jobs(np.ascontiguousarray(paths), np.ascontiguousarray(grasps)),
         Standing(chain_arrays(standing_arm(robot).chain), slides_of(robot)),
         Waypoints(
             order, waypoints, step, motion.value[step], motion.holding[step],
             np.ascontiguousarray(motion.Ts_world_tool),
-            *map(np.ascontiguousarray, motion.hand_loads),
+            force, point, own,
         ),
         arm_arrays(chain, ik),
         load_arrays(robot),
@@ -282,7 +291,7 @@ def _solve_layer(
     if high >= 0:
         limits[1] = MAX_STEP * (path.place[high] - path.place[w])
         after = found.q[found.first[j, high] : found.first[j, high] + found.counts[j, high]]
-    count, worst = 0, CUT_OFF
+    count, worst, own = 0, CUT_OFF, len(path.own) > 0
     found.excess[j] = np.inf
     for column in range(jobs.grasps.shape[1]):
         grasp, code = jobs.grasps[j, column], NOWHERE
@@ -291,13 +300,20 @@ def _solve_layer(
         _tool_in_base(path.Ts_world_tool[grasp, path.step[w]], base, R, p)
         force, point = path.force[grasp, path.step[w]], path.point[grasp, path.step[w]]
         begin_pose(scratch)
-        for s in range(sample_count(arm.ik)):
+        for s in range(1 if own else sample_count(arm.ik)):
             # Locked joints are known, so most samples need no inverse kinematics.
-            if s < len(samples) and not _joined(
-                samples[s], limits, before, after, full_turn, steps.locked
+            if (
+                not own
+                and s < len(samples)
+                and not _joined(samples[s], limits, before, after, full_turn, steps.locked)
             ):
                 continue
-            for b in range(solve_sample(s, R, p, arm, COARSE, solutions, scratch)):
+            if own:
+                row = (j * len(path.place) + w) * jobs.grasps.shape[1] + column
+                solved = copy_states(path.own[row], solutions)
+            else:
+                solved = solve_sample(s, R, p, arm, COARSE, solutions, scratch)
+            for b in range(solved):
                 q = solutions[b]
                 if not _joined(q, limits, before, after, full_turn, steps.scale):
                     if code == NOWHERE:
@@ -348,13 +364,15 @@ def _solve_layers(
     )
     joints = len(standing.chain.slides)
     scratch, placed = ik_scratch(arm), scratch_of(joints, room.spheres)
+    solutions = np.empty((max(MAX_BRANCHES, path.own.shape[1]), n))
     memory = (
-        np.empty((3, 3)), np.empty(3), np.empty((MAX_BRANCHES, n)), np.empty(2), np.empty((2, 3)),
+        np.empty((3, 3)), np.empty(3), solutions, np.empty(2), np.empty((2, 3)),
         load_scratch(joints, n - len(standing.slides)), np.empty(3),
     )  # fmt: skip
     excess, where = np.full(count, np.inf), np.zeros(count, np.int64)
     # The arrays always have space for one job at one waypoint.
-    most, used = jobs.grasps.shape[1] * max_solutions(arm.ik), 0
+    each = max(max_solutions(arm.ik), path.own.shape[1])
+    most, used = jobs.grasps.shape[1] * each, 0
     q, grasps = np.empty((4 * most, n)), np.empty(4 * most, np.int64)
     checked = np.empty(4 * most, np.bool_)
     for j in range(count):
