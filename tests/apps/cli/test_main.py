@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from momapos.apps.cli.base_pose_words import parse_pose
-from momapos.apps.cli.main import COMMANDS, SHELLS, main
+from momapos.apps.cli.main import COMMANDS, main
+from momapos.apps.cli.names import SHELLS
 from momapos.core.errors import TaskError
 from momapos.core.units import parse_quantity
 

@@ -8,6 +8,7 @@ import pty
 import subprocess
 import sys
 from pathlib import Path
+from shutil import which
 
 import pytest
 
@@ -60,22 +61,43 @@ def test_objects_of_a_file_of_ones_own_are_completed(tmp_path: Path) -> None:
     assert names_for(["place", "open", str(scene)]) == []
 
 
-def test_bash_completes_the_name_of_a_robot(tmp_path: Path) -> None:
+SHELLS = {
+    "bash": """
+eval "$(momapos --tyro-print-completion bash)"
+COMP_WORDS=(momapos place open kitchen_small fridge --robot fet); COMP_CWORD=6
+_momapos_names momapos fet --robot; echo "${COMPREPLY[@]}"
+""",
+    "zsh": """
+eval "$(momapos --tyro-print-completion zsh)"
+compadd() { print -l -- ${(P)2}; }
+_describe() { print -l -- ${(P)2}; }
+_files() { :; }
+words=(momapos place open kitchen_small fridge --robot fet); CURRENT=7
+_momapos_names
+""",
+    "fish": """
+momapos --tyro-print-completion fish | source
+complete -C "momapos place open kitchen_small fridge --robot fet"
+""",
+}
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_a_shell_completes_the_name_of_a_robot(shell: str, tmp_path: Path) -> None:
+    if which(shell) is None:
+        pytest.skip(f"needs {shell}")
     program = tmp_path / "momapos"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{START}" "$@"\n')
     program.chmod(0o755)
-    script = tmp_path / "complete.bash"
-    lines = [
-        'eval "$(momapos --tyro-print-completion bash)"',
-        "COMP_WORDS=(momapos place open kitchen_small fridge --robot fet); COMP_CWORD=6",
-        '_momapos_names momapos fet --robot; echo "${COMPREPLY[@]}"',
-    ]
-    script.write_text("\n".join(lines))
-    path = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": ":".join(sys.path)}
-    done = subprocess.run(
-        ["bash", str(script)], capture_output=True, text=True, check=True, env=path
-    )
+    script = tmp_path / "complete"
+    script.write_text(SHELLS[shell])
+    path = {
+        "PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": ":".join(sys.path),
+        "HOME": str(tmp_path),
+    }  # fmt: skip
+    done = subprocess.run([shell, str(script)], capture_output=True, text=True, env=path)
     assert "fetch" in done.stdout.split()
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize(("variable", "colored"), [("1", False), ("", True)])

@@ -7,8 +7,10 @@ base pose; 4 out of time.
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout, suppress
 
 COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
@@ -69,9 +71,9 @@ EXAMPLES = """examples:
 HELP = ("-h", "--help")
 HELP_ALL = "--help-all"
 COMPLETION = "--tyro-print-completion"
-SHELLS = ("bash", "zsh", "fish")
-COMPLETE = f"""shell completion in bash (zsh and fish likewise):
-  eval "$(momapos {COMPLETION} bash)\""""
+COMPLETE = f"""shell completion, in bash or zsh, and in fish:
+  eval "$(momapos {COMPLETION} bash)"
+  momapos {COMPLETION} fish | source"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -164,6 +166,8 @@ def _print_completion(shell: list[str]) -> int:
 
     from momapos.core import InputError
 
+    from .names import SHELLS, completion_script
+
     if len(shell) != 1 or shell[0] not in SHELLS:
         raise InputError(f"{COMPLETION} needs one of {', '.join(SHELLS)}")
     app = SubcommandApp()
@@ -175,13 +179,10 @@ def _print_completion(shell: list[str]) -> int:
         for sub, function in functions.items():
             group.command(name=sub)(_load(function))
         app.command(group, name=name)
-    try:
+    printed = io.StringIO()
+    with redirect_stdout(printed), suppress(SystemExit):  # tyro exits after printing
         app.cli(prog="momapos", args=[COMPLETION, *shell], config=(FlagCreatePairsOff,))
-    finally:  # tyro exits after printing
-        if shell == ["bash"]:
-            from .names import BASH
-
-            print(BASH)
+    print(completion_script(shell[0], printed.getvalue()))
     return 0
 
 

@@ -25,8 +25,8 @@ _POSITIONS = {
 }  # fmt: skip
 """What the arguments without an option name, by command."""
 _OPTIONS = {"--robot": _ROBOT, "--robots": _ROBOT, "--world": _SCENE, "--joint": _PART}
-BASH = f"""
-# Names of scenes, robots, objects and suites, which tyro does not know.
+_SCRIPTS = {
+    "bash": f"""
 _momapos_names() {{
   _tyro_momapos "$@"
   local cur="${{COMP_WORDS[COMP_CWORD]}}"
@@ -34,8 +34,36 @@ _momapos_names() {{
 2>/dev/null)" -- "$cur"))
 }}
 complete -o default -F _momapos_names momapos
-"""
-"""What follows tyro's script for bash."""
+""",
+    "zsh": f"""
+_momapos_names() {{
+  local -a names
+  names=(${{(f)"$(momapos {COMPLETE_NAMES} ${{words[2,CURRENT-1]}} 2>/dev/null)"}})
+  [[ -n "$names" ]] && compadd -a names
+  _tyro_momapos "$@"
+}}
+(( $+functions[compdef] )) || {{ autoload -Uz compinit; compinit; }}
+compdef _momapos_names momapos
+""",
+    "fish": f"""
+complete --command momapos --arguments "(momapos {COMPLETE_NAMES} (commandline -opc)[2..-1] \
+2>/dev/null)"
+""",
+}
+"""What follows tyro's script for each shell: names of scenes, robots, objects and suites."""
+_ZSH_CALL = 'typeset -A opt_args\n_tyro_momapos "$@"'
+"""End of tyro's script for zsh, which is the body of a completion function, not one to source."""
+SHELLS = tuple(_SCRIPTS)
+
+
+def completion_script(shell: str, of_tyro: str) -> str:
+    """Return the script that a shell sources to complete commands, options and names.
+
+    Args:
+        shell: One of `SHELLS`.
+        of_tyro: Tyro's script for this shell, which completes commands and options.
+    """
+    return of_tyro.replace(_ZSH_CALL, "") + _SCRIPTS[shell]
 
 
 def names_for(words: Sequence[str]) -> list[str]:
