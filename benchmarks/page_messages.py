@@ -14,8 +14,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import random
-import re
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -24,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from hostile import hostile_frame
-from pages import GROWTH, LONG, QUIET, Tab, memory
+from pages import GROWTH, LONG, QUIET, Tab, memory, while_served
 
 ROUNDS = 10
 ANSWER = "fully checked"
@@ -124,20 +122,7 @@ if __name__ == "__main__":
     parser.add_argument("--messages", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    command = [
-        sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()", "view",
-        "kitchen_small", "--port", "0",
-    ]  # fmt: skip
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as server:
-        assert server.stdout is not None
-        assert server.stderr is not None
-        found = re.search(r"http://\S+", server.stdout.readline())
-        assert found is not None
-        failed = asyncio.run(run(found[0], server.pid, args.messages, args.seed))
-        server.terminate()
-        lines = server.stderr.read().splitlines()
+    failed, lines = while_served(lambda address, pid: run(address, pid, args.messages, args.seed))
     # The page reports a question that it cannot answer in one line, here too.
     other = [line for line in lines if not line.startswith("momapos: ")]
     if other:

@@ -18,6 +18,7 @@ import re
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -297,16 +298,15 @@ async def run(address: str, pid: int, pages: int, minutes: float, seed: int) -> 
     return wrong
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pages", type=int, default=20)
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    command = [
-        sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()", "view",
-        "kitchen_small", "--port", "0",
-    ]  # fmt: skip
+def while_served(
+    act: Callable[[str, int], Coroutine[Any, Any, list[str]]],
+) -> tuple[list[str], list[str]]:
+    """Serve a kitchen while pages act at its address; its second argument is the server's process.
+
+    Returns:
+        What is wrong, and the lines that the server printed as errors.
+    """
+    command = [sys.executable, "-m", "momapos", "view", "kitchen_small", "--port", "0"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as server:
@@ -314,10 +314,21 @@ if __name__ == "__main__":
         assert server.stderr is not None
         found = re.search(r"http://\S+", server.stdout.readline())
         assert found is not None
-        failed = asyncio.run(run(found[0], server.pid, args.pages, args.minutes, args.seed))
+        failed = asyncio.run(act(found[0], server.pid))
         server.terminate()
-        errors = server.stderr.read()
+        return failed, server.stderr.read().splitlines()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pages", type=int, default=20)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    failed, errors = while_served(
+        lambda address, pid: run(address, pid, args.pages, args.minutes, args.seed)
+    )
     if errors:
-        failed.append(f"the server printed:\n{errors}")
+        failed.append("\n".join(["the server printed:", *errors]))
     print("\n".join(failed) if failed else "all pages show the same; no exception")
     sys.exit(bool(failed))

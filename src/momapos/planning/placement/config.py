@@ -89,5 +89,5 @@ class PlaceConfig:
         )  # fmt: skip
         if not self.weight_room >= 0:
             raise InputError(f"weight_room must be at least 0, or inf, not {self.weight_room:g}")
-        refuse_values_below(self, 0.005, "grid_cell")
-        refuse_values_below(self, 0.5, "grid_turn")
+        refuse_values_below(self, 0.01, "grid_cell")
+        refuse_values_below(self, 1.0, "grid_turn")

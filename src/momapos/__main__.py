@@ -1,0 +1,6 @@
+"""`python -m momapos` is the command line."""
+
+from momapos.apps.cli.main import entry
+
+if __name__ == "__main__":
+    entry()
