@@ -1,14 +1,17 @@
-"""Draw what momapos finds in a scan of a real kitchen: from above, and one wall from the front.
+"""Draw what momapos finds in a scan of a real kitchen: from above, and on its images.
 
     python benchmarks/scan_figure.py FOLDER [--out docs/images/redkitchen.png]
 
-FOLDER is a scan, such as 7-Scenes RedKitchen. Large objects are drawn with their names.
+FOLDER is a scan, such as 7-Scenes RedKitchen. Large objects are drawn with their names from above.
+On the images that show most doors and drawers, these and their handles are drawn. They are also
+printed as rows of a table.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +20,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from momapos.core.geometry.transforms import apply
 from momapos.core.geometry.upright_boxes import UprightBox, box_axes
-from momapos.model.records.scans import Detection
+from momapos.model.records.scans import Detection, Frame, Part
 from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.records import Modeled
+from momapos.perception.records import Decision, Modeled
+from momapos.perception.views.faces import Face
 from momapos.workflows.scan import scan_to_scene
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#aa3377", "#7a5c00", "#4b4bc8")
@@ -32,8 +37,10 @@ NARROW = 0.45
 """Boxes that are narrower get an upright name [m]."""
 CEILING = 2.1
 """Points above are not drawn from above [m]."""
-DEPTH = 0.8
-"""Depth of the wall that is drawn from the front [m]."""
+MARGIN = 0.02
+"""A part is in an image if all corners are within it by this share of its size [-]."""
+IMAGES = 2
+"""Largest number of images [-]."""
 
 
 def drawn(modeled: Modeled) -> list[Detection]:
@@ -58,31 +65,104 @@ def corners(box: UprightBox, columns: tuple[int, int]) -> np.ndarray:
     return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
 
 
-def draw(axes: Axes, modeled: Modeled, objects: list[Detection], columns: tuple[int, int]) -> None:
-    """Draw points, boxes and names."""
+def draw_above(axes: Axes, modeled: Modeled) -> int:
+    """Draw points, boxes and names from above; return the number of boxes."""
     points, colors = modeled.cloud.points, modeled.cloud.colors / 255.0
-    back = points[:, 1].max()
-    shown = points[:, 2] < CEILING if columns == (0, 1) else points[:, 1] > back - DEPTH
-    order = np.argsort(points[shown][:, 2 if columns == (0, 1) else 1])
-    order = order if columns == (0, 1) else order[::-1]
-    flat = points[shown][order][:, list(columns)]
+    shown = points[:, 2] < CEILING
+    order = np.argsort(points[shown][:, 2])
+    flat = points[shown][order][:, :2]
     axes.scatter(flat[:, 0], flat[:, 1], s=3.5, c=colors[shown][order], linewidths=0)
+    objects = drawn(modeled)
     for k, one in enumerate(objects):
-        if columns == (0, 2) and one.box.center[1] < back - DEPTH:
-            continue
-        outline, color = corners(one.box, columns), COLORS[k % len(COLORS)]
+        outline, color = corners(one.box, (0, 1)), COLORS[k % len(COLORS)]
         axes.add_patch(Polygon(outline, fill=False, edgecolor=color, linewidth=3.5))
         upright = np.ptp(outline[:, 0]) < NARROW
         x, y = outline.mean(0).tolist()
-        axes.text(
-            x, y, one.label, color=color, fontsize=15, rotation=90 * upright,
-            weight="bold", ha="center", va="center",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.5},
-        )  # fmt: skip
+        write(axes, (x, y), one.label, color, 90 * upright)
     axes.set_aspect("equal")
     axes.tick_params(labelsize=15)
     axes.set_xlabel("x [m]", fontsize=17)
-    axes.set_ylabel("y [m]" if columns == (0, 1) else "height [m]", fontsize=17)
+    axes.set_ylabel("y [m]", fontsize=17)
+    return len(objects)
+
+
+def write(axes: Axes, at: tuple[float, float], text: str, color: str, turn: float = 0.0) -> None:
+    """Write words on a light ground."""
+    axes.text(
+        *at, text, color=color, fontsize=15, rotation=turn, weight="bold", ha="center",
+        va="center", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.5},
+    )  # fmt: skip
+
+
+def on_face(face: Face, box: Sequence[float]) -> np.ndarray:
+    """Return the corners of a rectangle on a face, in the world [m]."""
+    left, top, right, bottom = box
+    x = (np.array([left, right, right, left]) - 0.5) * face.width
+    y = (0.5 - np.array([top, top, bottom, bottom])) * face.height
+    return apply(face.T_world_face, np.column_stack([x, y, np.zeros(4)]))
+
+
+def pixels(frame: Frame, points: np.ndarray) -> np.ndarray | None:
+    """Project points; None if one is outside of the image."""
+    seen = apply(np.linalg.inv(frame.T_world_camera), points) @ frame.intrinsics.T
+    if (seen[:, 2] <= 0).any():
+        return None
+    at, size = seen[:, :2] / seen[:, 2:], np.array(frame.color.shape[1::-1])
+    inside = (at > MARGIN * size).all() and (at < (1 - MARGIN) * size).all()
+    return at if inside else None
+
+
+def best_images(modeled: Modeled) -> list[Frame]:
+    """Return the images that show the parts, each the most of those that the others do not."""
+    left, chosen = parts(modeled), []
+    while left and len(chosen) < IMAGES:
+
+        def shown(frame: Frame, left: list[tuple[Decision, Part]] = left) -> float:
+            return sum(area(frame, *one) for one in left)
+
+        frame = max(modeled.frames, key=shown)
+        chosen.append(frame)
+        left = [one for one in left if area(frame, *one) == 0.0]
+    return chosen
+
+
+def parts(modeled: Modeled) -> list[tuple[Decision, Part]]:
+    """Return all parts with their objects."""
+    return [(one, part) for one in modeled.decisions if one.view for part in one.parts]
+
+
+def area(frame: Frame, decision: Decision, part: Part) -> float:
+    """Return the area of a part in an image, as its root [px]; 0 if it is not all inside."""
+    assert decision.view is not None
+    at = pixels(frame, on_face(decision.view.face, part.box))
+    if (
+        at is None
+        or decision.view.face.outward
+        @ (frame.T_world_camera[:3, 3] - decision.view.face.T_world_face[:3, 3])
+        <= 0.0
+    ):
+        return 0.0
+    x, y = at.T
+    return float(np.sqrt(abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2))
+
+
+def draw_image(axes: Axes, frame: Frame, modeled: Modeled) -> None:
+    """Draw an image, and the parts that it shows."""
+    axes.imshow(frame.color)
+    for k, (decision, part) in enumerate(parts(modeled)):
+        if area(frame, decision, part) == 0.0 or decision.view is None:
+            continue
+        face, color = decision.view.face, COLORS[k % len(COLORS)]
+        outline = pixels(frame, on_face(face, part.box))
+        assert outline is not None
+        axes.add_patch(Polygon(outline, fill=False, edgecolor=color, linewidth=4))
+        handle = None if part.handle is None else pixels(frame, on_face(face, part.handle))
+        if handle is not None:
+            axes.add_patch(Polygon(handle, fill=False, edgecolor="white", linewidth=3))
+        x, y = outline.mean(0).tolist()
+        kind = part.kind.replace("_", "\n")
+        write(axes, (x, y), f"{k + 1} {decision.detection.label}\n{kind}", color)
+    axes.set_axis_off()
 
 
 if __name__ == "__main__":
@@ -92,12 +172,17 @@ if __name__ == "__main__":
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         result = scan_to_scene(read_scan(args.folder), Path(folder) / "scene.json")
-    figure = Figure(figsize=(19.2, 6.2), dpi=100, layout="constrained")
-    above, front = figure.subplots(1, 2)
-    large = drawn(result)
-    draw(above, result, large, (0, 1))
-    draw(front, result, large, (0, 2))
+    frames = best_images(result)
+    figure = Figure(figsize=(19.2, 6.8), dpi=100, layout="constrained")
+    above, *images = figure.subplots(1, 1 + len(frames), width_ratios=[1.15] + [1.0] * len(frames))
+    count = draw_above(above, result)
     above.set_title("from above", fontsize=22)
-    front.set_title("the back wall, from the front", fontsize=22)
+    for axes, frame in zip(images, frames, strict=True):
+        draw_image(axes, frame, result)
+        axes.set_title(f"image {frame.name}", fontsize=22)
     FigureCanvasAgg(figure).print_png(str(args.out))
-    print(f"{args.out}: {len(large)} of {len(result.decisions)} objects drawn")
+    print(f"{args.out}: {count} of {len(result.decisions)} objects drawn")
+    for k, (decision, part) in enumerate(parts(result)):
+        x, y, z = on_face(decision.view.face, part.box).mean(0) if decision.view else (0, 0, 0)
+        print(f"| {k + 1} | {decision.detection.label} at ({x:.2f}, {y:.2f}, {z:.2f}) | "
+              f"{part.kind} | {part.score:.2f} | {'yes' if part.handle else 'no'} |")  # fmt: skip
