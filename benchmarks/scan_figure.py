@@ -114,7 +114,7 @@ def pixels(frame: Frame, points: np.ndarray) -> np.ndarray | None:
 
 def best_images(modeled: Modeled) -> list[Frame]:
     """Return the images that show the parts, each the most of those that the others do not."""
-    left, chosen = parts(modeled), []
+    left, chosen = parts(modeled), list[Frame]()
     while left and len(chosen) < IMAGES:
 
         def shown(frame: Frame, left: list[tuple[Decision, Part]] = left) -> float:
