@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.apps.web.pages import serve
 
 from momapos.apps.web.saving import file_in, save_plan, save_room
 from momapos.core.errors import InputError
@@ -40,3 +41,21 @@ def test_a_saved_scene_has_the_joint_values_of_the_page(tmp_path: Path) -> None:
     scene = load_scene("kitchen_small")
     path = save_room(tmp_path, "room.json", scene, "fridge", {"door_hinge": 0.5})
     assert load_scene(path).object("fridge").values()["door_hinge"] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("started_here", [True, False])
+def test_a_saved_scene_is_offered_at_once(
+    started_here: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if started_here:
+        monkeypatch.chdir(tmp_path)
+    with serve(tmp_path) as (page, _):
+        assert page.work.wait(60.0)
+        page.files.save_scene("mine.json")
+        assert page.files.work.wait(60.0)
+        scene = page.state.panel.scene
+        assert scene.options == (
+            "kitchen_small", "mine.json" if started_here else str(tmp_path / "mine.json")
+        )  # fmt: skip
+        assert scene.value == "kitchen_small"
+        assert len(load_scene(scene.options[1]).objects) > 5

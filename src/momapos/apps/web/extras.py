@@ -53,10 +53,17 @@ class FileActions:
         self._put(lambda _: _saved(save_plan(self.folder, name, shown.answer).name))
 
     def save_scene(self, name: str) -> None:
-        """Write the scene into the working folder."""
-        shown = self._state.shown
+        """Write the scene into the working folder, and offer it among the scenes."""
+        shown, panel = self._state.shown, self._state.panel
         target, joints = shown.target, dict(shown.joints)
-        self._put(lambda _: _saved(save_room(self.folder, name, shown.scene, target, joints).name))
+
+        def work(_: Clock) -> str:
+            path = save_room(self.folder, name, shown.scene, target, joints)
+            source = path.name if self.folder.samefile(Path.cwd()) else str(path)
+            panel.offer(panel.scene, (*panel.scene.options, source), panel.scene.value)
+            return _saved(path.name)
+
+        self._put(work)
 
     def send_image(self, client: Any) -> None:
         """Send a browser an image of its view."""
