@@ -106,9 +106,15 @@ def answered(
         plan = plan_base_placement(room, robot, task, reach, config=config).plan
     except MomaposError as error:
         return row | {"status": "refused", "why": str(error)[:100]}, None
-    most = max(plan.candidates.rejections.items(), key=lambda one: one[1], default=("", 0))
     row |= {"status": plan.status, "seconds": time.process_time() - began, "to": plan.feasible_to}
-    return row | {"why": "" if plan.status == "solved" else most[0][:100]}, plan
+    return row | {"why": "" if plan.status == "solved" else why_not(plan)[:100]}, plan
+
+
+def why_not(plan: PlacementPlan) -> str:
+    """Return what the base pose that came nearest lacks, or else the most frequent reason."""
+    if plan.candidates.nearest is not None:
+        return plan.candidates.nearest.reason
+    return max(plan.candidates.rejections.items(), key=lambda one: one[1], default=("", 0))[0]
 
 
 def by_grid(

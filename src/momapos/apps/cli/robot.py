@@ -135,6 +135,10 @@ def robot_check(
     from momapos.model.robots import blocking, examine, load_arms
     from momapos.workflows import self_test
 
+    from .compile import ANSWER, CHECK, compile_once
+
+    if file.is_file():
+        compile_once((*ANSWER, *CHECK))
     cache = user_cache()
     guesses: tuple[str, ...] = ()
     tests: list[RobotTest] = []
