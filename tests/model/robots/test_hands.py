@@ -218,3 +218,11 @@ def test_the_tool_frame_does_not_depend_on_how_the_arm_is_mounted(
     text = text.replace('xyz="0.15 0 0.5"', f'xyz="0.15 0 0.5" rpy="0 0 {yaw}"')
     robot, _ = derived(tmp_path, text)
     assert robot.tool_link == ("palm" if length < 0.06 else "grasp_frame")
+
+
+@pytest.mark.parametrize("name", ["jaco_link_hand", "gripper_base"])
+def test_a_wrist_that_is_named_like_a_hand_is_a_joint_of_the_arm(tmp_path: Path, name: str) -> None:
+    robot, _ = derived(tmp_path, mobile_manipulator().replace('"arm_5"', f'"{name}"'))
+    assert robot.arm_joints == ("lift", *(f"j{k}" for k in range(6)))
+    assert {"left_finger", "right_finger"} <= set(robot.gripper_links)
+    assert_allclose(robot.closing_axis, [0, 1, 0], atol=1e-6)
