@@ -62,7 +62,7 @@ def main() -> None:
     found |= {"built": built, "built_wall": built_wall, "holds": not empty_handed(robot)}
     rows, solved = [], []
     for name in args.scenes:
-        scene = scene_of(name)
+        scene = scene_of(name, user_cache())
         doors = openable(scene)
         for item, joint in doors[:: max(1, len(doors) // args.most)][: args.most]:
             row, plan = answered(robot, reach, name, item, joint, args.timeout)
@@ -98,7 +98,7 @@ def answered(
 ) -> tuple[dict[str, Any], PlacementPlan | None]:
     """Plan one opening; return the row with the processor time, and the plan."""
     row: dict[str, Any] = {"task": f"{Path(scene).stem} {item}/{joint}"}
-    room = scene_of(scene)
+    room = scene_of(scene, user_cache())
     began = time.process_time()
     try:
         task = make_task(room, "open", item, joint)
@@ -121,7 +121,7 @@ def by_grid(
     robot: Robot, reach: ReachScorer, scene: str, item: str, joint: str, timeout: float
 ) -> str:
     """Return the status of an opening from the whole grid of base poses."""
-    room = scene_of(scene)
+    room = scene_of(scene, user_cache())
     config = replace(CONFIG, timeout=timeout, place=PlaceConfig(method="exhaustive"))
     task = make_task(room, "open", item, joint)
     answer = plan_base_placement(room, robot, task, reach, config=config)
