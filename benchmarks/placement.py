@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
+from momapos.core.cache import Cache, default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.model.records.outcomes import PoseStatus
 from momapos.model.robots.robot import load_robot
@@ -51,9 +51,9 @@ def shared() -> Path:
     return given / "data" if (given / "data").is_dir() else given
 
 
-def scene_of(name: str) -> Scene:
-    """Load a built-in kitchen, or a scene of the real data, by name."""
-    return load_scene(name if name in builtin_names() else shared() / "bestman" / name)
+def scene_of(name: str, cache: Cache | None = None) -> Scene:
+    """Load a built-in kitchen, or a scene of the real data, by name; with a cache, shapes, too."""
+    return load_scene(name if name in builtin_names() else shared() / "bestman" / name, cache=cache)
 
 
 def openings(robots: Sequence[str]) -> list[tuple[str, str, str, str]]:

@@ -62,7 +62,7 @@ def main() -> None:
     found |= {"built": built, "built_wall": built_wall, "holds": not empty_handed(robot)}
     rows, solved = [], []
     for name in args.scenes:
-        scene = scene_of(name)
+        scene = scene_of(name, user_cache())
         doors = openable(scene)
         for item, joint in doors[:: max(1, len(doors) // args.most)][: args.most]:
             row, plan = answered(robot, reach, name, item, joint, args.timeout)
@@ -98,7 +98,7 @@ def answered(
 ) -> tuple[dict[str, Any], PlacementPlan | None]:
     """Plan one opening; return the row with the processor time, and the plan."""
     row: dict[str, Any] = {"task": f"{Path(scene).stem} {item}/{joint}"}
-    room = scene_of(scene)
+    room = scene_of(scene, user_cache())
     began = time.process_time()
     try:
         task = make_task(room, "open", item, joint)
@@ -106,16 +106,22 @@ def answered(
         plan = plan_base_placement(room, robot, task, reach, config=config).plan
     except MomaposError as error:
         return row | {"status": "refused", "why": str(error)[:100]}, None
-    most = max(plan.candidates.rejections.items(), key=lambda one: one[1], default=("", 0))
     row |= {"status": plan.status, "seconds": time.process_time() - began, "to": plan.feasible_to}
-    return row | {"why": "" if plan.status == "solved" else most[0][:100]}, plan
+    return row | {"why": "" if plan.status == "solved" else why_not(plan)[:100]}, plan
+
+
+def why_not(plan: PlacementPlan) -> str:
+    """Return what the base pose that came nearest lacks, or else the most frequent reason."""
+    if plan.candidates.nearest is not None:
+        return plan.candidates.nearest.reason
+    return max(plan.candidates.rejections.items(), key=lambda one: one[1], default=("", 0))[0]
 
 
 def by_grid(
     robot: Robot, reach: ReachScorer, scene: str, item: str, joint: str, timeout: float
 ) -> str:
     """Return the status of an opening from the whole grid of base poses."""
-    room = scene_of(scene)
+    room = scene_of(scene, user_cache())
     config = replace(CONFIG, timeout=timeout, place=PlaceConfig(method="exhaustive"))
     task = make_task(room, "open", item, joint)
     answer = plan_base_placement(room, robot, task, reach, config=config)

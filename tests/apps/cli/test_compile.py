@@ -6,12 +6,22 @@ import importlib
 from pathlib import Path
 
 import pytest
+from tests.model.robots.rovers import Axle, rover
 
 from momapos.apps.cli import compile as compiling
-from momapos.apps.cli.compile import ANSWER, RANK, VERIFY, WALKS, compile_once
+from momapos.apps.cli.compile import (
+    ANSWER,
+    CHECK,
+    ON_FIRST_USE,
+    RANK,
+    VERIFY,
+    WALKS,
+    compile_once,
+)
 from momapos.apps.cli.main import main
 from momapos.core.compiled.code_store import Store
 from momapos.core.compiled.entries import ENTRIES
+from momapos.core.compiled.pack import every_entry
 
 
 def test_kernels_are_compiled_once_with_one_line_of_output(
@@ -39,6 +49,40 @@ def test_kernels_are_compiled_once_with_one_line_of_output(
 def test_every_kernel_for_planning_is_an_entry() -> None:
     compile_once()
     assert set(ANSWER) <= set(ENTRIES)
+
+
+def test_every_kernel_is_announced_or_has_a_reason_to_compile_on_first_use() -> None:
+    announced = {*ANSWER, *CHECK, *VERIFY, *RANK, *WALKS}
+    names = {entry.name for entry in every_entry()}
+    assert announced <= names
+    unused = [k for k in ON_FIRST_USE if not any(f"{name}.".startswith(f"{k}.") for name in names)]
+    assert not unused
+    assert not announced & set(ON_FIRST_USE)
+    silent = [
+        name
+        for name in names - announced
+        if not any(f"{name}.".startswith(f"{key}.") for key in ON_FIRST_USE)
+    ]
+    assert not silent, "add them to a list of compile.py, or say why not"
+
+
+def test_checking_a_car_like_robot_compiles_only_the_announced_kernels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    axles = [
+        Axle((0.2, 0.2), steering=0.5),
+        Axle((0.2, -0.2), steering=0.5),
+        Axle((-0.2, 0.2)),
+        Axle((-0.2, -0.2)),
+    ]
+    urdf = tmp_path / "car.urdf"
+    urdf.write_text(rover(axles).replace('effort="1"', 'effort="300"'))
+    for kernel in ENTRIES.values():
+        monkeypatch.setattr(kernel, "_native", None)
+    assert main(["robot", "check", str(urdf)]) == 0
+    used = {name for name, kernel in ENTRIES.items() if kernel._native is not None}
+    assert "momapos.planning.navigation.lattice.car_curves" in used
+    assert used <= {*ANSWER, *CHECK}
 
 
 @pytest.mark.parametrize("command", ["rank", "walks", "verify"])

@@ -80,7 +80,7 @@ def test_the_home_of_an_arm_lets_the_lift_move_end_to_end(twin: Path) -> None:
         found = resting_states(
             robot.chain, robot.spheres, body, states, torso=torso, held=every, rng=rng
         )
-        return found[0].q
+        return next(found).q
 
     reach = np.hypot(*robot.chain.tool_poses(q[clear])[:, :2, 3].T)
     near, wide = rest(q[~clear]), q[clear][np.argsort(reach)[len(reach) // 4]]

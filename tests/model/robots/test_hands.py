@@ -203,3 +203,26 @@ def test_visual_hulls_is_true_or_false(tmp_path: Path) -> None:
     robot.path.write_text(text.replace("version = 1", 'version = 1\nvisual_hulls = "yes"'))
     with pytest.raises(RobotError, match="visual_hulls must be true or false"):
         load_robot(robot.path)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, math.pi / 3, math.pi / 2])
+@pytest.mark.parametrize("length", [0.05, 0.06])
+def test_the_tool_frame_does_not_depend_on_how_the_arm_is_mounted(
+    tmp_path: Path, yaw: float, length: float
+) -> None:
+    """Fingers of 6 cm at a palm of 4 cm end exactly where a tool link no longer counts."""
+    text = mobile_manipulator(tool=False).replace('"0.06 0.01 0.02"', f'"{length} 0.01 0.02"')
+    text = text.replace('"0.03 0.005 0"', f'"{length / 2} 0.005 0"')
+    text = text.replace('"0.03 -0.005 0"', f'"{length / 2} -0.005 0"')
+    text = text.replace('xyz="0.06 0 0"', 'xyz="0.04 0 0"')
+    text = text.replace('xyz="0.15 0 0.5"', f'xyz="0.15 0 0.5" rpy="0 0 {yaw}"')
+    robot, _ = derived(tmp_path, text)
+    assert robot.tool_link == ("palm" if length < 0.06 else "grasp_frame")
+
+
+@pytest.mark.parametrize("name", ["jaco_link_hand", "gripper_base"])
+def test_a_wrist_that_is_named_like_a_hand_is_a_joint_of_the_arm(tmp_path: Path, name: str) -> None:
+    robot, _ = derived(tmp_path, mobile_manipulator().replace('"arm_5"', f'"{name}"'))
+    assert robot.arm_joints == ("lift", *(f"j{k}" for k in range(6)))
+    assert {"left_finger", "right_finger"} <= set(robot.gripper_links)
+    assert_allclose(robot.closing_axis, [0, 1, 0], atol=1e-6)

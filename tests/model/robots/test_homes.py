@@ -13,7 +13,8 @@ from tests.urdf_parts import LIMIT, box, dual_armed, joint, link, mobile_manipul
 
 from momapos.model.collision.self_collision import contacts
 from momapos.model.robots import homes
-from momapos.model.robots.resting_states import RestingState, resting_states
+from momapos.model.robots.arm_states import sample_states, touches
+from momapos.model.robots.resting_states import Body, RestingState, resting_states
 from momapos.model.robots.robot import Robot, load_arms, load_robot
 from momapos.model.robots.robot_writer import write_robot
 
@@ -146,7 +147,7 @@ def test_an_arm_takes_another_home_where_the_first_leaves_no_place_for_the_next(
     across = np.array([0.1, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def candidates(*args: Any, **kwargs: Any) -> list[RestingState]:
-        found = resting_states(*args, **kwargs)
+        found = list(resting_states(*args, **kwargs))
         return found if kwargs["held"] else [replace(found[0], q=across), *found]
 
     monkeypatch.setattr(homes, "resting_states", candidates)
@@ -165,3 +166,85 @@ def test_links_of_two_arms_are_checked_although_they_touch_while_one_rests_at_ze
         crossing = [pair for pair in robot.disabled if len({n[:2] == "b_" for n in pair}) == 2]
         assert not [pair for pair in crossing if "torso" not in pair]
         assert free_at_every_height(robot)
+
+
+def thick_arms(section: str, mount: str, first: str, second: str) -> str:
+    """Return two arms of thick links on one lift.
+
+    Args:
+        section: Width and height of the links [m].
+        mount: Where the second arm starts [m].
+        first, second: Limits of the joints of each arm.
+    """
+    text = dual_armed().replace('0.06 0.06"', f'{section}"')
+    text = text.replace('xyz="0.15 0.5 0.5"', f'xyz="{mount}"')
+    for prefix, limits in (("", first), ("b_", second)):
+        text = re.sub(
+            rf'(<joint name="{prefix}j\d".*?)<limit lower="-2.5" upper="2.5"',
+            rf"\1<limit {limits}",
+            text,
+        )
+    return text
+
+
+THICK = (
+    thick_arms(
+        "0.14 0.14", "0.15 0.18 0.45", 'lower="-0.6" upper="0.6"', 'lower="-0.6" upper="0.6"'
+    ),
+    thick_arms(
+        "0.05 0.18", "0.15 0.29 0.5", 'lower="-2.5" upper="0.6"', 'lower="-0.6" upper="0.6"'
+    ),
+)
+
+
+def accepted_at_every_height(robot: Robot) -> bool:
+    """Return whether the planner accepts the home, by its spheres and hulls, and on the floor."""
+    slides = [i for i, n in enumerate(robot.arm_joints) if robot.model.joint(n).kind == "prismatic"]
+    q = np.repeat(robot.home[None], 15, axis=0)
+    for i in slides:
+        q[:, i] = np.linspace(robot.chain.lower[i], robot.chain.upper[i], 15)
+    return not touches(robot.chain, robot.spheres, q, floor=True).any()
+
+
+@pytest.mark.parametrize("text", [*THICK, close_arms(0.15)], ids=["square", "flat", "thin"])
+def test_the_planner_accepts_the_home_of_every_arm_next_to_all_others(
+    tmp_path: Path, text: str
+) -> None:
+    """Spheres of the second arm's home met the first arm, for which hulls did not decide there."""
+    for robot in load_arms(written(tmp_path, text)):
+        assert accepted_at_every_height(robot)
+
+
+def test_where_no_homes_are_accepted_those_farthest_from_contact_are_taken_and_it_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    across = np.array([0.1, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    def candidates(*args: Any, **kwargs: Any) -> list[RestingState]:
+        found = list(resting_states(*args, **kwargs))
+        return found if kwargs["held"] else [replace(found[0], q=across), *found]
+
+    monkeypatch.setattr(homes, "resting_states", candidates)
+    monkeypatch.setattr(homes, "blocked_share", lambda *_: np.ones(1))
+    path = tmp_path / "robot.urdf"
+    path.write_text(stiff_arm(0.5))
+    file, made = write_robot(path)
+    assert not np.array_equal(load_robot(file, arm="right").home, across)
+    said = [note for note in made.assumptions if note.startswith("IMPORTANT: right: home")]
+    assert len(said) == 1
+    assert "at least 20 mm from contact, too near for planning, at 100 %" in said[0]
+
+
+def test_further_candidates_for_a_home_are_elsewhere(
+    tmp_path: Path,
+) -> None:
+    robot = load_robot(written(tmp_path, mobile_manipulator()))
+    q = sample_states(robot.chain, np.random.default_rng(0))
+    body = Body(robot.footprint, 1.0)
+    found = resting_states(
+        robot.chain, robot.spheres, body, q, count=3, rng=np.random.default_rng(0)
+    )
+    tools = robot.chain.tool_poses(np.stack([state.q for state in found]))[:, :3, 3]
+    assert len(tools) == 3
+    apart = np.linalg.norm(tools[:, None] - tools[None], axis=-1)[np.triu_indices(3, 1)]
+    assert (apart > 0.1).all()

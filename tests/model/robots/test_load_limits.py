@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from tests.urdf_parts import mobile_manipulator
 
+from momapos.apps.cli.main import main
 from momapos.core.geometry import contains
 from momapos.core.units import GRAVITY
 from momapos.model.kinematics.statics import BASE
@@ -18,6 +21,7 @@ from momapos.model.records.outcomes import PoseStatus
 from momapos.model.robots.load_limits import robot_loads
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.robots.robot_names import LIBRARY
+from momapos.model.robots.robot_writer import write_robot
 from momapos.model.robots.wheel_contacts import support_outline
 
 Robots = Callable[[str], Robot]
@@ -171,3 +175,21 @@ def test_a_base_without_mass_or_out_of_balance_has_no_stability(tmp_path: Path) 
         "stability does not count: by the masses in its file the robot hardly stands at home",
     )
     assert not robot_loads(light).at(light.home[None]).refused[0]
+
+
+@pytest.mark.parametrize("mass", ["", '<inertial><mass value="-3"/></inertial>'])
+def test_links_without_a_mass_and_joints_without_an_effort_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], mass: str
+) -> None:
+    inertial = '<inertial><mass value="2"/></inertial>'
+    text = re.sub(r'(<link name="[^"]*">)', rf"\1{inertial}", mobile_manipulator())
+    text = text.replace(f'<link name="arm_1">{inertial}', f'<link name="arm_1">{mass}')
+    text = re.sub(r'(<joint name="j2".*?effort=)"1"', r'\1"0"', text)
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    notes = robot_loads(load_robot(write_robot(path)[0])).notes
+    assert "no mass is known for arm_1: what they weigh does not count" in notes
+    assert "no effort limit is known for j2" in notes
+    assert main(["robot", "show", str(tmp_path / "robot.toml")]) == 0
+    said = capsys.readouterr().out
+    assert all(f"  loads     {note}\n" in said for note in notes)

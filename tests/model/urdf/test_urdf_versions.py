@@ -239,3 +239,25 @@ def test_public_variants_have_the_kinematics_of_their_plain_twin(name: str) -> N
         for link in ("link5", "palm") if name != "locked" else ("link5",):
             assert_allclose(one[link], other[link], atol=5e-6)  # their files have 6 digits
     assert len(models[1].joints) - len(models[0].joints) == (name == "mast_follows")
+
+
+def test_calls_of_macros_that_xacro_left_are_left_out_and_named(tmp_path: Path) -> None:
+    """Old versions of xacro leave properties, and calls of macros that they do not know."""
+    path = tmp_path / "r.urdf"
+    left = '<xacro:property name="PI" value="3"/><xacro:kinect parent="a"><origin/></xacro:kinect>'
+    path.write_text(
+        f'<robot name="r">{left}<!-- <xacro:macro name="m"/> --><link name="a"/></robot>'
+    )
+    (note,) = read_urdf(path).notes
+    assert "<xacro:kinect> of <robot>" in note
+    assert "left out" in note
+    path.write_text(path.read_text().replace("xacro:kinect", "xacro:property"))
+    assert read_urdf(path).notes == ()
+
+
+@pytest.mark.parametrize("element", ['include filename="a"', 'macro name="m"', 'if value="1"'])
+def test_a_file_that_needs_xacro_is_refused_with_what_to_do(tmp_path: Path, element: str) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(f'<robot name="r"><xacro:{element}/><link name="a"/></robot>')
+    with pytest.raises(UrdfError, match=r"contains xacro macros; .*NAME\.urdf\.xacro"):
+        read_urdf(path)

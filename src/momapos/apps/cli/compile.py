@@ -13,6 +13,7 @@ ANSWER = (
     "momapos.model.kinematics.chain.forward",
     "momapos.model.kinematics.chain.stand_at_origin",
     "momapos.model.kinematics.chain.tool_poses",
+    "momapos.model.kinematics.statics.static_loads",
     "momapos.model.collision.self_collision._contacts",
     "momapos.model.collision.collision_world._fill_buckets",
     "momapos.model.collision.collision_world._state_hits",
@@ -25,10 +26,13 @@ ANSWER = (
     "momapos.planning.arm_motion.rrt_connect.connect",
     "momapos.planning.grasps.swept_boxes._surface",
     "momapos.planning.grasps.swept_boxes._touches",
+    "momapos.planning.navigation.car_connection.shortest_lengths",
+    "momapos.planning.navigation.convex_polygons._covered_polygons",
     "momapos.planning.navigation.outline_gaps._gaps",
     "momapos.planning.navigation.grid_distance._clearance",
     "momapos.planning.navigation.grid_distance._path_lengths",
     "momapos.planning.navigation.lattice.astar",
+    "momapos.planning.navigation.lattice.car_curves",
     "momapos.planning.navigation.lattice.connections",
     "momapos.planning.navigation.lattice.shorten",
     "momapos.planning.navigation.lattice.standable",
@@ -39,6 +43,11 @@ ANSWER = (
     "momapos.verification.sweep._deepest",
 )
 """Kernels for planning."""
+CHECK = (
+    "momapos.model.robots.arm_states._touches",
+    "momapos.model.robots.resting_states._extents",
+)
+"""Further kernels for checking a robot, which also plans."""
 VERIFY = (
     "momapos.core.geometry.monotone_chain._chain",
     "momapos.verification.convex.overlap",
@@ -56,6 +65,15 @@ WALKS = (
     "momapos.planning.importance.random_walks._walk",
 )
 """Further kernels for the deepwalk scores."""
+ON_FIRST_USE = {
+    "momapos.planning.reachability": "a map is built once per robot, and shows its progress",
+    "momapos.model.collision.arm_collision": "exact reach, compact tours and drawings",
+    "momapos.model.collision.base_collision._hit_moving": "other kernels call it; Python in tests",
+    "momapos.model.kinematics.base_fit._fit": "only where the hand may turn freely",
+    "momapos.model.kinematics.ik._solve_all": "inverse kinematics on its own",
+    "momapos.planning.navigation.dynamic_window": "a run drives after it has planned",
+}
+"""Kernels that compile when they are first needed, by module or name, with the reason."""
 
 
 def compile_once(names: tuple[str, ...] = ANSWER) -> None:

@@ -135,6 +135,10 @@ def robot_check(
     from momapos.model.robots import blocking, examine, load_arms
     from momapos.workflows import self_test
 
+    from .compile import ANSWER, CHECK, compile_once
+
+    if file.is_file():
+        compile_once((*ANSWER, *CHECK))
     cache = user_cache()
     guesses: tuple[str, ...] = ()
     tests: list[RobotTest] = []
@@ -286,6 +290,8 @@ def describe(robot: Robot) -> dict[str, Any]:
     """Return the facts about a robot as plain values [m], [rad]."""
     import numpy as np
 
+    from momapos.model.robots import robot_loads
+
     chain, spheres = robot.chain, robot.spheres
 
     def finite(value: float) -> float | None:
@@ -327,6 +333,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "grips": str(robot.grips),
         "grip_force": robot.grip_force,
         "assumed": list(robot.assumed),
+        "loads": list(robot_loads(robot).notes),
         "notes": list(robot.model.urdf.notes),
     }
 
@@ -358,4 +365,5 @@ def as_text(facts: dict[str, Any]) -> str:
         else:
             span = f"{joint['lower']:.2f} to {joint['upper']:.2f} {unit}"
         lines.append(f"    {joint['name']:26} {span}, home {joint['home']:.2f} {unit}")
-    return "\n".join([*lines, *(f"  assumed   {text}" for text in facts["assumed"])])
+    lines += [f"  assumed   {text}" for text in facts["assumed"]]
+    return "\n".join([*lines, *(f"  loads     {text}" for text in facts["loads"])])

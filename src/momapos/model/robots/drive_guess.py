@@ -84,9 +84,8 @@ def _assumed(wheel: Wheel) -> Wheel:
 
 
 def _swerve(modules: int) -> DriveGuess:
-    return DriveGuess(
-        "omni", f"{modules} steering joints point its wheels in every direction (swerve drive)"
-    )
+    joints = f"{modules} steering joints point" if modules > 1 else "a steering joint points"
+    return DriveGuess("omni", f"{joints} its wheels in every direction (swerve drive)")
 
 
 def _steered(limited: Sequence[Wheel], rolling: Sequence[Wheel], unknown: str = "") -> DriveGuess:

@@ -36,6 +36,9 @@ _TOOLS = tuple(
 _SUCTION, _HOOK = re.compile(r"suction|vacuum|magnet", re.I), re.compile(r"hook", re.I)
 MAX_TOOL_OFFSET = 0.03
 """Maximum distance of the tool link from the center between the fingers [m]."""
+TIP_RANGE = (-0.02, 0.1)
+"""Distances of the tool link behind the fingertips at which it counts as the grasp center; the ends
+themselves do not count, so that rounding does not decide about hands of round numbers [m]."""
 MAX_RIM = 0.005
 """Depth of the rim of a suction cup, and distance of the tool link that counts as at it [m]."""
 MIN_LEANING = 0.01
@@ -337,10 +340,11 @@ def _grasp(
 ) -> Float[np.ndarray, "3"] | None:
     """Return the grasp center in the tool's frame [m]; None if the tool link is there."""
     aside = float(np.linalg.norm(middle - (middle @ approach) * approach))
-    if -0.02 <= tip <= 0.1 and aside < MAX_TOOL_OFFSET:
+    between = TIP_RANGE[0] < round(tip, 6) < TIP_RANGE[1]
+    if between and aside < MAX_TOOL_OFFSET:
         return None
     where = f"{abs(tip):.2f} m {'behind' if tip > 0 else 'beyond'} the fingertips"
-    if -0.02 <= tip <= 0.1:
+    if between:
         where = f"{aside:.2f} m to the side of the fingers"
     grasp = middle + (tip - 0.02 - middle @ approach) * approach
     notes.append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from momapos.model.collision import Spheres, build_spheres, choose_exact_pairs
 from momapos.model.kinematics import Chain, LoadArrays, build_chain
 from momapos.model.urdf import Articulated
 
-from .arm_states import inevitable_pairs, sample_states
+from .arm_states import inevitable_pairs, sample_states, touches
 from .base_guess import base_links
 from .gripper_guess import listed, points_of
 from .joint_tree import ArmChain
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 CANDIDATES = 4
 """Number of home states of an arm that are tried, if another arm cannot rest next to it [-]."""
+GAPS = (0.02, 0.01, 0.005, 0.0)
+"""Distances from contact that are told apart where spheres refuse a home [m]."""
 Pairs = dict[tuple[str, str], str]
 
 
@@ -63,8 +65,10 @@ def find_homes(
 ) -> Homes:
     """Find a home for every arm, so that all are compact, free of contact, and let a torso move.
 
-    The arms get their homes in turn, each next to the homes before. If an arm finds none, the arm
-    before it tries its next candidate.
+    The arms get their homes in turn, each next to the homes before. A home is free if the planner
+    accepts it for its arm with all other arms at home. Where one is not, an arm takes its next
+    candidate; if no candidates are free, those with contact at the fewest heights of the torso
+    remain and, among these, those that are farthest from contact.
 
     Args:
         model: The robot.
@@ -94,6 +98,8 @@ class _Home:
     q: Float[np.ndarray, " n"]
     state: RestingState | None
     """None if no state is free of contact."""
+    gap: float = GAPS[0]
+    """Distance from contact [m], at most the largest of `GAPS`; negative in contact."""
 
     @property
     def flaw(self) -> float:
@@ -116,9 +122,11 @@ def _note(of_arm: str, home: _Home, *, shared: bool) -> str:
     )
     at = f"{100 * state.blocked:.0f} % of the torso's heights"
     if state.blocked and shared:
+        far = f"at least {1000 * home.gap:.0f} mm" if home.gap > 0 else "hardly"
+        how = "is in contact" if home.gap < 0 else f"is {far} from contact, too near for planning,"
         return (
-            f"IMPORTANT: {of_arm}home: {listed(state.q)} is in contact at {at}; no better "
-            "state was found"
+            f"IMPORTANT: {of_arm}home: {listed(state.q)} {how} at {at}; of {CANDIDATES} homes of "
+            "every arm none is better"
         )
     touches = f"; in contact at {at}, if it moves alone" if state.blocked else ""
     keeps = f"keeps the arm {where} and below {state.top:.2f} m"
@@ -168,49 +176,61 @@ class _Search:
             homes = self.rest((*before, home), pairs)
             if not best or _flaw(homes) < _flaw(best):
                 best = homes
-            if not _flaw(homes) or home.flaw:
+            if not any(home.flaw for home in homes) or home.flaw:
                 break  # further candidates of this arm are worse themselves
         return best
 
     def _checked(self, homes: tuple[_Home, ...], pairs: Pairs) -> tuple[_Home, ...]:
-        """Return the homes, each checked with all other arms at home.
+        """Return the homes, each checked with all other arms at home, as the last one is already.
 
-        An arm is spheres and the others are boxes, so that who is which decides close calls.
+        An arm is spheres and the others are boxes, and the other arms decide for which pairs of
+        links hulls count, so that a home may be free for one arm and block another.
         """
-        checked = list(homes[-1:])
-        for index, home in enumerate(homes[:-1]):
-            if home.state is not None:
-                others = [(a, h) for k, (a, h) in enumerate(zip(self.arms, homes, strict=True))
-                          if k != index]  # fmt: skip
-                held = {name: q for a, h in others for name, q in _values(a, h).items()}
-                chain, spheres, _ = self._collision(self.arms[index], held)
-                spheres = choose_exact_pairs(chain, without(spheres, set(pairs)))
-                torso = self._torso(self.arms[index], chain)
-                share = float(blocked_share(chain, spheres, home.q[None], torso)[0])
-                home = replace(home, state=replace(home.state, blocked=share))
-            checked.insert(index, home)
-        return tuple(checked)
+        return (*(self._seen_by(k, homes, pairs) for k in range(len(homes) - 1)), homes[-1])
 
-    def _candidates(self, before: tuple[_Home, ...], pairs: Pairs) -> list[_Home]:
+    def _seen_by(self, index: int, homes: Sequence[_Home], pairs: Pairs) -> _Home:
+        """Return the home of an arm as its planner sees it, with all other arms at home."""
+        arm, home = self.arms[index], homes[index]
+        if home.state is None:
+            return home
+        others = [pair for pair in zip(self.arms, homes, strict=True) if pair[0] is not arm]
+        held = {name: q for other in others for name, q in _values(*other).items()}
+        chain, spheres, _ = self._collision(arm, held)
+        spheres = choose_exact_pairs(chain, without(spheres, set(pairs)))
+        torso = self._torso(arm, chain)
+        share = float(blocked_share(chain, spheres, home.q[None], torso)[0])
+        gap = _gap(chain, spheres, home.q) if share else GAPS[0]
+        return replace(home, state=replace(home.state, blocked=share), gap=gap)
+
+    def _candidates(self, before: tuple[_Home, ...], pairs: Pairs) -> Iterator[_Home]:
         arm, waiting = self.arms[len(before)], self.arms[len(before) + 1 :]
+        placed = self.arms[: len(before)]
         held: dict[str, float] = {}
-        for other, home in zip(self.arms, before, strict=False):
+        for other, home in zip(placed, before, strict=True):
             held |= _values(other, home)
         chain, spheres, loads = self._collision(arm, held)
-        never = set(pairs)
         unplaced = {link for other in waiting for link in self._own_links(other)}
-        never |= {(a, b) for a in spheres.links for b in spheres.links if unplaced & {a, b}}
-        never |= {(a, b) for a in spheres.links for b in spheres.base_links if unplaced & {a, b}}
-        spheres = choose_exact_pairs(chain, without(spheres, never))
+        spheres = without(spheres, set(pairs))
+        spheres = _of_pairs(spheres, lambda a, b: not unplaced & {a, b})
+        spheres = choose_exact_pairs(chain, spheres)
+        mine = self._own_links(arm)
+        theirs = {link for other in placed for link in self._own_links(other)}
+        crossing = _of_pairs(spheres, lambda a, b: bool(mine & {a, b} and theirs & {a, b}))
         q = self._samples(arm, chain, held)
         found = resting_states(
             chain, spheres, replace(self._body, loads=loads), q,
             torso=self._torso(arm, chain),
             held=[k for k, name in enumerate(chain.names) if name in held],
+            crossing=crossing if placed else None,
             count=CANDIDATES if len(self.arms) > 1 else 1,
             rng=np.random.default_rng(self.seed),
         )  # fmt: skip
-        return [_Home(state.q, state) for state in found] or [_Home(q[0], None)]
+        state = None
+        for state in found:
+            gap = _gap(chain, spheres, state.q) if state.blocked else GAPS[0]
+            yield _Home(state.q, state, gap)
+        if state is None:
+            yield _Home(q[0], None)
 
     def _torso(self, arm: ArmToRest, chain: Chain) -> list[int]:
         """Return the joints that arms share, and vertical slides below the first turn."""
@@ -264,8 +284,23 @@ class _Search:
         return q
 
 
-def _flaw(homes: Sequence[_Home]) -> float:
-    return sum(home.flaw for home in homes)
+def _flaw(homes: Sequence[_Home]) -> tuple[float, float]:
+    """Return what the best homes have least of."""
+    return sum(home.flaw for home in homes), -min(home.gap for home in homes)
+
+
+def _gap(chain: Chain, spheres: Spheres, q: Float[np.ndarray, " n"]) -> float:
+    """Return the largest of `GAPS` by which a state is away from contact [m], -1 in contact."""
+    hulls = spheres.by_hulls
+    free = (g for g in GAPS if not touches(chain, hulls.grown(g), q[None], floor=True)[0])
+    return next(free, -1.0)
+
+
+def _of_pairs(spheres: Spheres, chosen: Callable[[str, str], bool]) -> Spheres:
+    """Return the collision model with some pairs of links only."""
+    links, every = spheres.links, {(a, b) for a in spheres.links for b in spheres.base_links}
+    every |= {(links[i], links[j]) for i, j in spheres.pairs}
+    return without(spheres, {pair for pair in every if not chosen(*pair)})
 
 
 def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:

@@ -165,9 +165,22 @@ def _is_hand(
     model: Articulated, joints: Sequence[Joint], below: Sequence[Joint], fingers: Collection[str]
 ) -> bool:
     """Return whether the joints below a body are those of fingers."""
+    if len(below) == 1 and _moves_palm(model, below[0]):
+        return False
     if any(joint.child in fingers or _is_finger(model, joint) for joint in below):
         return True
     return len(joints) >= MIN_ARM_JOINTS and len(below) > 1 and _size(model, below) < MAX_HAND_SIZE
+
+
+def _moves_palm(model: Articulated, joint: Joint) -> bool:
+    """Return whether several fingers begin at what a joint moves: a wrist, whatever its name."""
+    begin = [
+        other
+        for link in fixed_to(model, joint.child)
+        for other in joints_below(model, link)
+        if other.movable and _named(FINGER, other)
+    ]
+    return len(begin) > 1 and not _named(FINGER, joint)
 
 
 def _only_a_hand(model: Articulated, anchor: str) -> bool:

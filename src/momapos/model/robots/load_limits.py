@@ -121,11 +121,21 @@ def _robot_loads(robot: Robot) -> RobotLoads:
         notes.append(f"no effort limit is known for {', '.join(unknown)}")
     if not arrays.mass[1:].any():
         notes.append("the arm's links have no masses, so only loads at the hand count")
+    elif light := _weightless(robot, arrays):
+        notes.append(f"no mass is known for {', '.join(light)}: what they weigh does not count")
     loads = RobotLoads(robot, arrays, tuple(notes))
     if not why and loads.at(robot.home[None]).stability[0] < MIN_STABILITY:
         why = "by the masses in its file the robot hardly stands at home"
         loads = replace(loads, arrays=arrays._replace(normals=_NO_EDGES, offsets=np.zeros(0)))
     return replace(loads, notes=(*notes, f"stability does not count: {why}")) if why else loads
+
+
+def _weightless(robot: Robot, arrays: LoadArrays) -> list[str]:
+    """Return links that have shapes and move, but have no mass, nor what is fixed to them."""
+    segments = robot.segments.of_link.items()
+    return [
+        link for link, k in segments if k > 0 and not arrays.mass[k] and robot.model.hulls[link]
+    ]
 
 
 def load_arrays(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.compiled import F1, F2, entry
-from momapos.model.collision import Spheres, place_arm, scratch_of
+from momapos.model.collision import Spheres, contacts, place_arm, scratch_of
 from momapos.model.kinematics import (
     Chain,
     ChainArrays,
@@ -42,6 +42,10 @@ CLEARANCE_COST, CLEARANCE = 0.1, 0.02
 OVERLOAD_COST = 1.0
 """Cost of a home state that a motor cannot hold or that tips the base over, as protrusion [m]:
 more than any compactness, less than contact."""
+NEAR_COST = 0.3
+"""Cost of a pair of links of two arms whose spheres meet, as protrusion [m]. Hulls may decide for
+the pair here and spheres in the view of the other arm, so such a state may block the other arm.
+Costs count pairs, so that a pair that meets in every state changes no order."""
 BLOCKED_COST = 3.0
 """Cost of a home state that blocks all heights of the torso, as protrusion [m]; larger than any
 arm's reach, so that a state that blocks none comes first wherever there is one."""
@@ -125,10 +129,11 @@ def resting_states(
     *,
     torso: Sequence[int] = (),
     held: Sequence[int] = (),
+    crossing: Spheres | None = None,
     count: int = 1,
     rng: np.random.Generator,
-) -> list[RestingState]:
-    """Return states in which the arm rests, free of contact, the most compact first.
+) -> Iterator[RestingState]:
+    """Yield states in which the arm rests, free of contact, the most compact first.
 
     Compact means within the footprint and not above the body. Only the links of the arm itself
     count, not the torso. Distance from joint limits, small angles and clearance reduce the cost a
@@ -140,19 +145,32 @@ def resting_states(
         q: Candidates; states near the best ones are tried, too.
         torso: Indices of the joints that raise the arm.
         held: Indices of joints whose values are given.
-        count: Maximum number of states; further ones are elsewhere in space.
+        crossing: The collision model with pairs of links of two arms only; None for a single arm.
+        count: Maximum number of states; further ones are elsewhere in space, and take time only
+            when they are asked for.
         rng: For the states near the best ones.
     """
-    ranking = _Ranking(chain, spheres, body, torso)
-    q, cost = ranking.rank(q)
-    step = FIRST_STEP * np.subtract(*reversed(one_turn(chain)))
-    step[list(held)] = 0.0
-    for _ in range(ROUNDS):
-        q, cost = ranking.rank(np.vstack([q, _children(chain, q[:PARENTS], step, rng)]))
-        step = step / 2
-    q, cost = q[:_MAX_CLEARANCE_CHECKS], cost[:_MAX_CLEARANCE_CHECKS]
-    order = np.argsort(cost + CLEARANCE_COST * ranking.tight(q), kind="stable")
-    return ranking.apart(q[order], count)
+    ranking = _Ranking(chain, spheres, body, torso, crossing)
+    first_step = FIRST_STEP * np.subtract(*reversed(one_turn(chain)))
+    first_step[list(held)] = 0.0
+    middles: list[np.ndarray] = []
+    q, cost = ranking.rank(q, middles)
+    for _ in range(count):
+        step = first_step
+        for _ in range(ROUNDS):
+            near, its_cost = ranking.rank(_children(chain, q[:PARENTS], step, rng), middles)
+            q, cost = np.vstack([q, near]), np.append(cost, its_cost)
+            order = np.argsort(cost, kind="stable")
+            q, cost, step = q[order], cost[order], step / 2
+        if not len(q):
+            return
+        best, best_cost = q[:_MAX_CLEARANCE_CHECKS], cost[:_MAX_CLEARANCE_CHECKS]
+        chosen = best[np.argmin(best_cost + CLEARANCE_COST * ranking.tight(best))]
+        state, middle = ranking.state(chosen)
+        yield state
+        middles.append(middle)
+        far = ranking.apart(q, middles[-1:])
+        q, cost = q[far], cost[far]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +181,14 @@ class _Ranking:
     spheres: Spheres
     body: Body
     torso: Sequence[int]
+    crossing: Spheres | None
 
     def rank(
-        self, q: Float[np.ndarray, "m n"]
+        self, q: Float[np.ndarray, "m n"], middles: Sequence[Float[np.ndarray, "3"]]
     ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " k"]]:
-        """Return the states without contact and their cost [m], the best first."""
+        """Return the states free of contact and apart from others, and their cost [m], sorted."""
         q = q[~touches(self.chain, self.spheres, q, floor=True)]
+        q = q[self.apart(q, middles)]
         protrusion, top, reach, *_ = self._extents(q).T
         wound = np.where(self.chain.prismatic, 0.0, abs(q)).max(1, initial=0.0)
         above = np.maximum(top - self.body.height, self._rise(q))
@@ -177,8 +197,25 @@ class _Ranking:
         cost += OVERLOAD_COST * self._overloaded(q) + BLOCKED_COST * blocked_share(
             self.chain, self.spheres, q, self.torso
         )
+        if self.crossing is not None:
+            cost += NEAR_COST * contacts(self.chain, self.crossing, q).by_spheres.sum(1)
         order = np.argsort(cost, kind="stable")
         return q[order], cost[order]
+
+    def apart(
+        self, q: Float[np.ndarray, "m n"], middles: Sequence[Float[np.ndarray, "3"]]
+    ) -> Bool[np.ndarray, " m"]:
+        """Mark the states with the arm elsewhere than at the given middles."""
+        if not middles:
+            return np.ones(len(q), bool)
+        away = self._extents(q)[:, None, 3:] - np.array(middles)
+        return np.asarray((np.linalg.norm(away, axis=-1) > APART).all(1))
+
+    def state(self, q: Float[np.ndarray, " n"]) -> tuple[RestingState, Float[np.ndarray, "3"]]:
+        """Return a state with what is known of it, and the middle of the arm there [m]."""
+        protrusion, top, _, *middle = self._extents(q[None])[0].tolist()
+        blocked = float(blocked_share(self.chain, self.spheres, q[None], self.torso)[0])
+        return RestingState(q, protrusion, top, blocked), np.array(middle)
 
     def _rise(self, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
         """Return how far the torso is raised [m]: a head may rise with it."""
@@ -195,22 +232,6 @@ class _Ranking:
             bound_radius=self.spheres.bound_radius + CLEARANCE,
         )
         return touches(self.chain, thick, q, floor=True)
-
-    def apart(self, q: Float[np.ndarray, "m n"], count: int) -> list[RestingState]:
-        """Return the first states that differ in where the arm is."""
-        extents = self._extents(q)
-        blocked = blocked_share(self.chain, self.spheres, q, self.torso)
-        left = np.arange(len(q))
-        found: list[RestingState] = []
-        while len(left) and len(found) < count:
-            best = int(left[0])
-            found.append(
-                RestingState(q[best], float(extents[best, 0]), float(extents[best, 1]),
-                             float(blocked[best]))
-            )  # fmt: skip
-            far = np.linalg.norm(extents[left, 3:] - extents[best, 3:], axis=1) > APART
-            left = left[far]
-        return found
 
     def _extents(self, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "m 6"]:
         edge = np.roll(self.body.footprint, -1, 0) - self.body.footprint

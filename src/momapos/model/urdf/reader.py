@@ -27,6 +27,7 @@ from .urdf_tree import (
     MAX_LINKS,
     MAX_URDF_BYTES,
     fix_root_joints,
+    leftover_notes,
     mimics,
     read_tree,
     version_notes,
@@ -113,7 +114,7 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
 def _parse(text: str, path: Path, scale: float, *, actuated: bool) -> tuple[Urdf, tuple[str, ...]]:
     """Return a checked URDF without mesh files, and the names of these in order."""
     tree = read_tree(text, path)
-    notes = version_notes(tree)
+    notes = [*version_notes(tree), *leftover_notes(tree)]
     rigid, follows = fix_root_joints(tree), mimics(tree, path, scale)
     elements = {link.get("name", ""): link for link in tree.findall("link")}
     if not elements:

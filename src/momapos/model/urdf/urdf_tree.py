@@ -27,6 +27,9 @@ VERSIONS = ("1.0", "1.1", "1.2")
 _LARGEST = {"velocity", "effort", "acceleration", "deceleration", "jerk"}
 """Limits of a joint that are magnitudes; infinity means none."""
 _UNLIMITED = {*_LARGEST, "lower", "upper", "soft_lower_limit", "soft_upper_limit"}
+_UNEXPANDED = ("macro", "include", "arg", "if", "unless")
+"""Elements of xacro without which a file is incomplete. Others remain where xacro was to go on,
+such as properties, which have no effect any more, and calls of unknown macros."""
 _COUNTS = {
     "xyz": (3,), "rpy": (3,), "quat_xyzw": (4,), "size": (3,), "scale": (1, 3), "radius": (1,),
     "length": (1,), "k_position": (1,), "k_velocity": (1,), **dict.fromkeys(_UNLIMITED, (1,)),
@@ -80,9 +83,10 @@ def _check_tree(path: Path, tree: Element) -> None:
     for part in tree:
         if not isinstance(part.tag, str):
             continue
-        if "xacro" in part.tag:
+        if "xacro" in part.tag and _local(part.tag) in _UNEXPANDED:
             raise UrdfError(
-                f"{path}: contains xacro macros; expand them first: xacro IN > OUT.urdf"
+                f"{path}: contains xacro macros; expand them first, with xacro IN > OUT.urdf, or, "
+                "for a robot, name the file NAME.urdf.xacro and momapos robot check expands it"
             )
         if part.tag in ("link", "joint"):
             name = part.get("name", "")
@@ -184,6 +188,25 @@ def link_of(joint: Element, end: str) -> str:
     """Return the link that `<parent>` or `<child>` of a joint names."""
     element = joint.find(end)
     return "" if element is None else element.get("link", "")
+
+
+def leftover_notes(tree: Element) -> list[str]:
+    """Return in words which calls of macros a xacro has left in a URDF; ROS leaves them out, too.
+
+    Definitions of properties have no effect any more.
+    """
+    calls = (_local(part.tag) for part in tree if isinstance(part.tag, str) and "xacro" in part.tag)
+    names = sorted({name for name in calls if name != "property"})
+    if not names:
+        return []
+    listed = ", ".join(f"<xacro:{name}>" for name in names[:5])
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return [f"{listed}{more} of <robot> is not expanded; what it stands for is left out"]
+
+
+def _local(tag: str) -> str:
+    """Return the name of a tag without its namespace."""
+    return tag.rpartition("}")[2]
 
 
 def version_notes(tree: Element) -> list[str]:
