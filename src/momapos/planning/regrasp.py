@@ -21,6 +21,7 @@ from momapos.planning.arm_motion import (
     brief_config,
     near_home,
     plan_with_clearance,
+    quick_config,
 )
 from momapos.planning.grasps import FULL_DOF, GraspFilter, task_motion
 from momapos.planning.placement import (
@@ -55,6 +56,10 @@ class TwoGrasps:
     """Pushes it farther."""
     config: PipelineConfig
     seed: int
+    quick: bool = False
+    """Whether the search for a way between the grasps is short, and tries every push."""
+    postponed: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    """Base poses at which a quick search found no way between the grasps."""
     _pulled: dict[bytes, ArmPathResult] = field(default_factory=dict)
     """Arm paths of the first grasp, by base pose."""
     _in_reach: list[int] = field(default_factory=list)
@@ -129,21 +134,53 @@ class TwoGrasps:
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
     ) -> Attempt:
         """Complete both grasps at a base pose: approach, path between them, exact check."""
-        pulls = ways[ways < self._pulls]
+        pulls, pushes = ways[ways < self._pulls], ways[ways >= self._pulls] - self._pulls
         pulled = self.first(base, self._pulled[base.tobytes()], pulls)
         if pulled.motion is None:
             return pulled
-        assert screened.q is not None
+        outcomes = []
+        for pushed in self._pushes(base, screened, pushes, pulled.motion):
+            attempt = self._joined(base, pulled.motion, pushed)
+            if attempt.motion is not None:
+                return attempt
+            outcomes.append(attempt.outcome)
+        if self.quick and PoseOutcome(PoseStatus.NO_APPROACH) in outcomes:
+            self.postponed.append(base)
+        return Attempt(None, max(outcomes, key=lambda one: one.progress))
+
+    def _pushes(
+        self,
+        base: Float[np.ndarray, "3"],
+        screened: ArmPathResult,
+        pushes: Int[np.ndarray, " k"],
+        pulled: Motion,
+    ) -> list[ArmPathResult]:
+        """Return arm paths of the second grasp; in the quick search all, nearest to the first."""
         chain = self.second.robot.chain
-        start = chain.freedom_values(pulled.motion.q[-1])
-        q = near_home(screened.q, start, chain.lower, chain.upper)
-        q = self.second.with_smooth_posture(base, q, screened.grasp)
+        start = chain.freedom_values(pulled.q[-1])
+        found = [screened]
+        if self.quick:
+            found += self.second.arm_paths(base, pushes[pushes != screened.grasp])
+        near = [
+            replace(one, q=near_home(one.q, start, chain.lower, chain.upper))
+            for one in found
+            if one.q is not None
+        ]
+        return sorted(near, key=lambda one: float(np.abs(one.q[0] - start).max()))
+
+    def _joined(
+        self, base: Float[np.ndarray, "3"], pulled: Motion, pushed: ArmPathResult
+    ) -> Attempt:
+        """Complete the motion of both grasps, given each one's."""
+        assert pushed.q is not None
+        start = self.second.robot.chain.freedom_values(pulled.q[-1])
+        q = self.second.with_smooth_posture(base, pushed.q, pushed.grasp)
         between = self._between(base, start, q[0])
         if between is None:
             return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
-        motion = self._joined(base, pulled.motion, between, replace(screened, q=q))
+        motion = self._motion(base, pulled, between, replace(pushed, q=q))
         if self.config.motion.home_again:
-            home = self.second.path_home(base, q[-1], screened.grasp)
+            home = self.second.path_home(base, q[-1], pushed.grasp)
             if home is None:
                 return Attempt(None, PoseOutcome(PoseStatus.NO_WAY_HOME))
             motion = replace(motion, home=home)
@@ -163,11 +200,12 @@ class TwoGrasps:
         )  # fmt: skip
         path = plan_with_clearance(
             start, goal, chain.lower, chain.upper, checker,
-            config=brief_config(self.config.arm_planner), seed=self.seed,
+            config=(quick_config if self.quick else brief_config)(self.config.arm_planner),
+            seed=self.seed,
         )  # fmt: skip
         return None if path is None else path.states()
 
-    def _joined(
+    def _motion(
         self,
         base: Float[np.ndarray, "3"],
         pulled: Motion,

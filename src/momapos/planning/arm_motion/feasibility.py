@@ -145,6 +145,17 @@ class Feasibility:
             for (grasp, path), code in zip(best, home, strict=True)
         ]
 
+    def arm_paths(
+        self, base: Float[np.ndarray, "3"], grasps: Int[np.ndarray, " k"]
+    ) -> list[ArmPathResult]:
+        """Return the arm paths of those grasp modes that have one; none if out of time."""
+        paths = self._paths(np.tile(base, (len(grasps), 1)), grasps) or []
+        return [
+            ArmPathResult(grasp, path.q, self._outcome(path, FREE), path.bases)
+            for grasp, path in zip(grasps.tolist(), paths, strict=False)
+            if path.q is not None
+        ]
+
     def _paths(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
     ) -> list[ArmPath] | None:
