@@ -18,6 +18,7 @@ from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
     RESOLUTION,
     Feasibility,
+    PlannerConfig,
     brief_config,
     near_home,
     plan_with_clearance,
@@ -57,9 +58,9 @@ class TwoGrasps:
     config: PipelineConfig
     seed: int
     quick: bool = False
-    """Whether the search for a way between the grasps is short, and tries every push."""
+    """Whether a long search for a way between the grasps is postponed."""
     postponed: list[Float[np.ndarray, "3"]] = field(default_factory=list)
-    """Base poses at which a quick search found no way between the grasps."""
+    """Base poses at which a short search found no way between the grasps."""
     _pulled: dict[bytes, ArmPathResult] = field(default_factory=dict)
     """Arm paths of the first grasp, by base pose."""
     _in_reach: list[int] = field(default_factory=list)
@@ -139,12 +140,16 @@ class TwoGrasps:
         if pulled.motion is None:
             return pulled
         outcomes = []
+        short = quick_config(self.config.arm_planner)
         for pushed in self._pushes(base, screened, pushes, pulled.motion):
-            attempt = self._joined(base, pulled.motion, pushed)
+            attempt = self._joined(base, pulled.motion, pushed, short)
             if attempt.motion is not None:
                 return attempt
             outcomes.append(attempt.outcome)
-        if self.quick and PoseOutcome(PoseStatus.NO_APPROACH) in outcomes:
+        if PoseOutcome(PoseStatus.NO_APPROACH) in outcomes:
+            if not self.quick:
+                long = brief_config(self.config.arm_planner)
+                return self._joined(base, pulled.motion, screened, long)
             self.postponed.append(base)
         return Attempt(None, max(outcomes, key=lambda one: one.progress))
 
@@ -155,27 +160,33 @@ class TwoGrasps:
         pushes: Int[np.ndarray, " k"],
         pulled: Motion,
     ) -> list[ArmPathResult]:
-        """Return arm paths of the second grasp; in the quick search all, nearest to the first."""
-        chain = self.second.robot.chain
-        start = chain.freedom_values(pulled.q[-1])
-        found = [screened]
-        if self.quick:
-            found += self.second.arm_paths(base, pushes[pushes != screened.grasp])
-        near = [
-            replace(one, q=near_home(one.q, start, chain.lower, chain.upper))
-            for one in found
-            if one.q is not None
-        ]
+        """Return the arm paths of the second grasp, those that begin nearest to the first one's end
+        first.
+        """
+        start = self.second.robot.chain.freedom_values(pulled.q[-1])
+        found = [screened, *self.second.arm_paths(base, pushes[pushes != screened.grasp])]
+        near = [replace(one, q=self._near(one, start)) for one in found]
         return sorted(near, key=lambda one: float(np.abs(one.q[0] - start).max()))
 
+    def _near(
+        self, pushed: ArmPathResult, start: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "d n"]:
+        """Return the states of the second grasp, by whole turns nearest to the first one's end."""
+        assert pushed.q is not None
+        chain = self.second.robot.chain
+        return near_home(pushed.q, start, chain.lower, chain.upper)
+
     def _joined(
-        self, base: Float[np.ndarray, "3"], pulled: Motion, pushed: ArmPathResult
+        self,
+        base: Float[np.ndarray, "3"],
+        pulled: Motion,
+        pushed: ArmPathResult,
+        config: PlannerConfig,
     ) -> Attempt:
         """Complete the motion of both grasps, given each one's."""
-        assert pushed.q is not None
         start = self.second.robot.chain.freedom_values(pulled.q[-1])
-        q = self.second.with_smooth_posture(base, pushed.q, pushed.grasp)
-        between = self._between(base, start, q[0])
+        q = self.second.with_smooth_posture(base, self._near(pushed, start), pushed.grasp)
+        between = self._between(base, start, q[0], config)
         if between is None:
             return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
         motion = self._motion(base, pulled, between, replace(pushed, q=q))
@@ -190,7 +201,11 @@ class TwoGrasps:
         return Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE))
 
     def _between(
-        self, base: Float[np.ndarray, "3"], start: Float[np.ndarray, " n"], goal: np.ndarray
+        self,
+        base: Float[np.ndarray, "3"],
+        start: Float[np.ndarray, " n"],
+        goal: Float[np.ndarray, " n"],
+        config: PlannerConfig,
     ) -> Float[np.ndarray, "k n"] | None:
         """Return states of a free arm path while the door stands ajar."""
         chain = self.second.robot.chain
@@ -200,8 +215,7 @@ class TwoGrasps:
         )  # fmt: skip
         path = plan_with_clearance(
             start, goal, chain.lower, chain.upper, checker,
-            config=(quick_config if self.quick else brief_config)(self.config.arm_planner),
-            seed=self.seed,
+            config=config, seed=self.seed,
         )  # fmt: skip
         return None if path is None else path.states()
 

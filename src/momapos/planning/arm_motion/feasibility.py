@@ -160,12 +160,13 @@ class Feasibility:
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
     ) -> list[ArmPath] | None:
         """Search arm paths of pairs of base pose and grasp mode; return None if out of time."""
-        pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
+        count = min(len(grasps), max(_THREADS, len(grasps) // _BATCH))
+        pieces = np.array_split(np.arange(len(grasps)), max(count, 1))
 
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             return None if self.out_of_time() else self._search(bases[part], grasps[part])
 
-        found = list(_threads().map(work, pieces))
+        found = list((_threads().map if count > 1 else map)(work, pieces))
         done = [paths for paths in found if paths is not None]
         return [path for paths in done for path in paths] if len(done) == len(found) else None
 
