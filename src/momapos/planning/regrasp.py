@@ -11,6 +11,7 @@ import numpy as np
 
 from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
+from momapos.model import with_close_states
 from momapos.model.collision import build_motions
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
 from momapos.model.scene import resistance_along, stays_in_place
@@ -23,6 +24,7 @@ from momapos.planning.arm_motion import (
     near_home,
     plan_with_clearance,
     quick_config,
+    world_tools,
 )
 from momapos.planning.grasps import FULL_DOF, GraspFilter, task_motion
 from momapos.planning.placement import (
@@ -237,9 +239,10 @@ class TwoGrasps:
         (push,) = second.holds(pushed.grasp)
         hold = replace(push, first=begin, last=begin + push.last)
         Ts = pose_planar(base) @ chain.tool_poses(q)
-        return Motion(
+        joined = Motion(
             pulled.approach, chain.joint_values(q), object_q, Ts, holds=(*pulled.holds, hold)
         )
+        return with_close_states(joined, partial(world_tools, chain, base))
 
 
 def iter_two_grasps(

@@ -14,7 +14,14 @@ from momapos.model.scene import Scene
 from momapos.planning.arm_motion import Feasibility, fitted_bases
 from momapos.planning.grasps import FULL_DOF, TaskMotion
 from momapos.planning.navigation import TravelLengths, clear_at_home
-from momapos.planning.placement import AttemptPose, PlaceConfig, Problem, Search, search, search_in_order
+from momapos.planning.placement import (
+    AttemptPose,
+    PlaceConfig,
+    Problem,
+    Search,
+    search,
+    search_in_order,
+)
 from momapos.planning.reachability import ReachMap
 
 from .base_paths import BasePaths, OnwardPaths, PassageRule

@@ -12,6 +12,7 @@ from .config import PlannerConfig as PlannerConfig
 from .enclosure import enclosed_by as enclosed_by
 from .feasibility import Feasibility as Feasibility
 from .feasibility import near_home as near_home
+from .feasibility import world_tools as world_tools
 from .free_grasps import collision_free_grasps as collision_free_grasps
 from .free_turn import fitted_bases as fitted_bases
 from .hand_clearance import arm_spheres as arm_spheres

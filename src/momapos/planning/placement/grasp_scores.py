@@ -77,7 +77,9 @@ def turning_grasp_scorer(
         reach: ReachScorer, poses: Float[np.ndarray, "n 3"], Ts: Float[np.ndarray, "m s k 4 4"]
     ) -> Float[np.ndarray, "n t"]:
         """Return the smallest score of each group over some steps of one or two waypoints."""
-        at = reach.min_score(poses, Ts.reshape(-1, *Ts.shape[2:])).reshape(len(poses), *Ts.shape[:2])
+        at = reach.min_score(poses, Ts.reshape(-1, *Ts.shape[2:])).reshape(
+            len(poses), *Ts.shape[:2]
+        )
         return (at[:, member] * held[:, :, None]).max(2, initial=0.0).min(2)
 
     def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> GraspModeScores:
