@@ -1,4 +1,6 @@
 from .base_limits import limited_base_path as limited_base_path
+from .close_states import deviation as deviation
+from .close_states import with_close_states as with_close_states
 from .time_law import Trajectory as Trajectory
 from .trajectory import DEFAULT as DEFAULT
 from .trajectory import SpeedConfig as SpeedConfig

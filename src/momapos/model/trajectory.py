@@ -25,16 +25,12 @@ from momapos.model.records import Motion, PlacementPlan, Verb
 from momapos.model.robots import Robot
 
 from .base_limits import BasePath, limited_base_path
+from .close_states import corners
 from .time_law import Limits, Trajectory, time_piece
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
 
-MAX_CORNER_ANGLE = np.radians(20.0)
-"""The arm stops where its path turns by more than this in joint space [rad]. A spline leaves the
-straight motions between states by an eighth of their length times this angle: 2 mrad in free
-motions, whose states are 0.04 rad apart. States that follow a moved part are up to 0.25 rad apart
-on a curve, which turns by up to 15 degrees in between; the spline is nearer to it than they are."""
 MIN_STEP = 1e-4
 """Shortest time between samples; a plan of one minute then has 600,000 [s]."""
 MIN_SPEED = 1e-3
@@ -237,9 +233,9 @@ def time_path(
 ) -> Trajectory:
     """Follow a path with continuous acceleration, nearly as fast as the limits allow.
 
-    Between corners, the path is a cubic spline through its states, which are close together. The
-    arm stops at corners, so that the spline does not leave the checked path; the planner rounds
-    them where there is room.
+    Between corners, the path is a cubic spline through its states. The arm stops at corners; the
+    planner rounds them where there is room, and its states are so close together that the spline
+    leaves the straight motions between them, which are checked, by `close_states.MAX_DEVIATION`.
 
     Args:
         q: States [rad] or [m].
@@ -280,7 +276,7 @@ def time_path(
     whole, bound = np.column_stack(columns), Limits.join(limits)
     pieces = [
         _piece(whole[first : last + 1], q.shape[1], bound, step)
-        for first, last in pairwise(np.flatnonzero(_corners(q)))
+        for first, last in pairwise(np.flatnonzero(corners(q)))
     ]
     timed, _ = joined(pieces)
     begin = np.cumsum([0, *map(len, pieces[:-1])]) * step
@@ -299,14 +295,6 @@ def _split(timed: Trajectory, n: int) -> Trajectory:
 def _along(points: Float[np.ndarray, "m d"]) -> Float[np.ndarray, " m"]:
     """Return the distance along a path of points or states [m] or [rad]."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-
-
-def _corners(q: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
-    """Return which states are corners or ends of the path."""
-    steps = np.diff(q, axis=0)
-    unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-    cosine = np.einsum("ij,ij->i", unit[:-1], unit[1:])
-    return np.concatenate([[True], cosine < np.cos(MAX_CORNER_ANGLE), [True]])
 
 
 def _piece(path: Float[np.ndarray, "m c"], n: int, limits: Limits, step: float) -> Trajectory:

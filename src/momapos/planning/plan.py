@@ -97,9 +97,9 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
             found.merge(ready.refine(found, config))
         found.accept_fallback()
     if found.is_no and not selection.boxes:
-        for problem, again in ready.multi_grasp_problems(config):
+        for more in ready.multi_grasp_searches(config):
             with watch.stage("search"):
-                found.merge(search(problem, again, np.random.default_rng(query.seed)))
+                found.merge(more())
             found.accept_fallback()
             if not found.is_no:
                 break

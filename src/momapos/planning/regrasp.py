@@ -11,6 +11,7 @@ import numpy as np
 
 from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
+from momapos.model import with_close_states
 from momapos.model.collision import build_motions
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
 from momapos.model.scene import resistance_along, stays_in_place
@@ -18,9 +19,12 @@ from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
     RESOLUTION,
     Feasibility,
+    PlannerConfig,
     brief_config,
     near_home,
     plan_with_clearance,
+    quick_config,
+    world_tools,
 )
 from momapos.planning.grasps import FULL_DOF, GraspFilter, task_motion
 from momapos.planning.placement import (
@@ -55,6 +59,10 @@ class TwoGrasps:
     """Pushes it farther."""
     config: PipelineConfig
     seed: int
+    quick: bool = False
+    """Whether a long search for a way between the grasps is postponed."""
+    postponed: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    """Base poses at which a short search found no way between the grasps."""
     _pulled: dict[bytes, ArmPathResult] = field(default_factory=dict)
     """Arm paths of the first grasp, by base pose."""
     _in_reach: list[int] = field(default_factory=list)
@@ -129,21 +137,63 @@ class TwoGrasps:
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
     ) -> Attempt:
         """Complete both grasps at a base pose: approach, path between them, exact check."""
-        pulls = ways[ways < self._pulls]
+        pulls, pushes = ways[ways < self._pulls], ways[ways >= self._pulls] - self._pulls
         pulled = self.first(base, self._pulled[base.tobytes()], pulls)
         if pulled.motion is None:
             return pulled
-        assert screened.q is not None
+        outcomes = []
+        short = quick_config(self.config.arm_planner)
+        for pushed in self._pushes(base, screened, pushes, pulled.motion):
+            attempt = self._joined(base, pulled.motion, pushed, short)
+            if attempt.motion is not None:
+                return attempt
+            outcomes.append(attempt.outcome)
+        if PoseOutcome(PoseStatus.NO_APPROACH) in outcomes:
+            if not self.quick:
+                long = brief_config(self.config.arm_planner)
+                return self._joined(base, pulled.motion, screened, long)
+            self.postponed.append(base)
+        return Attempt(None, max(outcomes, key=lambda one: one.progress))
+
+    def _pushes(
+        self,
+        base: Float[np.ndarray, "3"],
+        screened: ArmPathResult,
+        pushes: Int[np.ndarray, " k"],
+        pulled: Motion,
+    ) -> list[ArmPathResult]:
+        """Return the arm paths of the second grasp, those that begin nearest to the first one's end
+        first.
+        """
+        start = self.second.robot.chain.freedom_values(pulled.q[-1])
+        found = [screened, *self.second.arm_paths(base, pushes[pushes != screened.grasp])]
+        near = [replace(one, q=self._near(one, start)) for one in found]
+        return sorted(near, key=lambda one: float(np.abs(one.q[0] - start).max()))
+
+    def _near(
+        self, pushed: ArmPathResult, start: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "d n"]:
+        """Return the states of the second grasp, by whole turns nearest to the first one's end."""
+        assert pushed.q is not None
         chain = self.second.robot.chain
-        start = chain.freedom_values(pulled.motion.q[-1])
-        q = near_home(screened.q, start, chain.lower, chain.upper)
-        q = self.second.with_smooth_posture(base, q, screened.grasp)
-        between = self._between(base, start, q[0])
+        return near_home(pushed.q, start, chain.lower, chain.upper)
+
+    def _joined(
+        self,
+        base: Float[np.ndarray, "3"],
+        pulled: Motion,
+        pushed: ArmPathResult,
+        config: PlannerConfig,
+    ) -> Attempt:
+        """Complete the motion of both grasps, given each one's."""
+        start = self.second.robot.chain.freedom_values(pulled.q[-1])
+        q = self.second.with_smooth_posture(base, self._near(pushed, start), pushed.grasp)
+        between = self._between(base, start, q[0], config)
         if between is None:
             return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
-        motion = self._joined(base, pulled.motion, between, replace(screened, q=q))
+        motion = self._motion(base, pulled, between, replace(pushed, q=q))
         if self.config.motion.home_again:
-            home = self.second.path_home(base, q[-1], screened.grasp)
+            home = self.second.path_home(base, q[-1], pushed.grasp)
             if home is None:
                 return Attempt(None, PoseOutcome(PoseStatus.NO_WAY_HOME))
             motion = replace(motion, home=home)
@@ -153,7 +203,11 @@ class TwoGrasps:
         return Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE))
 
     def _between(
-        self, base: Float[np.ndarray, "3"], start: Float[np.ndarray, " n"], goal: np.ndarray
+        self,
+        base: Float[np.ndarray, "3"],
+        start: Float[np.ndarray, " n"],
+        goal: Float[np.ndarray, " n"],
+        config: PlannerConfig,
     ) -> Float[np.ndarray, "k n"] | None:
         """Return states of a free arm path while the door stands ajar."""
         chain = self.second.robot.chain
@@ -163,11 +217,11 @@ class TwoGrasps:
         )  # fmt: skip
         path = plan_with_clearance(
             start, goal, chain.lower, chain.upper, checker,
-            config=brief_config(self.config.arm_planner), seed=self.seed,
+            config=config, seed=self.seed,
         )  # fmt: skip
         return None if path is None else path.states()
 
-    def _joined(
+    def _motion(
         self,
         base: Float[np.ndarray, "3"],
         pulled: Motion,
@@ -185,9 +239,10 @@ class TwoGrasps:
         (push,) = second.holds(pushed.grasp)
         hold = replace(push, first=begin, last=begin + push.last)
         Ts = pose_planar(base) @ chain.tool_poses(q)
-        return Motion(
+        joined = Motion(
             pulled.approach, chain.joint_values(q), object_q, Ts, holds=(*pulled.holds, hold)
         )
+        return with_close_states(joined, partial(world_tools, chain, base))
 
 
 def iter_two_grasps(

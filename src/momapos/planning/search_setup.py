@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,7 +14,14 @@ from momapos.model.scene import Scene
 from momapos.planning.arm_motion import Feasibility, fitted_bases
 from momapos.planning.grasps import FULL_DOF, TaskMotion
 from momapos.planning.navigation import TravelLengths, clear_at_home
-from momapos.planning.placement import AttemptPose, PlaceConfig, Problem, Search, search_in_order
+from momapos.planning.placement import (
+    AttemptPose,
+    PlaceConfig,
+    Problem,
+    Search,
+    search,
+    search_in_order,
+)
 from momapos.planning.reachability import ReachMap
 
 from .base_paths import BasePaths, OnwardPaths, PassageRule
@@ -93,12 +100,23 @@ class SearchSetup:
         every = replace(place, grasps=self.prepared.motion.turning.modes)
         return search_in_order(problem, iter([poses[order[:_MAX_REFINED_POSES]]]), every)
 
-    def multi_grasp_problems(self, place: PlaceConfig) -> Iterator[tuple[Problem, PlaceConfig]]:
-        """Yield the problem with more than one grasp, and how to search it."""
+    def multi_grasp_searches(self, place: PlaceConfig) -> Iterator[Callable[[], Search]]:
+        """Yield the searches with more than one grasp, in the order of trying them.
+
+        Base poses at which a quick search finds no way between two grasps are tried again last.
+        """
+        seed = self.query.seed
         for slide in self.slides():
-            yield self.with_grasps(slide), place
+            yield partial(search, self.with_grasps(slide), place, np.random.default_rng(seed))
+        tried: list[TwoGrasps] = []
         for two, again in two_grasp_searches(self.two_grasps(), place):
-            yield self.with_grasps(two), again
+            tried += [] if any(two is one for one in tried) else [two]
+            quick = self.with_grasps(replace(two, quick=True))
+            yield partial(search, quick, again, np.random.default_rng(seed))
+        for two in tried:
+            poses = np.array(two.postponed)
+            if len(poses):
+                yield partial(search_in_order, self.with_grasps(two), iter([poses]), place)
 
     def accepted(self, check: AttemptPose) -> AttemptPose:
         """Extend a check by the path to the base pose and by base-pose robustness."""

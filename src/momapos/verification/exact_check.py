@@ -118,7 +118,8 @@ class PlanVerifier:
         if placed is None:
             return Report(checks)
         depth = self._gripper_depth(placed)
-        return Report(checks, self._notes(placed, depth), depth)
+        notes = (*self._notes(placed, depth), *paths.curve_notes(motion))
+        return Report(checks, notes, depth)
 
     def outside_note(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
         """Return where and how far arm or part leave the floor's outline; None if they do not.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.geometry import invert, rotation_about, rotation_angle
+from momapos.model import deviation
 from momapos.model.records import Hold, Motion
 
 from .link_bodies import following
@@ -28,6 +29,10 @@ MAX_MAGNITUDE = 1e6
 """Larger numbers are treated as errors."""
 MAX_RIGIDITY_ERROR = 1e-3
 """Largest error of a tool pose as a rigid transform, per matrix entry [-]."""
+
+NOTED_DEVIATION = 0.003
+"""By how much the curve that is executed may leave the straight motions between states without a
+note; our plans allow a third of it [rad] or [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +125,15 @@ def dense_path(motion: Motion, step: float) -> DensePath:
         latch_q=None if motion.latch_q is None else along(motion.latch_q),
         base=base,
     )
+
+
+def curve_notes(motion: Motion) -> Iterator[str]:
+    """Note where the executed curve leaves the straight motions between states, as checked."""
+    for phase, q in (("approach", motion.approach), ("manipulation", motion.q)):
+        off = float(deviation(q).max(initial=0.0))
+        if off > NOTED_DEVIATION:
+            words = "the straight motions, which are checked; states closer together prevent it"
+            yield f"between states of the {phase}, a spline gets up to {off:.3f} rad or m off {words}"
 
 
 def _pieces(q: Float[np.ndarray, "s n"], step: float) -> Float[np.ndarray, " t"]:

@@ -50,6 +50,9 @@ def boxes_apart(part, boxes, b, scratch):
         s = abs(t[0] * C[0, j] + t[1] * C[1, j] + t[2] * C[2, j])
         if s > hb[j] + ha[0] * A[0, j] + ha[1] * A[1, j] + ha[2] * A[2, j]:
             return True
+    if A[2, 2] >= 1.0:
+        # Both are upright: the remaining axes are among those above.
+        return False
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -71,6 +74,54 @@ def _spread(rotation, half):
     return out
 
 
+@kernel
+def _near_any(bases, low, high, boxes, spread, reach, near):
+    """Write the boxes that the base can touch at some pose; return how many."""
+    least, most = np.full(2, np.inf), np.full(2, -np.inf)
+    for n in range(len(bases)):
+        for k in range(2):
+            least[k] = min(least[k], bases[n, k] - reach)
+            most[k] = max(most[k], bases[n, k] + reach)
+    count = 0
+    for b in range(len(spread)):
+        beside = False
+        for k in range(2):
+            beside |= boxes.center[b, k] - spread[b, k] > most[k]
+            beside |= boxes.center[b, k] + spread[b, k] < least[k]
+        beside |= boxes.center[b, 2] - spread[b, 2] > high
+        beside |= boxes.center[b, 2] + spread[b, 2] < low
+        if not beside:
+            near[count] = b
+            count += 1
+    return count
+
+
+@kernel
+def _near_point(x, y, near, count, boxes, spread, reach, here):
+    """Write those near boxes that the base can touch at a point; return how many."""
+    found = 0
+    for i in range(count):
+        b = near[i]
+        beside = abs(boxes.center[b, 0] - x) > spread[b, 0] + reach
+        if not beside and abs(boxes.center[b, 1] - y) <= spread[b, 1] + reach:
+            here[found] = b
+            found += 1
+    return found
+
+
+@kernel
+def _bounds(center, rotation, half):
+    """Return the lowest and the highest corner (2, 3) of boxes around boxes."""
+    extent = _spread(rotation, half)
+    bounds = np.empty((2, 3))
+    bounds[0], bounds[1] = np.inf, -np.inf
+    for b in range(len(center)):
+        for k in range(3):
+            bounds[0, k] = min(bounds[0, k], center[b, k] - extent[b, k])
+            bounds[1, k] = max(bounds[1, k], center[b, k] + extent[b, k])
+    return bounds
+
+
 @entry
 def _hit(bases: F2, base: BoxArrays, boxes: BoxArrays, clearance: float) -> np.ndarray:
     base_center, base_rotation, base_half = base
@@ -78,20 +129,37 @@ def _hit(bases: F2, base: BoxArrays, boxes: BoxArrays, clearance: float) -> np.n
     out = np.full(len(bases), FREE, np.int64)
     spread, tall = _spread(rotation, half), _spread(base_rotation, base_half)
     radius = np.empty(len(base_center))
-    reach = 0.0
+    reach, low, high = 0.0, np.inf, -np.inf
     for a in range(len(base_center)):
         # Heights and this horizontal radius do not depend on yaw.
         radius[a] = np.hypot(tall[a, 0], tall[a, 1]) + clearance
         reach = max(reach, np.hypot(base_center[a, 0], base_center[a, 1]) + radius[a])
+        low = min(low, base_center[a, 2] - tall[a, 2] - clearance)
+        high = max(high, base_center[a, 2] + tall[a, 2] + clearance)
+    bounds, grown = _bounds(base_center, base_rotation, base_half), np.empty(len(center))
+    for b in range(len(center)):
+        grown[b] = np.hypot(spread[b, 0], spread[b, 1]) + clearance
+    near, here = np.empty(len(center), np.int64), np.empty(len(center), np.int64)
+    count, found = _near_any(bases, low, high, boxes, spread, reach, near), 0
     c0, R0, h0 = np.empty(3), np.empty((3, 3)), np.empty(3)
     part = OrientedBox(c0, R0, h0)
     scratch = BoxBetween(np.empty(3), np.empty((3, 3)), np.empty((3, 3)))
     for n in range(len(bases)):
         x, y = bases[n, 0], bases[n, 1]
+        if n == 0 or x != bases[n - 1, 0] or y != bases[n - 1, 1]:
+            found = _near_point(x, y, near, count, boxes, spread, reach, here)
         cos, sin = np.cos(bases[n, 2]), np.sin(bases[n, 2])
-        for b in range(len(center)):
+        for i in range(found):
+            b = here[i]
             dx, dy = center[b, 0] - x, center[b, 1] - y
-            if abs(dx) > spread[b, 0] + reach or abs(dy) > spread[b, 1] + reach:
+            # The box within a ball, seen from the base, beside all parts of the base.
+            along, across = cos * dx + sin * dy, cos * dy - sin * dx
+            if (
+                along - grown[b] > bounds[1, 0]
+                or along + grown[b] < bounds[0, 0]
+                or across - grown[b] > bounds[1, 1]
+                or across + grown[b] < bounds[0, 1]
+            ):
                 continue
             for a in range(len(base_center)):
                 gap = abs(base_center[a, 2] - center[b, 2])
@@ -131,15 +199,12 @@ def base_hits(
         boxes: The scene in the world frame.
         clearance: Required distance [m].
     """
-    bases = np.ascontiguousarray(bases, float)
-    near = _near(bases, base, boxes, clearance)
-    hits = _hit(
-        bases,
-        BoxArrays(base.center, base.rotation, base.half),
-        BoxArrays(boxes.center[near], boxes.rotation[near], boxes.half[near]),
+    return _hit(
+        np.ascontiguousarray(bases, float),
+        BoxArrays(*map(np.ascontiguousarray, (base.center, base.rotation, base.half))),
+        BoxArrays(*map(np.ascontiguousarray, (boxes.center, boxes.rotation, boxes.half))),
         clearance,
     )
-    return np.append(near, FREE)[hits]
 
 
 @entry
@@ -178,17 +243,3 @@ def base_hits_moving(
         *map(np.ascontiguousarray, (moving.center, moving.rotation, moving.half)),
         clearance,
     )
-
-
-def _near(
-    bases: Float[np.ndarray, "n 3"], base: Boxes, boxes: Boxes, clearance: float
-) -> Int[np.ndarray, " k"]:
-    """Return the boxes that the base can touch at some of its poses."""
-    if not len(bases) or not len(base):
-        return np.zeros(0, np.int64)
-    spread, own = boxes.extent, base.extent + clearance
-    reach = (np.hypot(*base.center[:, :2].T) + np.hypot(*own[:, :2].T)).max()
-    low = np.append(bases[:, :2].min(0) - reach, (base.center[:, 2] - own[:, 2]).min())
-    high = np.append(bases[:, :2].max(0) + reach, (base.center[:, 2] + own[:, 2]).max())
-    meets = (boxes.center + spread >= low) & (boxes.center - spread <= high)
-    return np.flatnonzero(meets.all(1))

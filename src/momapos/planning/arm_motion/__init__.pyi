@@ -6,11 +6,13 @@ from .arm_planner import FreePath as FreePath
 from .arm_planner import brief_config as brief_config
 from .arm_planner import interpolate as interpolate
 from .arm_planner import plan_with_clearance as plan_with_clearance
+from .arm_planner import quick_config as quick_config
 from .carried_motion import adapt_motion as adapt_motion
 from .config import PlannerConfig as PlannerConfig
 from .enclosure import enclosed_by as enclosed_by
 from .feasibility import Feasibility as Feasibility
 from .feasibility import near_home as near_home
+from .feasibility import world_tools as world_tools
 from .free_grasps import collision_free_grasps as collision_free_grasps
 from .free_turn import fitted_bases as fitted_bases
 from .hand_clearance import arm_spheres as arm_spheres

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.core.geometry import pose_planar
+from momapos.model import with_close_states
 from momapos.model.collision import (
     FREE,
     CollisionWorld,
@@ -20,6 +21,7 @@ from momapos.model.collision import (
     build_motions,
     check,
 )
+from momapos.model.kinematics import Chain
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion
@@ -145,16 +147,28 @@ class Feasibility:
             for (grasp, path), code in zip(best, home, strict=True)
         ]
 
+    def arm_paths(
+        self, base: Float[np.ndarray, "3"], grasps: Int[np.ndarray, " k"]
+    ) -> list[ArmPathResult]:
+        """Return the arm paths of those grasp modes that have one; none if out of time."""
+        paths = self._paths(np.tile(base, (len(grasps), 1)), grasps) or []
+        return [
+            ArmPathResult(grasp, path.q, self._outcome(path, FREE), path.bases)
+            for grasp, path in zip(grasps.tolist(), paths, strict=False)
+            if path.q is not None
+        ]
+
     def _paths(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
     ) -> list[ArmPath] | None:
         """Search arm paths of pairs of base pose and grasp mode; return None if out of time."""
-        pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
+        count = min(len(grasps), max(_THREADS, len(grasps) // _BATCH))
+        pieces = np.array_split(np.arange(len(grasps)), max(count, 1))
 
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             return None if self.out_of_time() else self._search(bases[part], grasps[part])
 
-        found = list(_threads().map(work, pieces))
+        found = list((_threads().map if count > 1 else map)(work, pieces))
         done = [paths for paths in found if paths is not None]
         return [path for paths in done for path in paths] if len(done) == len(found) else None
 
@@ -221,7 +235,7 @@ class Feasibility:
         )  # fmt: skip
         if approach is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
-        Ts_world_tool = self._tools(q, base if bases is None else bases)
+        Ts_world_tool = pose_planar(base if bases is None else bases) @ chain.tool_poses(q)
         steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
         steps = steps[begin:]
         holds = tuple(
@@ -234,6 +248,7 @@ class Feasibility:
             latch_q=None if self.motion.latch_q is None else self.motion.latch_q[steps],
             base=None if bases is None else bases[steps],
         )  # fmt: skip
+        motion = with_close_states(motion, partial(world_tools, chain, base))
         if self.home_again:
             home = self.path_home(base if bases is None else bases[-1], q[-1], grasp)
             if home is None:
@@ -325,11 +340,6 @@ class Feasibility:
         path = plan_with_clearance(*ends, bounded, config=config, seed=seed)
         return None if path is None else path.states(then)
 
-    def _tools(
-        self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"]
-    ) -> Float[np.ndarray, "m 4 4"]:
-        return pose_planar(base) @ self.robot.chain.tool_poses(q)
-
     def _outcome(self, path: ArmPath | None, at_home: int) -> PoseOutcome:
         if at_home != FREE:
             return PoseOutcome(PoseStatus.HOME_COLLISION, self.world.reason(at_home))
@@ -346,6 +356,17 @@ class Feasibility:
             obstacle = self.world.reason(path.obstacle)
             return PoseOutcome(PoseStatus.ARM_COLLISION, obstacle, where)
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
+
+
+def world_tools(
+    chain: Chain,
+    base: Float[np.ndarray, "3"],
+    q: Float[np.ndarray, "m n"],
+    moved: Float[np.ndarray, "m 3"] | None,
+) -> Float[np.ndarray, "m 4 4"]:
+    """Return the tool's poses at all joints' states, for a base that stands or moves."""
+    states = chain.freedom_values(q)
+    return pose_planar(base if moved is None else moved) @ chain.tool_poses(states)
 
 
 @cache

@@ -9,11 +9,13 @@ import numpy as np
 from momapos.core.geometry import rotation_about, rotation_of
 from momapos.model.robots import Robot
 from momapos.model.urdf import Articulated
+from momapos.verification import Limits
 
 from .config import HANDLE_POINTS, GraspConfig
 from .fronts import PUSH_INSET, front_face, front_part
 from .hand_boxes import Hand, hand_of
 from .handle_records import Handle
+from .handle_shapes import CarriedPart, part_elements
 from .part_grasps import grasp_frames
 
 if TYPE_CHECKING:
@@ -38,7 +40,8 @@ def push_from_behind(
 
     Returns:
         The back of the part, the poses in the part's frame and their complexity; None if the part
-        has no back or the robot no fingers.
+        has no back or the robot no fingers. Poses with the tool's origin farther from the part than
+        the exact check allows are left out: wide hands touch it with one finger at their side.
     """
     back, hand = front_face(front_part(model, joint, sign), -sign), hand_of(robot)
     if back is None or not (hand.side != 0).any():
@@ -59,7 +62,15 @@ def push_from_behind(
     closing = np.einsum("gij,gj->gi", rotation_of(approach * roll[:, None]), R @ back.long)
     T = grasp_frames(robot, point[:, None] * back.long, approach, closing)
     T[:, :3, 3] += _touching(hand, back, inward, T[:, :3, :3])
-    return back, T, np.abs(lean - np.radians(LEANS[1])) + np.abs(tilt) + 5 * np.abs(point)
+    complexity = np.abs(lean - np.radians(LEANS[1])) + np.abs(tilt) + 5 * np.abs(point)
+    near = T[:, :3, 3] @ back.out - _top(model, joint, back) <= Limits().reach
+    return (back, T[near], complexity[near]) if near.any() else None
+
+
+def _top(model: Articulated, joint: str, back: Handle) -> float:
+    """Return how far a part extends along the normal of its back, from the carrier's origin [m]."""
+    part = CarriedPart(model, joint, back.carrier)
+    return max(float((e.convex.vertices @ back.out).max()) for e in part_elements(part))
 
 
 def _touching(

@@ -63,20 +63,35 @@ def turning_grasp_scorer(
     grasps, waypoints = Ts_world_tool.shape[:2]
     turning, index = np.unique(groups, return_inverse=True)
     member, held = index.reshape(groups.shape), groups >= 0
-    each = np.ascontiguousarray(Ts_world_tool[turning].reshape(-1, 1, 4, 4))
-    last = np.ascontiguousarray(Ts_world_tool[turning, -1:])
+    middle = (waypoints + 1) // 2
+    rest = [w for w in range(2, waypoints - 1) if w != middle]
+    # Most poses reach the end of the motion with no grasp of any group, and few of the others the
+    # approach and the middle.
+    stages = [
+        np.ascontiguousarray(Ts_world_tool[turning][:, steps])
+        for steps in ([[waypoints - 1]], [[0, 1], [middle, middle]], [[w] for w in rest])
+        if len(steps)
+    ]
+
+    def worst(
+        reach: ReachScorer, poses: Float[np.ndarray, "n 3"], Ts: Float[np.ndarray, "m s k 4 4"]
+    ) -> Float[np.ndarray, "n t"]:
+        """Return the smallest score of each group over some steps of one or two waypoints."""
+        at = reach.min_score(poses, Ts.reshape(-1, *Ts.shape[2:])).reshape(
+            len(poses), *Ts.shape[:2]
+        )
+        return (at[:, member] * held[:, :, None]).max(2, initial=0.0).min(2)
 
     def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> GraspModeScores:
         scores = np.zeros((len(poses), grasps + len(groups)), np.float32)
         for first in range(0, len(poses), _BLOCK):
-            block = slice(first, first + _BLOCK)
-            # Most poses reach the end of the motion with no grasp of any group.
-            ends = reach.min_score(poses[block], last).max(1)
-            rows = first + np.flatnonzero(ends > 0)
-            at = reach.min_score(poses[rows], each).reshape(-1, len(turning), waypoints)
-            at[:, :, 1] = np.minimum(at[:, :, 0], at[:, :, 1])
-            members = at[:, member, 1:] * held[None, :, :, None]
-            scores[rows, grasps:] = members.max(2, initial=0.0).min(2)
+            rows = np.arange(first, min(first + _BLOCK, len(poses)))
+            least = np.full((len(rows), len(groups)), np.inf, np.float32)
+            for Ts in stages:
+                least = np.minimum(least, worst(reach, poses[rows], Ts))
+                reached = least.max(1) > 0
+                rows, least = rows[reached], least[reached]
+            scores[rows, grasps:] = least
         return GraspModeScores(scores, len(groups))
 
     return score
