@@ -56,7 +56,9 @@ def plan_stops(
         last = _leg(query, at, task.to, answer, again=again) if legs else None
         if last is not None:
             return _joined(query, infeasible, [*legs, last])
-        leg = None if len(legs) + 1 == MAX_STOPS else _longest(query, at, answer)
+        # Where the base goes afterwards concerns the last stop.
+        first = replace(at, final_check=None)
+        leg = None if len(legs) + 1 == MAX_STOPS else _longest(query, first, answer)
         if leg is None:
             return None
         legs.append(leg)

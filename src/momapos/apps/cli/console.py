@@ -281,7 +281,7 @@ def _follower(task: Task) -> list[str]:
 
 
 def _value(answer: PlacementResult, value: float) -> str:
-    return f"{100 * value:.0f} cm" if answer.slides else f"{math.degrees(value):.0f} deg"
+    return answer.value_words(value)
 
 
 def _span(answer: PlacementResult) -> str:
