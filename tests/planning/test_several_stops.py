@@ -52,7 +52,7 @@ def limited(longest: float, asked: list[tuple[float, float]]) -> object:
 def stops() -> tuple[PlacementQuery, PlacementResult, list[tuple[float, float]]]:
     asked: list[tuple[float, float]] = []
     query, answer = question(), limited(LONGEST, asked)
-    found = plan_stops(query, answer(query), answer)  # type: ignore[operator, arg-type]
+    found = plan_stops(query, answer(query), answer).answer  # type: ignore[operator, arg-type]
     assert found is not None
     return query, found, asked
 
@@ -105,7 +105,7 @@ def test_a_part_that_needs_more_than_three_stops_has_no_answer() -> None:
     asked: list[tuple[float, float]] = []
     query, answer = question(), limited(0.06, asked)
     found = plan_stops(query, answer(query), answer)  # type: ignore[operator, arg-type]
-    assert found is None
+    assert found.answer is None
     assert len({now for now, _ in asked}) == MAX_STOPS
 
 

@@ -100,7 +100,11 @@ def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     clock = query.watch.clock
     began = clock()
     planner = _Planner(
-        query, clock, began + query.config.timeout, scenes_of(query.scene, requests), tuple(requests)
+        query,
+        clock,
+        began + query.config.timeout,
+        scenes_of(query.scene, requests),
+        tuple(requests),
     )
     visits = planner.stops(0, query.start)
     steps = [step for visit in visits for step in visit]

@@ -119,6 +119,7 @@ def summary(
             lines.append(f"  nearest     {_pose(miss.base_pose)}: {miss.reason}")
         if plan.advice:
             lines.append(f"  advice      {plan.advice}")
+        lines += [f"  note        {words}" for words in plan.notes]
     if plan.method not in OURS:
         gave_up = "; it gave up, which proves nothing" if plan.motion is None else ""
         lines.append(f"  method      {plan.method}{gave_up}")
