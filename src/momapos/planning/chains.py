@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -27,6 +28,8 @@ from .tour import Request, Tour, plan_stops, scenes_of
 
 VALUES = 8
 """Number of values between closed and wide open that are tried, 11 to 23 degrees apart [-]."""
+MAX_TOURS = 4
+"""Number of other tours that are planned [-]."""
 UNSURE_VALUES = 2
 """Number of values that are tried if only the way to the failed task is blocked there, which the
 side of the part on which the robot stands decides [-]."""
@@ -61,7 +64,7 @@ def plan_chain(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     began = query.watch.clock() - best.seconds
     chain = _Chain(query, tuple(requests), began)
     if len(requests) > 1 and _fails(best, requests):
-        for other in chain.others(len(best.steps) - 1):
+        for other in islice(chain.others(len(best.steps) - 1), MAX_TOURS):
             if chain.left < MIN_TIMEOUT:
                 break
             tour = chain.plan(other)
@@ -137,7 +140,7 @@ class _Chain:
                 continue
             if self._may_change(k, needs_it) and self._helps(k, needs_it):
                 tried += 1
-                yield from self._values(k, needs_it)
+                yield from self._values(k, needs_it, shorter=k == failed)
 
     def _may_change(self, k: int, task: int) -> bool:
         """Return whether a request opens a part to no given value, and it is open at a task."""
@@ -159,11 +162,17 @@ class _Chain:
         scene, _ = scenes_of(self.query.scene, self.requests)[task]
         return self._may_solve(task, without_part(scene, name, joint)) is not False
 
-    def _values(self, k: int, task: int) -> Iterator[_Other]:
-        """Yield values of an opening with which a task may have a plan, the surest first."""
+    def _values(self, k: int, task: int, *, shorter: bool) -> Iterator[_Other]:
+        """Yield values of an opening with which a task may have a plan, the surest first.
+
+        Args:
+            k: Index of the opening among the requests.
+            task: Index of the task.
+            shorter: Whether the part opens less wide than usual, since it does not open that wide.
+        """
         scene, opening = scenes_of(self.query.scene, self.requests)[k]
         unsure = []
-        for value in _nearest_first(scene, opening):
+        for value in _nearest_first(scene, opening, shorter=shorter):
             other = _Other(k, value)
             try:
                 changed = scenes_of(self.query.scene, self.with_value(other))
@@ -195,10 +204,15 @@ class _Chain:
         return None if cut_off else False
 
 
-def _nearest_first(scene: Scene, opening: Task) -> list[float]:
+def _nearest_first(scene: Scene, opening: Task, *, shorter: bool) -> list[float]:
     """Return values to which a part may be opened, those nearest to the task's first.
 
     Of two that are equally near, the wider one comes first [rad] or [m].
+
+    Args:
+        scene: The scene.
+        opening: The task.
+        shorter: Whether only values short of the task's count.
     """
     assert opening.joint is not None
     assert opening.to is not None
@@ -208,7 +222,8 @@ def _nearest_first(scene: Scene, opening: Task) -> list[float]:
     ahead = min(sign * (limits.wide - start), MAX_TURN)
     values = start + sign * ahead * np.arange(1, VALUES + 1) / VALUES
     apart = np.abs(values - opening.to)
-    values = values[apart > ahead / (2 * VALUES)]
+    short = sign * (opening.to - values) > 0.0
+    values = values[(apart > ahead / (2 * VALUES)) & (short | (not shorter))]
     order = np.lexsort((-sign * values, np.abs(values - opening.to).round(6)))
     return values[order].tolist()
 
