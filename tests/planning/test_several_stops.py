@@ -12,6 +12,7 @@ import pytest
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_use import with_other_use
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -52,8 +53,8 @@ def limited(longest: float, asked: list[tuple[float, float]]) -> object:
 def stops() -> tuple[PlacementQuery, PlacementResult, list[tuple[float, float]]]:
     asked: list[tuple[float, float]] = []
     query, answer = question(), limited(LONGEST, asked)
-    found = plan_stops(query, answer(query), answer)  # type: ignore[operator, arg-type]
-    assert found is not None
+    query = replace(query, config=replace(query.config, base="stops"))
+    found = with_other_use(query, answer(query), answer)  # type: ignore[operator, arg-type]
     return query, found, asked
 
 
@@ -70,6 +71,19 @@ def test_two_stops_move_the_part_all_the_way_and_the_file_is_valid(
     write_plan(plan, tmp_path / "plan.json")
     report = verify_files(tmp_path / "plan.json")
     assert report.valid, report
+
+
+def test_a_note_says_how_far_fewer_stops_move_the_part(
+    stops: tuple[PlacementQuery, PlacementResult, list[tuple[float, float]]],
+) -> None:
+    query, found, _ = stops
+    goal = query.task.to
+    assert goal is not None
+    note = (
+        "no single base pose serves this task, one moves the part to "
+        f"{100 * 5 / 8 * goal:.0f} cm; the robot stops 2 times"
+    )
+    assert found.notes[-1] == note
 
 
 def test_the_first_stretch_is_the_longest(
@@ -105,7 +119,7 @@ def test_a_part_that_needs_more_than_three_stops_has_no_answer() -> None:
     asked: list[tuple[float, float]] = []
     query, answer = question(), limited(0.06, asked)
     found = plan_stops(query, answer(query), answer)  # type: ignore[operator, arg-type]
-    assert found is None
+    assert found.answer is None
     assert len({now for now, _ in asked}) == MAX_STOPS
 
 

@@ -123,7 +123,8 @@ class BasePaths:
                 self._cut_off.append(base)
                 return Attempt(None, no_way)
             final = self.query.final_check
-            refused = None if final is None else final(base)
+            moved = found.motion.base
+            refused = None if final is None else final(base if moved is None else moved[-1])
             return found if refused is None else Attempt(None, refused)
 
         return attempt

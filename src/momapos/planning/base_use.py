@@ -14,6 +14,7 @@ from .query import PlacementQuery
 from .result import PlacementResult
 from .search_setup import prepare_search
 from .several_stops import plan_stops
+from .time_limit import with_note
 
 Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 
@@ -31,16 +32,24 @@ def with_other_use(
     use, task = query.config.base, query.task
     if fixed.plan.status != "infeasible" or task.joint is None or use == "fixed":
         return fixed
-    words = "no single base pose serves this task"
+    words = ["no single base pose serves this task"]
     if use in ("stops", "auto"):
         found = plan_stops(query, fixed, answer)
-        if found is not None:
-            return _noted(found, f"{words}; the robot stops {_stops(found.plan)} times")
+        words += [_reached(count, leg) for count, leg in enumerate(found.stretches, 1)]
+        if found.answer is not None:
+            return _noted(found.answer, words, f"the robot stops {_stops(found.answer.plan)} times")
     if use in ("moving", "auto"):
         moved = plan_moving(query)
         if moved.plan.status != "infeasible":
-            return _noted(moved, f"{words}; the base moves with the part")
+            return _noted(moved, words, "the base moves with the part")
     return fixed
+
+
+def _reached(stops: int, answer: PlacementResult) -> str:
+    """Say how far a number of stops moves the part, given the answer of the last stretch."""
+    assert answer.plan.task.to is not None
+    to = answer.value_words(answer.plan.task.to)
+    return f"one moves the part to {to}" if stops == 1 else f"{stops} stops to {to}"
 
 
 def plan_moving(query: PlacementQuery) -> PlacementResult:
@@ -63,5 +72,6 @@ def _stops(plan: PlacementPlan) -> int:
     return len({motion.base[hold.first].tobytes() for hold in motion.grasps})
 
 
-def _noted(answer: PlacementResult, note: str) -> PlacementResult:
-    return replace(answer, plan=replace(answer.plan, notes=(*answer.notes, note)))
+def _noted(answer: PlacementResult, others: list[str], note: str) -> PlacementResult:
+    """Return an answer with a note on what other uses of the base reach, and on its own."""
+    return with_note(answer.with_notes(), f"{', '.join(others)}; {note}")

@@ -17,12 +17,13 @@ from momapos.planning.baselines import plan_with_method
 from momapos.planning.grasps import make_task
 
 from .base_pose_check import check_pose
+from .chains import plan_chain
 from .iterate import placements
 from .plan import plan_placement
 from .query import PlacementQuery, QueryOptions, as_query
 from .result import PlacementResult
 from .tolerance import SAMPLES, tolerance_at
-from .tour import MAX_TASKS, Request, Tour, plan_stops
+from .tour import MAX_TASKS, Request, Tour
 
 if TYPE_CHECKING:
     import numpy as np
@@ -244,7 +245,7 @@ def plan_tour(
     if not tasks:
         raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not 0")
     first = make_task(scene, *tasks[0])
-    return plan_stops(as_query(scene, (robot, first, reach), options), tasks)
+    return plan_chain(as_query(scene, (robot, first, reach), options), tasks)
 
 
 def _request(value: object) -> Request:

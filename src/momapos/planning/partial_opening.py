@@ -17,8 +17,10 @@ from momapos.verification import meets_floor_at
 from .config import PipelineConfig
 from .max_opening import values_per_waypoint
 from .max_opening_plan import MIN_TIMEOUT, find_max_opening, values_short_of
+from .opening_by_use import reached_by_use
 from .plan import plan_to_value
 from .query import PlacementQuery
+from .result import PlacementResult
 from .time_limit import FARTHEST, cut_short, time_left
 
 DEFAULT = PipelineConfig()
@@ -39,6 +41,10 @@ def add_max_opening(
     itself is blocked at the next value. The time limit of the plan includes this search; a note
     says if it ended the search.
 
+    If the configuration allows several stops or a moving base, notes say how far each use of the
+    base moves the part and what stops it. The value then is the largest of theirs, to an eighth of
+    the way.
+
     Args:
         plan: The plan; returned unchanged unless it is infeasible and its task moves a joint.
         scene: The scene.
@@ -55,21 +61,49 @@ def add_max_opening(
     query = PlacementQuery(
         scene, robot, task, reach, start, config, plan.region, seed=plan.seed, watch=watch
     )
-    waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
-    values = values_short_of(query)
     limit = time_left(plan, config.timeout)
-    best, sure = find_max_opening(query, plan_to_value, values, within=waypoint, timeout=limit)
+    words: list[str] = []
+    if config.base == "fixed":
+        best, sure = _largest(query, limit)
+    else:
+        every = reached_by_use(
+            replace(query, config=replace(config, timeout=limit)), _from_one_pose
+        )
+        best, sure = max(every, key=lambda one: one.way).best, False
+        words = [str(one) for one in every]
     late = watch.total > limit - MIN_TIMEOUT
-    plan = replace(
-        plan,
-        timing={**plan.timing, FARTHEST: watch.total},
-        notes=(*plan.notes, *([cut_short("the search for a smaller value")] if late else [])),
-    )
+    words += [cut_short("the search for a smaller value")] if late else []
+    plan = replace(plan, timing={**plan.timing, FARTHEST: watch.total}, notes=(*plan.notes, *words))
     if best is None:
         return plan
-    # The values end where the part meets the floor, or before the goal, which is infeasible.
-    target, to = scene.object(task.object), best.plan.task.to
-    sure |= (
-        bool(to == values[-1]) and meets_floor_at(target, task.joint, task.to or 0.0) is not None
+    return replace(
+        plan,
+        feasible_to=best.plan.task.to,
+        feasible_from=best.plan.base_pose,
+        feasible_sure=sure,
     )
-    return replace(plan, feasible_to=to, feasible_from=best.plan.base_pose, feasible_sure=sure)
+
+
+def _largest(query: PlacementQuery, limit: float) -> tuple[PlacementResult | None, bool]:
+    """Return the answer for the largest value from one base pose, and whether no larger one works.
+
+    Args:
+        query: The question.
+        limit: Time limit [s].
+    """
+    task, config, scene = query.task, query.config, query.scene
+    waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
+    values = values_short_of(query)
+    best, sure = find_max_opening(query, plan_to_value, values, within=waypoint, timeout=limit)
+    if best is not None and task.joint is not None:
+        # The values end where the part meets the floor, or before the goal, which is infeasible.
+        to, target = best.plan.task.to, scene.object(task.object)
+        sure |= (
+            bool(to == values[-1])
+            and meets_floor_at(target, task.joint, task.to or 0.0) is not None
+        )
+    return best, sure
+
+
+def _from_one_pose(query: PlacementQuery) -> PlacementResult:
+    return plan_to_value(replace(query, config=replace(query.config, base="fixed")))

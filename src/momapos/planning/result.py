@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -76,6 +77,10 @@ class PlacementResult:
     def slides(self) -> bool:
         """Return whether the part slides [m]; otherwise it turns [rad]."""
         return slides(self.prepared.scene, self.plan.task)
+
+    def value_words(self, value: float) -> str:
+        """Return a value of the task's joint in words, such as 90 deg or 30 cm."""
+        return f"{100 * value:.0f} cm" if self.slides else f"{math.degrees(value):.0f} deg"
 
     @property
     def holds(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ task as usual, from a part that stands ajar.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
@@ -31,9 +31,21 @@ STRETCHES = 8
 """The part is let go at a multiple of this share of its way [-]."""
 
 
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """The stops of one opening, and how far they move the part."""
+
+    answer: PlacementResult | None
+    """The answer for the task's value, if there is one."""
+    stretches: tuple[PlacementResult, ...] = ()
+    """The answers of the longest stretches, in order, without one to the task's value."""
+    refused: PlacementResult | None = None
+    """The answer for a farther stretch that has no plan; None if none was asked."""
+
+
 def plan_stops(
-    query: PlacementQuery, infeasible: PlacementResult, answer: Answer
-) -> PlacementResult | None:
+    query: PlacementQuery, infeasible: PlacementResult, answer: Answer, *, how_far: bool = False
+) -> Stops:
     """Plan the fewest stops that move a part to the task's value, at most `MAX_STOPS`.
 
     Each stretch but the last is the longest that one base pose serves: what a shorter one leaves is
@@ -43,25 +55,28 @@ def plan_stops(
         query: The question.
         infeasible: Its answer from one base pose.
         answer: Answers a question from one base pose.
-
-    Returns:
-        The answer, or None if there is none.
+        how_far: Whether to find out how far the last of too few stops moves the part.
     """
     task, at = query.task, query
     legs: list[PlacementResult] = []
+    refused = None
     if task.joint is None or task.to is None or infeasible.prepared.blocked:
-        return None
+        return Stops(None)
     while len(legs) < MAX_STOPS:
         again = query.config.motion.home_again
         last = _leg(query, at, task.to, answer, again=again) if legs else None
-        if last is not None:
-            return _joined(query, infeasible, [*legs, last])
-        leg = None if len(legs) + 1 == MAX_STOPS else _longest(query, at, answer)
+        if last is not None and _can_be_joined(last):
+            return Stops(_joined(query, infeasible, [*legs, last]), tuple(legs))
+        if len(legs) + 1 == MAX_STOPS and not how_far:
+            break
+        # Where the base goes afterwards concerns the last stop.
+        leg, refused = _longest(query, replace(at, final_check=None), answer)
+        refused = refused or last
         if leg is None:
-            return None
+            break
         legs.append(leg)
         at = _after(at, leg)
-    return None
+    return Stops(None, tuple(legs), refused)
 
 
 def _after(query: PlacementQuery, leg: PlacementResult) -> PlacementQuery:
@@ -73,20 +88,26 @@ def _after(query: PlacementQuery, leg: PlacementResult) -> PlacementQuery:
     return replace(query, scene=scene, start=np.array(base))
 
 
-def _longest(query: PlacementQuery, at: PlacementQuery, answer: Answer) -> PlacementResult | None:
-    """Return the longest stretch that one base pose serves, by bisection; None for none."""
+def _longest(
+    query: PlacementQuery, at: PlacementQuery, answer: Answer
+) -> tuple[PlacementResult | None, PlacementResult | None]:
+    """Find the longest stretch that one base pose serves, by bisection.
+
+    Returns:
+        Its answer, and that for the shortest stretch without a plan; None for none.
+    """
     values = _values(query, at)
-    low, high, best = 0, len(values), None
+    low, high, best, refused = 0, len(values), None, None
     # A short stretch shows whether the part can be taken at all.
     middle = 0
     while low < high:
         leg = _leg(query, at, float(values[middle]), answer, again=True)
-        if leg is None:
-            high = middle
-        else:
+        if leg is not None and _can_be_joined(leg):
             low, best = middle + 1, leg
+        else:
+            high, refused = middle, leg
         middle = (low + high) // 2
-    return best
+    return best, refused
 
 
 def _values(query: PlacementQuery, at: PlacementQuery) -> Float[np.ndarray, " k"]:
@@ -105,7 +126,7 @@ def _values(query: PlacementQuery, at: PlacementQuery) -> Float[np.ndarray, " k"
 def _leg(
     query: PlacementQuery, at: PlacementQuery, to: float, answer: Answer, *, again: bool
 ) -> PlacementResult | None:
-    """Return the answer for a stretch; None if there is none.
+    """Return the answer for a stretch; None if the time is up.
 
     Args:
         query: The whole question, whose stopwatch counts.
@@ -120,10 +141,14 @@ def _leg(
     config = by_samples(replace(query.config, timeout=left))
     config = replace(config, motion=replace(config.motion, home_again=again))
     task = replace(query.task, to=to, farthest=False)
-    found = answer_on_watch(query, replace(at, task=task, config=config), answer)
-    motion = found.plan.motion
+    return answer_on_watch(query, replace(at, task=task, config=config), answer)
+
+
+def _can_be_joined(leg: PlacementResult) -> bool:
+    """Return whether an answer has a motion that can be a stretch of several."""
+    motion = leg.plan.motion
     can_be_joined = motion is not None and motion.latch_q is None and motion.base is None
-    return found if can_be_joined and found.plan.base_path is not None else None
+    return can_be_joined and leg.plan.base_path is not None
 
 
 def _joined(

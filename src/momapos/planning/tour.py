@@ -100,7 +100,11 @@ def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     clock = query.watch.clock
     began = clock()
     planner = _Planner(
-        query, clock, began + query.config.timeout, _scenes(query.scene, requests), tuple(requests)
+        query,
+        clock,
+        began + query.config.timeout,
+        scenes_of(query.scene, requests),
+        tuple(requests),
     )
     visits = planner.stops(0, query.start)
     steps = [step for visit in visits for step in visit]
@@ -108,7 +112,7 @@ def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     return Tour(tuple(steps), tuple(stops), _assumed(requests), clock() - began)
 
 
-def _scenes(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]]:
+def scenes_of(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]]:
     """Return each task with the scene in which it begins."""
     if not 1 <= len(requests) <= MAX_TASKS:
         raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not {len(requests)}")
@@ -261,6 +265,8 @@ class _Planner:
             return kept
 
         config = replace(self._config(first), timeout=timeout)
+        if last > first:  # a base pose that serves several tasks is a single one
+            config = replace(config, base="fixed")
         if in_others is not None:
             config = without_departure_check(config)
         query = replace(

@@ -119,6 +119,7 @@ def summary(
             lines.append(f"  nearest     {_pose(miss.base_pose)}: {miss.reason}")
         if plan.advice:
             lines.append(f"  advice      {plan.advice}")
+        lines += [f"  note        {words}" for words in plan.notes]
     if plan.method not in OURS:
         gave_up = "; it gave up, which proves nothing" if plan.motion is None else ""
         lines.append(f"  method      {plan.method}{gave_up}")
@@ -281,7 +282,7 @@ def _follower(task: Task) -> list[str]:
 
 
 def _value(answer: PlacementResult, value: float) -> str:
-    return f"{100 * value:.0f} cm" if answer.slides else f"{math.degrees(value):.0f} deg"
+    return answer.value_words(value)
 
 
 def _span(answer: PlacementResult) -> str:

@@ -1,0 +1,67 @@
+"""Laws of refusals that name how far each use of the base moves a part."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_use import plan_moving
+from momapos.planning.config import BaseUse, PipelineConfig
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.partial_opening import add_max_opening
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.query import PlacementQuery
+from momapos.planning.reachability.map_store import load_reach
+
+SAMPLED = PlaceConfig(rounds=1, grid=False)
+USES = ("one base pose ", "a base that stops up to 3 times ", "a base that moves with the part ")
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+def refused(scene: Scene, item: str, base: BaseUse) -> PlacementPlan:
+    """Return the plan of a Stretch, which opens neither lid nor wall cabinet."""
+    robot = load_robot("stretch")
+    config = PipelineConfig(place=SAMPLED, base=base)
+    task = make_task(scene, "open", *item.split("/"))
+    plan = plan_base_placement(scene, robot, task, config=config, clock=time.process_time).plan
+    assert plan.status == "infeasible"
+    return add_max_opening(
+        plan, scene, robot, load_reach(robot), config=config, clock=time.process_time
+    )
+
+
+def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(kitchen: Scene) -> None:
+    plan = refused(kitchen, "dishwasher", "auto")
+    assert [words.startswith(use) for words, use in zip(plan.notes, USES, strict=True)] == [
+        True
+    ] * 3
+    still, _, moving = plan.notes
+    assert "cannot move the part: " in still
+    assert plan.feasible_to is not None
+    assert not plan.feasible_sure
+    assert moving.startswith(
+        f"{USES[2]}moves the part to {np.degrees(plan.feasible_to):.0f} deg; then: "
+    )
+    task = make_task(kitchen, "open", "dishwasher", None, plan.feasible_to)
+    config = PipelineConfig(place=SAMPLED)
+    again = plan_moving(PlacementQuery.of(kitchen, load_robot("stretch"), task, config=config))
+    assert again.plan.base_pose == plan.feasible_from
+
+
+@pytest.mark.parametrize(("base", "count"), [("fixed", 0), ("stops", 2)])
+def test_only_uses_that_were_allowed_are_named(kitchen: Scene, base: BaseUse, count: int) -> None:
+    plan = refused(kitchen, "wall_cabinet/door_left_hinge", base)
+    assert len(plan.notes) == count
+    assert all("cannot move the part: " in words for words in plan.notes)
+    assert plan.feasible_to is None
