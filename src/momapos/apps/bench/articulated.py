@@ -202,11 +202,11 @@ def _automoma_tasks(files: Sequence[Path], folder: Path) -> Iterator[SuiteTask]:
 
 
 def _test_tasks(files: Sequence[Path], folder: Path) -> Iterator[SuiteTask]:
-    for file in files:
-        kind, number = file.parts[-3:-1]
-        usual = USUAL.get(kind)
+    first = {file.parts[-3:-1]: file for file in reversed(files)}
+    for (kind, number), file in sorted(first.items()):
+        usual, known = USUAL.get(kind), number in {one.number for one in AUTOMOMA}
         published = f"Kitchen_models/models/{kind}/{number}"
-        if usual is None or set_of(published) != "test":
+        if usual is None or known or set_of(published) != "test":
             continue
         item = SceneObject.from_urdf("object", file, (0.0, 0.0, 0.0))
         if not list(parts(item.model)):
