@@ -5,7 +5,8 @@
 
 Every door and drawer of the five kitchens of `placement.py`, or a fixed random sample. Several
 stops and a moving base are asked only where one base pose fails. Processor time; every answer is
-verified from its file, also by an independent program (--verifier). `--out` keeps the plan files.
+verified from its file; one that moves the base also by an independent program (--verifier). `--out`
+keeps the plan files.
 """
 
 from __future__ import annotations
@@ -100,9 +101,10 @@ def report(
                 path = folder / f"{name}-{use}-{every.index(opening)}.json"
                 write_plan(plan, path)
                 counts["valid"] += verify_files(path, shared() / "bestman").valid
-                words = independent(path, verifier) if verifier else ""
-                counts["independently valid"] += verifier is not None and not words
                 needed += [spent] if plan.moves_base else []
+                if verifier and plan.moves_base:
+                    words = independent(path, verifier)
+                    counts["independently valid"] += not words
             elif use == "moving":
                 words = cause(query)
             if use == "fixed" and plan.feasible:

@@ -36,8 +36,9 @@ LIMIT_SLACK = 0.002
 a turn to 3.14."""
 MAX_FITTED_MODES = 4
 """Maximum number of grasp modes to which a base pose is fitted [-]."""
-STARTS = 24
-"""Base poses for each of three tool poses from which a mode is examined [-]."""
+FEWEST_STARTS, MOST_STARTS, STARTS = 12, 96, 1000
+"""Base poses for each of three tool poses from which a mode is examined, and in all modes together
+[-]. Of modes that turn about a bar, 1 in 30 of them meets; the many modes of drawers are alike."""
 _GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 """Its multiples modulo 1 are spread evenly, for any count [-]."""
 _DIGITS = 6
@@ -109,15 +110,16 @@ def _feasible_modes(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " w"]:
     """
     turning = motion.turning
     modes = range(0 if _straight(motion) else len(turning.angles), turning.modes)
-    return np.array([mode for mode in modes if _is_feasible(robot, motion, mode)], np.int64)
+    starts = min(MOST_STARTS, max(FEWEST_STARTS, STARTS // max(len(modes), 1)))
+    return np.array([mode for mode in modes if _is_feasible(robot, motion, mode, starts)], np.int64)
 
 
-def _is_feasible(robot: Robot, motion: TaskMotion, mode: int) -> bool:
-    """Return whether the arm follows a mode from one of the most promising base poses."""
+def _is_feasible(robot: Robot, motion: TaskMotion, mode: int, count: int) -> bool:
+    """Return whether the arm follows a mode from some of the most promising base poses."""
     arm, grasp = _arm_of(robot, motion, mode)
     steps = motion.waypoint_steps[[1, len(motion.waypoint_steps) // 2, -1]]
     Ts = motion.Ts_world_tool[grasp, steps]
-    starts = np.concatenate([promising_bases(arm.ik, T, STARTS) for T in Ts])
+    starts = np.concatenate([promising_bases(arm.ik, T, count) for T in Ts])
     return bool(_fit(robot, motion, mode, starts)[1].any())
 
 
