@@ -1,32 +1,46 @@
 """Count the openings that one base pose, several stops and a moving base solve.
 
-    python benchmarks/moving_base.py [--robots stretch hsr] [--uses fixed stops moving] [--out DIR]
+    python benchmarks/moving_base.py [--robots stretch hsr] [--uses fixed stops moving]
+                                     [--sample N] [--verifier verify_plan.py] [--out DIR]
 
-Every door and drawer of the five kitchens of `placement.py`. Processor time; every answer is
-verified from its file. `--out` keeps the plan files, for other verifiers.
+Every door and drawer of the five kitchens of `placement.py`, or a fixed random sample. Several
+stops and a moving base are asked only where one base pose fails. Processor time; every answer is
+verified from its file; one that moves the base also by an independent program (--verifier). `--out`
+keeps the plan files.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import get_args
+from typing import TypeAlias, get_args
 
 import numpy as np
 
 from momapos.core.cache import user_cache
 from momapos.core.errors import MomaposError
+from momapos.core.stopwatch import Stopwatch
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_use import plan_moving
 from momapos.planning.config import BaseUse, PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.plan import plan_placement
+from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach
 from momapos.verification.plan_check import verify_files
-from placement import machine, openings, scene_of, shared
+from placement import machine, openings, shared
+
+Opening: TypeAlias = tuple[str, str, str, str]
+"""Robot, scene, object and joint."""
 
 
 def main() -> None:
@@ -34,57 +48,88 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="*", default=["stretch", "hsr"])
     parser.add_argument("--uses", nargs="*", default=["fixed", "stops", "moving"])
-    parser.add_argument("--limit", type=int, default=0, help="number of openings of each robot")
+    parser.add_argument("--sample", type=int, default=0, help="number of random openings")
+    parser.add_argument("--verifier", type=Path, help="independent check of plan files")
     parser.add_argument("--out", type=Path, help="folder of the plan files")
     args = parser.parse_args()
     if not set(args.uses) <= set(get_args(BaseUse)):
         parser.error(f"--uses must be of {', '.join(get_args(BaseUse))}")
     print(machine())
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as temporary:
+        folder = args.out or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
         for name in args.robots:
             every = openings([name])
-            for use in args.uses:
-                report(every[: args.limit or None], use, args.out or Path(folder))
+            if args.sample:
+                drawn = np.random.default_rng(0).permutation(len(every))[: args.sample]
+                every = [every[k] for k in sorted(drawn.tolist())]
+            report(name, args.uses, every, args.verifier, folder)
 
 
-def report(every: list[tuple[str, str, str, str]], use: BaseUse, folder: Path) -> None:
-    """Answer the openings with one use of the base, and print the counts."""
-    robot = load_robot(every[0][0], cache=user_cache())
+def report(
+    name: str,
+    uses: Sequence[BaseUse],
+    every: Sequence[Opening],
+    verifier: Path | None,
+    folder: Path,
+) -> None:
+    """Answer openings with each use of the base, the others where a fixed base fails, and count."""
+    robot = load_robot(name, cache=user_cache())
     reach = load_reach(robot)
-    counts: Counter[str] = Counter()
-    needed: list[float] = []
-    kitchens = {name: scene_of(name) for _, name, _, _ in every}  # read once, as in one program
-    for k, (_, scene_name, item, joint) in enumerate(every):
-        scene = kitchens[scene_name]
-        began = time.process_time()
-        try:
-            plan = plan_base_placement(
-                scene,
-                robot,
-                make_task(scene, "open", item, joint),
-                reach,
-                config=PipelineConfig(base=use),
-                clock=time.process_time,
-            ).plan
-        except MomaposError as error:
-            print(robot.name, use, scene_name, item, joint, error, flush=True)
-            counts["error"] += 1
-            continue
-        spent = time.process_time() - began
-        counts[plan.status] += 1
-        if plan.moves_base:
-            needed.append(spent)
-            counts["with it"] += 1
-        if plan.feasible:
-            path = folder / f"{robot.name}-{use}-{k}.json"
-            write_plan(plan, path)
-            counts["valid"] += verify_files(path, shared() / "bestman").valid
-        print(
-            f"{robot.name} {use} {scene_name} {item}/{joint} {plan.status} {spent:.2f} s",
-            flush=True,
-        )
-    times = np.percentile(needed, [50, 95]).round(2).tolist() if needed else []
-    print(f"== {robot.name} {use}: {dict(counts)}, time where needed [s]: {times}", flush=True)
+    bestman, cache = shared() / "bestman", user_cache()
+    kitchens = {scene: load_scene(bestman / scene, cache=cache) for _, scene, _, _ in every}
+    left = list(every)
+    for use in uses:
+        counts: Counter[str] = Counter()
+        needed: list[float] = []
+        for opening in every if use == "fixed" else left:
+            _, scene_name, item, joint = opening
+            query = PlacementQuery(
+                kitchens[scene_name], robot, make_task(kitchens[scene_name], "open", item, joint),
+                reach, config=PipelineConfig(base=use), watch=Stopwatch(time.process_time),
+            )  # fmt: skip
+            try:
+                plan = plan_placement(query).plan
+            except MomaposError as error:
+                print(name, use, scene_name, item, joint, error, flush=True)
+                counts["error"] += 1
+                continue
+            spent = plan.timing["total"]
+            counts[plan.status] += 1
+            words = ""
+            if plan.feasible:
+                path = folder / f"{name}-{use}-{every.index(opening)}.json"
+                write_plan(plan, path)
+                counts["valid"] += verify_files(path, shared() / "bestman").valid
+                needed += [spent] if plan.moves_base else []
+                if verifier and plan.moves_base:
+                    words = independent(path, verifier)
+                    counts["independently valid"] += not words
+            elif use == "moving":
+                words = cause(query)
+            if use == "fixed" and plan.feasible:
+                left.remove(opening)
+            print(f"{name} {use} {scene_name} {item}/{joint} {plan.status} {spent:.2f} s {words}",
+                  flush=True)  # fmt: skip
+        times = np.percentile(needed, [50, 95]).round(2).tolist() if needed else []
+        print(f"== {name} {use}: {dict(counts)}, time where needed [s]: {times}", flush=True)
+
+
+def cause(query: PlacementQuery) -> str:
+    """Return why a moving base does not do a task: the most frequent reasons of the search."""
+    plan = plan_moving(replace(query, watch=Stopwatch(time.process_time))).plan
+    return "; ".join(f"{reason} ({count})" for reason, count in
+                     Counter(plan.candidates.rejections).most_common(3))  # fmt: skip
+
+
+def independent(plan: Path, verifier: Path) -> str:
+    """Return what another program finds wrong with a plan file; "" for nothing."""
+    root = shared() / "bestman"
+    command = [sys.executable, str(verifier), str(plan), "--scene-root", str(root)]
+    done = subprocess.run(
+        [*command, "--allow-hinge-grasp"], capture_output=True, text=True, check=False
+    )
+    return "" if done.returncode == 0 else (done.stdout + done.stderr).strip()[-300:]
 
 
 if __name__ == "__main__":

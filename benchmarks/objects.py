@@ -20,7 +20,6 @@ feasible; infeasible ones are printed with their maximum opening.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import subprocess
 import sys
@@ -28,16 +27,16 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from execution import ERRORS, SPREAD
+from momapos.apps.bench.articulated import SETS, USUAL, Usual, lone_room, parts, set_of
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
-from momapos.core.geometry.transforms import pose_planar
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
@@ -46,10 +45,10 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import Joint, read_urdf
+from momapos.model.urdf.reader import read_urdf
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig
-from momapos.planning.grasps.handles import has_handle, opening_direction
+from momapos.planning.grasps.handles import has_handle
 from momapos.planning.grasps.task_requests import make_task, slides
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.partial_opening import add_max_opening
@@ -68,54 +67,7 @@ FAMILIES: dict[str, GraspConfig] = {
 """Sets of families, each including the previous ones; the last is the default."""
 OBVIOUS = ("beyond the arm's reach", "base in collision", "base off the floor")
 """Reasons that reject most poses of any grid; other reasons say more about a task."""
-SETS = ("development", "test")
-MIN_SIZE, MIN_TRAVEL = 0.2, 0.1
-"""Minimum size and travel of a door or drawer; smaller ones are knobs [m], [m] or [rad]."""
-MARGIN = 0.05
-"""Gap between an object's box and the wall [m]."""
-
-
-@dataclass(frozen=True)
-class Usual:
-    """Usual size and height above the floor of a kind of furniture."""
-
-    height: float
-    """[m]"""
-    above: float
-    """Height of its lower side above the floor [m]."""
-    counter: bool = False
-    """Whether it stands on a counter."""
-    front: tuple[float, float] | None = None
-    """Direction of its front in its own frame; None to derive it from the opening parts."""
-
-
-USUAL = {
-    "Fridge": Usual(1.75, 0.0),
-    "MiniFridge": Usual(1.0, 0.0),
-    "Dishwasher": Usual(0.85, 0.0),
-    "Oven": Usual(0.9, 0.0),
-    "Microwave": Usual(0.32, 0.9, counter=True),
-    "CabinetLower": Usual(0.9, 0.0),
-    "CabinetTall": Usual(2.0, 0.0),
-    "CabinetTop": Usual(0.7, 1.4),
-    "CabinetUpper": Usual(0.8, 1.3),
-    "CabinetAboeOven": Usual(0.5, 1.4),
-    "MiniFridgeBase": Usual(0.8, 0.0),
-    "DishwasherBox": Usual(0.85, 0.0),
-    "OvenCounter": Usual(0.9, 0.0),
-    "KitchenCounter": Usual(0.9, 0.0),
-    "SinkBase": Usual(0.9, 0.0),
-    "DiningTable": Usual(0.75, 0.0),
-    "Drawer": Usual(0.51, 0.0),
-    "Fridge_K": Usual(1.46, 0.0),
-    "Mic": Usual(0.25, 0.9, counter=True),
-}
 AS_THEY_ARE = Usual(0.0, 0.0)
-
-
-def set_of(name: str) -> str:
-    """Return the set of an object."""
-    return SETS[hashlib.sha256(name.encode()).digest()[0] % 2]
 
 
 def objects() -> Iterator[tuple[str, Path, Usual]]:
@@ -131,15 +83,6 @@ def objects() -> Iterator[tuple[str, Path, Usual]]:
         yield file.parent.relative_to(root).as_posix(), file, USUAL.get(kind, AS_THEY_ARE)
 
 
-def parts(model: Articulated) -> Iterator[Joint]:
-    """Yield the doors and drawers of an object."""
-    for joint in model.joints.values():
-        points = [h.vertices for link in model.moved_by(joint.name) for h in model.hulls[link]]
-        size = np.ptp(np.concatenate(points), axis=0).max() if points else 0.0
-        if size > MIN_SIZE and MIN_TRAVEL < joint.upper - joint.lower < np.inf:
-            yield joint
-
-
 def room(name: str, file: Path, usual: Usual) -> Scene | None:
     """Build a kitchen with one object, its front toward -x; None without a door or drawer."""
     bare = Articulated(read_urdf(file))
@@ -150,23 +93,7 @@ def room(name: str, file: Path, usual: Usual) -> Scene | None:
     scale = usual.height / (high[2] - low[2]) if file.name == "mobility.urdf" else 1.0
     item = SceneObject.from_urdf("object", file, (0.0, 0.0, 0.0), scale=scale, category=name)
     item = replace(item, category=name.split("/")[-2].lower())
-    opens = [opening_direction(item, j.name)[1][:2] for j in parts(item.model)]
-    front = np.sum(opens, axis=0) if usual.front is None else np.array(usual.front)
-    yaw = np.round((np.pi - np.arctan2(front[1], front[0])) / (np.pi / 2)) * np.pi / 2
-    item = replace(item, T_world_object=pose_planar(np.array([0.0, 0.0, yaw])))
-    low, high = item.bounds
-    T = item.T_world_object.copy()
-    T[:3, 3] = [-high[0], -(low[1] + high[1]) / 2, usual.above - low[2]]
-    item = replace(item, T_world_object=T)
-    low, high = item.bounds
-    width = max(3.0, high[1] - low[1] + 1.0)
-    others = [SceneObject.box("wall", (0.1, width, 2.6), (0.05 + MARGIN, 0.0, 1.3))]
-    if usual.counter:
-        size = (high[0] - low[0] + 0.1, 2.0, usual.above - 0.005)
-        others.append(SceneObject.box("counter", size, (-size[0] / 2, 0.0, size[2] / 2)))
-    y = width / 2
-    floor = np.array([[-3.5, -y], [MARGIN, -y], [MARGIN, y], [-3.5, y]])
-    return Scene(name, (item, *others), floor_polygon=floor)
+    return lone_room(name, item, usual)
 
 
 def tasks(subset: str | None, robots: list[str]) -> list[tuple[str, str, Scene, str]]:

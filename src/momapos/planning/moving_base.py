@@ -18,7 +18,7 @@ import numpy as np
 
 from momapos.core.geometry import all_inside, place_points, rotation
 from momapos.model.collision import FLOOR, FREE, CollisionWorld, base_hits, base_hits_moving
-from momapos.model.records import PoseOutcome, PoseStatus, ReachScorer
+from momapos.model.records import MOVING_PULL, PoseOutcome, PoseStatus, ReachScorer
 from momapos.model.robots import Robot
 from momapos.planning.arm_motion import ArmPath, DrivingArm, find_paths
 from momapos.planning.grasps import FULL_DOF, TaskMotion, no_turning
@@ -167,6 +167,7 @@ def _ways(setup: SearchSetup) -> Iterator[MovingBase]:
     motion, geometry = prepared.motion, prepared.geometry
     if prepared.infeasible_reason or motion.latch_q is not None:
         return
+    motion = replace(motion, more_pull=MOVING_PULL)
     way = MovingBase(robot, prepared.world, motion, geometry.clearance, geometry.floor_polygon)
     if robot.chain.size < FULL_DOF:
         axes = np.eye(3)[: 2 if robot.drive == "omni" else 1]

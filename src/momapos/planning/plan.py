@@ -49,7 +49,8 @@ def plan_placement(query: PlacementQuery) -> PlacementResult:
 
 def plan_to_value(query: PlacementQuery) -> PlacementResult:
     """Answer the query for the value that its task names."""
-    return with_other_use(query, _from_one_pose(query), _from_one_pose)
+    answer = with_other_use(query, _from_one_pose(query), _from_one_pose)
+    return replace(answer, plan=replace(answer.plan, timing=query.watch.timing))
 
 
 def _from_one_pose(query: PlacementQuery) -> PlacementResult:

@@ -90,7 +90,11 @@ class _PartWay:
         self.whole = self.planned[-1] if self.planned[-1] else 1.0
         self.last = len(plan) - 1
         tools = motion.Ts_world_tool[:, :3, 3]
-        self.length = float(np.linalg.norm(np.diff(tools, axis=0), axis=1).sum())
+        own = float(np.linalg.norm(np.diff(tools, axis=0), axis=1).sum())
+        every = np.abs(np.diff(run.motion.object_q)).sum() / abs(self.whole)
+        self.length = own * max(1.0, float(every))
+        """Length of the hand's path if it moved the part all the way [m]: a stop between two holds
+        may be as far off as the end."""
         self.bounds: Bounds | None = None
         self.pushes, self.most_felt = stretch.pushes, 0.0
         self.trail = [(run.world.data.qpos[run.world.arm_q].copy(), T_held)]
@@ -151,6 +155,9 @@ class _PartWay:
                 ending = ending or settled or Ending.OTHERWISE
         if ending is Ending.SLIPPED and self._near_end(here):
             return Ending.SLIPPED_AT_END
+        if ending is Ending.TOO_HARD and run.tipping.leans and self._near_end(here):
+            run.arm.stop()  # it need not pull on
+            return Ending.STOPPED_AT_END
         if ending is None and _at_stop(run, here, self._pose_at(self.last), self.length):
             run.arm.stop()
             return Ending.STOPPED_AT_END

@@ -9,7 +9,7 @@ import numpy as np
 
 from momapos.core import GRAVITY
 from momapos.core.geometry import apply, invert
-from momapos.model.records import Motion, MotionLoads, Task
+from momapos.model.records import MOVING_PULL, Motion, MotionLoads, Task
 from momapos.model.scene import ResistanceConfig, SceneObject, object_mass, resistance_along
 
 from .path_checks import DensePath
@@ -49,7 +49,12 @@ class HandLoad:
         force = np.zeros_like(point)
         for hold in motion.grasps:
             held = slice(hold.first, hold.last + 1)
-            pull = self._pull(motion.object_q[held], motion.Ts_world_tool[held, :3, 3])
+            moves = motion.base is not None and bool(np.ptp(motion.base[held], axis=0).any())
+            pull = self._pull(
+                motion.object_q[held],
+                motion.Ts_world_tool[held, :3, 3],
+                MOVING_PULL if moves else 0.0,
+            )
             at = path.at[path.approach :]
             rows = path.approach + np.flatnonzero((at >= hold.first) & (at <= hold.last))
             known = np.arange(hold.first, hold.first + len(pull))
@@ -58,9 +63,12 @@ class HandLoad:
         return force, point
 
     def _pull(
-        self, values: Float[np.ndarray, " v"], hand: Float[np.ndarray, "v 3"]
+        self, values: Float[np.ndarray, " v"], hand: Float[np.ndarray, "v 3"], more: float
     ) -> Float[np.ndarray, "v 3"]:
-        """Return the force of a part on the hand that moves it, opposite to the hand's path."""
+        """Return the force of a part on the hand that moves it, opposite to the hand's path.
+
+        `more` is a further force [N].
+        """
         assert self.task.joint is not None
         change = np.gradient(values) if len(values) > 1 else np.zeros(1)
         if len(values) < 2 or not (np.abs(change) > 1e-9).any():
@@ -68,10 +76,9 @@ class HandLoad:
         moves = np.abs(change) > 1e-9
         travel = np.gradient(hand, axis=0) / np.where(moves, change, np.inf)[:, None]
         lever = np.maximum(np.linalg.norm(travel, axis=1), MIN_LEVER)
-        along = resistance_along(
-            self.item, self.task.joint, values, lever, self.resistance
-        ).along * np.sign(values[-1] - values[0])
-        return -(along / lever**2)[:, None] * travel
+        along = resistance_along(self.item, self.task.joint, values, lever, self.resistance).along
+        against = (along / lever**2 + more / lever) * np.sign(values[-1] - values[0])
+        return -against[:, None] * travel
 
     def _weight(
         self,

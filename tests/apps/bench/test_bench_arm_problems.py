@@ -245,4 +245,4 @@ def test_wrong_options_end_with_one_line_and_status_2(
     assert main(["bench", "run", "motionbenchmaker", "--out", "out", *given]) == 2
     assert words in capsys.readouterr().err
     assert main(["bench", "run", "smoke", "--out", "out", "--problems", "."]) == 2
-    assert "--problems is for motionbenchmaker" in capsys.readouterr().err
+    assert "--problems is for articulated, motionbenchmaker" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from tests.model.collision.exact_hulls import random_states
 from tests.model.kinematics import arms
 
 from momapos.core.geometry.transforms import invert, pose_planar, rotation_about
-from momapos.model.kinematics.base_fit import fit_bases
+from momapos.model.kinematics.base_fit import fit_bases, promising_bases
 from momapos.model.kinematics.chain import with_tool_turn
 from momapos.model.kinematics.closed_forms import THREE_PARALLEL
 from momapos.model.kinematics.ik import build_ik, solve_ik
@@ -89,3 +89,15 @@ def test_the_base_moves_no_farther_than_necessary() -> None:
     assert np.abs(along).max() < 2e-3
     assert np.abs(across).max() > 5e-3
     assert np.abs(moved - begin).max() < 0.03
+
+
+def test_promising_base_poses_put_the_tool_near_its_pose() -> None:
+    ik, there = build_ik(CHAIN), np.array([0.7, -0.4, 2.1])
+    for q in random_states(CHAIN, 20, np.random.default_rng(4)):
+        T = pose_planar(there) @ CHAIN.tool_poses(q[None])[0]
+        bases = promising_bases(ik, T, 24)
+        assert bases.shape == (24, 3)
+        moved, met = fit_bases(CHAIN, ik, bases, T[None])
+        assert met.mean() > 0.5
+        # Few of them have to move far.
+        assert np.median(np.abs(moved - bases)[met][:, :2]) < 0.1

@@ -13,7 +13,11 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion.arm_path import FOUND, HIT
-from momapos.planning.arm_motion.free_turn import find_short_paths, fitted_bases
+from momapos.planning.arm_motion.free_turn import (
+    _feasible_modes,
+    find_short_paths,
+    fitted_bases,
+)
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
@@ -95,6 +99,24 @@ def test_from_a_fitted_base_pose_the_arm_follows_the_motion_in_the_returned_mode
     # The others fail by collision or between the fitted waypoints.
     assert sum(path.status in (FOUND, HIT) for path in paths) >= 0.5 * len(paths) > 3
     assert any(path.status == FOUND for path in paths)
+
+
+@pytest.mark.parametrize(("to", "some"), [(0.2, True), (0.4, False)])
+def test_modes_that_the_arm_follows_from_nowhere_are_left_out(
+    kitchen: Scene, to: float, some: bool
+) -> None:
+    """HSR's arm pulls a drawer by 30 cm at most."""
+    robot = load_robot("hsr")
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide", to)
+    motion = prepare(kitchen, robot, task, CONFIG, clearance=0.01).motion
+    modes = _feasible_modes(robot, motion)
+    assert bool(len(modes)) == some
+    assert len(modes) < motion.turning.modes
+    rng, middle = np.random.default_rng(0), motion.waypoints[:, :2].mean(0)
+    poses = np.column_stack([middle + rng.uniform(-1, 1, (100, 2)), rng.uniform(-3, 3, 100)])
+    moved, found = fitted_bases(robot, motion, poses)
+    assert np.isin(found[found >= 0], modes).all()
+    np.testing.assert_array_equal(moved[found < 0], poses[found < 0])
 
 
 def test_a_base_error_of_millimeters_leaves_the_plan_feasible(kitchen: Scene) -> None:

@@ -120,6 +120,8 @@ class Settings:
     which the arm motion is replanned."""
     protocols: tuple[Protocol, ...] = (DEFAULT_PROTOCOL,)
     """Each task is run under each of them."""
+    problems: str = ""
+    """Folder of the user with the objects of the tasks; "" if the suite needs none."""
 
 
 @dataclass(frozen=True)

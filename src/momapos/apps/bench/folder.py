@@ -179,14 +179,16 @@ def scene_path(folder: Path, name: str) -> Path:
 
 
 def scene_digest(path: Path) -> str:
-    """Return a content hash of a scene file and its models."""
+    """Return a content hash of a scene file and its models; a mesh may be missing."""
     text = path.read_text(encoding="utf-8")
     digest = hashlib.sha256(text.encode())
     for urdf in sorted(set(_URDF.findall(text))):
         model = path.parent / urdf
         meshes = sorted(set(_MESH.findall(model.read_text(encoding="utf-8"))))
         for name, file in ((urdf, model), *((mesh, model.parent / mesh) for mesh in meshes)):
-            digest.update(name.encode() + b"\n" + file.read_bytes())
+            digest.update(name.encode() + b"\n")
+            if file.is_file() or file == model:
+                digest.update(file.read_bytes())
     return digest.hexdigest()[:32]
 
 
@@ -196,7 +198,7 @@ def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...], settings:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with temporary_folder(folder, "suite") as new:
-            tasks = tuple(kind.build(seed, robots, new))
+            tasks = tuple(kind.build(seed, robots, new, Path(settings.problems)))
             names = sorted({task.scene for task in tasks})
             scenes = {scene: scene_digest(scene_path(new, scene)) for scene in names}
             suite = Suite(name, kind.revision, seed, robots, kind.methods, scenes, tasks)

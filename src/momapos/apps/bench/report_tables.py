@@ -46,6 +46,8 @@ def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
             tables += [printed_table(mine, protocol), ordering_table(mine, protocol)]
     if suite.name == "paper-sim":
         tables.append(simulation_table(rows))
+    if suite.name == "articulated":
+        tables.append(rate_table(rows))
     if from_scan(rows):
         tables += [printed_stages(rows), modeling_table(rows)]
     return tables
@@ -213,6 +215,17 @@ def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:
     )
     lines = tuple(tuple(line) for line in cells.values())
     return Table("Time per solved task", tuple(columns), lines, note)
+
+
+def rate_table(rows: Sequence[Row]) -> Table:
+    """Build the table of each method's plans an hour on one core, by robot."""
+
+    def cell(mine: Sequence[Row]) -> Cell:
+        hours = sum(row.seconds or 0.0 for row in mine) / 3600
+        solved = _solved(mine)
+        return Cell(f"{len(solved) / hours:.0f}" if hours > 0 else "-", _keys(mine))
+
+    return _table_by("Plans an hour on one core, failures included", rows, "robot", cell)
 
 
 def reason_table(rows: Sequence[Row]) -> Table:

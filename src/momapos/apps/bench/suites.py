@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
     from .dining_rooms import DiningRoom
 
-Build: TypeAlias = Callable[[int, Sequence[str], Path], list[SuiteTask]]
-"""Builds the tasks from a seed and robots; scene files go below the given folder."""
+Build: TypeAlias = Callable[[int, Sequence[str], Path, Path], list[SuiteTask]]
+"""Builds the tasks from a seed and robots; scene files go below the given folder. The last folder
+is the user's, with the objects of a suite that needs some."""
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
 PAPER_METHODS = ("ours", "paper", "habitat", "m3", "reuleaux")
@@ -49,6 +50,8 @@ ABLATIONS = (
 and k0, its scorer and arm planner, without its field, without its inverse map. Variants of `ours`:
 importance, samples, rounds (0: grid only), without the grid, without the search for cheaper poses,
 ordered only by driving."""
+BASE_USES = ("ours", "ours:base=stops", "ours:base=moving")
+"""The base stands; it may also stop several times; it may also move with the part."""
 PAPER_PROTOCOL = Protocol("first", "pinch")
 """The paper's conditions: its baselines drive to one base pose, and its gripper closes on what it
 moves."""
@@ -70,6 +73,8 @@ class SuiteKind:
     """Whether a scan can show the objects of its tasks."""
     protocols: tuple[Protocol, ...] = ()
     """The protocols of the suite; empty if the user chooses one."""
+    needs_objects: bool = False
+    """Whether its tasks need a folder of the user with objects."""
 
 
 def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
@@ -116,18 +121,18 @@ def can_be_picked(scene: Scene, robot: Robot, name: str) -> bool:
     return not motion.refusal and lifted is None
 
 
-def _smoke(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
+def _smoke(seed: int, robots: Sequence[str], _: Path, __: Path) -> list[SuiteTask]:
     """Select evenly, to include doors, drawers and picks of both kitchens."""
     tasks = kitchen_tasks(robots, seed)
     count = min(SMOKE_TASKS, len(tasks))
     return [tasks[k * len(tasks) // count] for k in range(count)]
 
 
-def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
+def _openings(seed: int, robots: Sequence[str], _: Path, __: Path) -> list[SuiteTask]:
     return [task for task in kitchen_tasks(robots, seed) if task.verb == "open"]
 
 
-def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
+def _paper_sim(seed: int, robots: Sequence[str], folder: Path, _: Path) -> list[SuiteTask]:
     """Generate rooms, and spread the tasks evenly over the classes; all robots get the same."""
     import numpy as np
 
@@ -188,10 +193,16 @@ def spread(by_group: Mapping[str, Sequence[SuiteTask]], count: int) -> list[Suit
     ]
 
 
-def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
+def _paper_real(seed: int, robots: Sequence[str], folder: Path, _: Path) -> list[SuiteTask]:
     from .laboratory import laboratory_tasks
 
     return laboratory_tasks(seed, robots, folder)
+
+
+def _articulated(seed: int, robots: Sequence[str], folder: Path, objects: Path) -> list[SuiteTask]:
+    from .articulated import articulated_tasks
+
+    return articulated_tasks(seed, robots, folder, objects)
 
 
 ARM_SUITE = "motionbenchmaker"
@@ -210,8 +221,12 @@ SUITES = {
         protocols=(PAPER_PROTOCOL, DEFAULT_PROTOCOL),
     ),
     "ablations": SuiteKind(
-        lambda seed, robots, _: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS,
+        lambda seed, robots, _, __: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS,
         protocols=(DEFAULT_PROTOCOL,),
+    ),
+    "articulated": SuiteKind(
+        _articulated, ("ranger_rm63", "tiago"), BASE_USES, scannable=False,
+        protocols=(DEFAULT_PROTOCOL,), needs_objects=True,
     ),
 }  # fmt: skip
 

@@ -65,8 +65,8 @@ def bench_run(
     Exit status: 0 all tasks have a result; 2 unusable input.
 
     Args:
-        suite: smoke, openings, paper-sim, paper-real, paper-table, ablations or motionbenchmaker;
-            see docs/benchmark.md.
+        suite: smoke, openings, paper-sim, paper-real, paper-table, ablations, articulated or
+            motionbenchmaker; see docs/benchmark.md.
         out: The results folder; a stopped run continues in it.
         methods: Methods of `momapos place`, or variants such as paper:paper.group=1 (default: those
             of the suite); for motionbenchmaker ours or RRTConnect, which is OMPL's.
@@ -90,7 +90,8 @@ def bench_run(
             5 cm and 5 deg from it, at which the arm motion is replanned; 0: none.
         record: With --execute, write the record of each new run to this folder, in a folder for
             each robot; 'momapos export' makes a set of episodes of these.
-        problems: For motionbenchmaker, the folder that contains the folders KIND_ROBOT.
+        problems: For motionbenchmaker, the folder that contains the folders KIND_ROBOT; for
+            articulated, the one that contains the objects of PartNet-Mobility, KIND/NUMBER.
         json: Print one JSON object, and nothing else.
     """
     # Mistakes are reported before anything heavy is imported.
@@ -107,9 +108,8 @@ def bench_run(
         if wrong:
             raise InputError(f"{suite} plans arm motions, one by one; leave out {', '.join(wrong)}")
         return _run_arms(problems, robots, methods, out, limit, seed, json=json)
-    if problems is not None:
-        raise InputError(f"--problems is for {ARM_SUITE}; {suite} makes its own tasks")
     refuse_unknown(suite, robots)
+    _check_problems(suite, problems)
     _within("--workers", workers, 1, MAX_COUNT)
     _within("--limit", limit, 0, MAX_TASKS)
     for name, value in (("--timeout", timeout), ("--task-limit", task_limit)):
@@ -144,7 +144,8 @@ def bench_run(
     from .compile import ANSWER, RANK, WALKS, compile_once
 
     compile_once((*ANSWER, *RANK, *WALKS))
-    settings = Settings(timeout, task_limit, execute, scan, disturbances, protocols)
+    folder = "" if problems is None else str(problems.resolve())
+    settings = Settings(timeout, task_limit, execute, scan, disturbances, protocols, folder)
     with locked(out), _executor(workers, scheduler) as (executor, width, do):
         with busy(f"{suite}: preparing the tasks"):
             made = open_folder(out, suite, seed, robots, settings)
@@ -301,6 +302,25 @@ def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[An
     except MomaposError as error:
         print(f"note: no potential maps: {error}", file=sys.stderr)
         return []
+
+
+def _check_problems(suite: str, problems: Path | None) -> None:
+    """Refuse a missing or superfluous folder of problems.
+
+    Raises:
+        InputError: The suite needs one, or makes its own tasks.
+    """
+    if SUITES[suite].needs_objects:
+        if problems is None:
+            raise InputError(
+                f"{suite} needs --problems, the folder that contains the objects of "
+                "PartNet-Mobility as KIND/NUMBER/mobility.urdf"
+            )
+    elif problems is not None:
+        others = [name for name, kind in SUITES.items() if kind.needs_objects]
+        raise InputError(
+            f"--problems is for {', '.join((*others, ARM_SUITE))}; {suite} makes its own tasks"
+        )
 
 
 def _check_scannable(suite: str) -> None:

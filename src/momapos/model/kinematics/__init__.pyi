@@ -1,4 +1,5 @@
 from .base_fit import fit_bases as fit_bases
+from .base_fit import promising_bases as promising_bases
 from .chain import Chain as Chain
 from .chain import Segments as Segments
 from .chain import build_chain as build_chain

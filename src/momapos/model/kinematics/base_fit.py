@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.compiled import B1, F2, F3, entry, kernel
-from momapos.core.geometry import wrap_angle
+from momapos.core.geometry import rotation, wrap_angle
 
 from .chain import Chain, forward, stand_at_origin
 from .ik import arm_arrays, ik_scratch, nearest_seeds
-from .ik_model import IkModel
+from .ik_model import SEED_LENGTH, IkModel, pose_features
 from .kernel_records import ArmArrays
 from .newton_steps import jacobian, rotation_error, solve_spd
 from .subproblems import mul
@@ -188,3 +188,28 @@ def fit_bases(
     _fit(moved.copy(), poses, tries, arm_arrays(chain, ik), moved, met)
     moved[:, 2] = wrap_angle(moved[:, 2])
     return moved, met
+
+
+def promising_bases(
+    ik: IkModel, T_world_tool: Float[np.ndarray, "4 4"], count: int
+) -> Float[np.ndarray, "k 3"]:
+    """Return base poses from which an arm nearly reaches a tool pose, the best first.
+
+    These belong to the seeds whose tool has nearly the height and the tilt of the tool pose; place
+    and turn about the vertical are those of the base.
+
+    Args:
+        ik: The arm.
+        T_world_tool: The tool pose.
+        count: Number of base poses, at most that of the seeds [-].
+    """
+    wanted, seeds = pose_features(T_world_tool[None])[0].reshape(3, 3), ik.seed_poses
+    off = ((seeds.reshape(-1, 3, 3)[..., 2] - wanted[:, 2]) ** 2).sum(1)
+    near = seeds[np.argsort(off, kind="stable")[:count]].reshape(-1, 3, 3)
+    # The turn that brings the first two axes of the tool nearest to the wanted ones.
+    x, y = near[:, 1:, 0], near[:, 1:, 1]
+    sine = (x * wanted[1:, 1] - y * wanted[1:, 0]).sum(1)
+    cosine = (x * wanted[1:, 0] + y * wanted[1:, 1]).sum(1)
+    yaw = np.arctan2(sine, cosine)
+    tool = np.einsum("kij,kj->ki", rotation(yaw), near[:, 0, :2])
+    return np.column_stack([(wanted[0, :2] - tool) * SEED_LENGTH, yaw])

@@ -1,6 +1,7 @@
 from .latches import Latch as Latch
 from .loads import MAX_EFFORT_SHARE as MAX_EFFORT_SHARE
 from .loads import MIN_STABILITY as MIN_STABILITY
+from .loads import MOVING_PULL as MOVING_PULL
 from .loads import MotionLoads as MotionLoads
 from .open_leaf import UP as UP
 from .open_leaf import OpenLeaf as OpenLeaf

@@ -16,6 +16,12 @@ MIN_STABILITY = 0.02
 narrow base of 117 kg move the zero moment point by up to 1.6 cm from where it is at rest."""
 
 
+MOVING_PULL = 6.0
+"""What a part pulls in addition while the base moves [N]: wheels slip, and the hand bears what the
+arm does not make up for. In simulation, a microwave's door that resists with 7 N pulls a Stretch
+with up to 12 N."""
+
+
 @compare_by_content
 @dataclass(frozen=True, eq=False)
 class MotionLoads:

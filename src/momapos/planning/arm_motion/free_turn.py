@@ -16,7 +16,7 @@ import numpy as np
 
 from momapos.core.geometry import wrap_angle
 from momapos.model.collision import FREE, CollisionWorld
-from momapos.model.kinematics import build_ik, fit_bases, with_tool_turn
+from momapos.model.kinematics import build_ik, fit_bases, promising_bases, with_tool_turn
 from momapos.model.robots import Robot
 from momapos.planning.grasps import TaskMotion, no_turning
 
@@ -36,6 +36,9 @@ LIMIT_SLACK = 0.002
 a turn to 3.14."""
 MAX_FITTED_MODES = 4
 """Maximum number of grasp modes to which a base pose is fitted [-]."""
+FEWEST_STARTS, MOST_STARTS, STARTS = 12, 96, 1000
+"""Base poses for each of three tool poses from which a mode is examined, and in all modes together
+[-]. Of modes that turn about a bar, 1 in 30 of them meets; the many modes of drawers are alike."""
 _GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 """Its multiples modulo 1 are spread evenly, for any count [-]."""
 _DIGITS = 6
@@ -56,7 +59,7 @@ def find_short_paths(
     absorb the difference, and the exact check measures how far the hand then slips.
     """
     paths = [ArmPath(UNREACHABLE, 0, 0, FREE)] * len(modes)
-    feasible = np.flatnonzero(np.isin(modes, _feasible_modes(motion)))
+    feasible = np.flatnonzero(np.isin(modes, _feasible_modes(robot, motion)))
     for mode in np.unique(modes[feasible]).tolist():
         rows = feasible[modes[feasible] == mode]
         near, met = _fit(robot, motion, mode, bases[rows], TRIES)
@@ -82,7 +85,7 @@ def fitted_bases(
     Returns:
         The fitted poses, and the grasp mode of each; -1 for an unchanged pose without fit.
     """
-    modes = _feasible_modes(motion)
+    modes = _feasible_modes(robot, motion)
     poses, found = poses.copy(), np.full(len(poses), -1)
     if not len(modes):
         return poses, found
@@ -98,10 +101,26 @@ def fitted_bases(
     return poses, found
 
 
-def _feasible_modes(motion: TaskMotion) -> Int[np.ndarray, " w"]:
-    """Return the grasp modes by which an arm of few joints may follow a motion."""
+@lru_cache(maxsize=16)
+def _feasible_modes(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " w"]:
+    """Return the grasp modes by which an arm of few joints follows a motion from somewhere.
+
+    Fits from samples near the task rarely succeed, those from the most promising base poses usually
+    do, if any can. So a mode without one is left out at once.
+    """
     turning = motion.turning
-    return np.arange(0 if _straight(motion) else len(turning.angles), turning.modes)
+    modes = range(0 if _straight(motion) else len(turning.angles), turning.modes)
+    starts = min(MOST_STARTS, max(FEWEST_STARTS, STARTS // max(len(modes), 1)))
+    return np.array([mode for mode in modes if _is_feasible(robot, motion, mode, starts)], np.int64)
+
+
+def _is_feasible(robot: Robot, motion: TaskMotion, mode: int, count: int) -> bool:
+    """Return whether the arm follows a mode from some of the most promising base poses."""
+    arm, grasp = _arm_of(robot, motion, mode)
+    steps = motion.waypoint_steps[[1, len(motion.waypoint_steps) // 2, -1]]
+    Ts = motion.Ts_world_tool[grasp, steps]
+    starts = np.concatenate([promising_bases(arm.ik, T, count) for T in Ts])
+    return bool(_fit(robot, motion, mode, starts)[1].any())
 
 
 def _straight(motion: TaskMotion) -> bool:

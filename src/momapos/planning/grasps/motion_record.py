@@ -76,6 +76,8 @@ class TaskMotion:
     """Value of the object's latch at each step [rad] or [m]; None if no latch is turned."""
     effort: Float[np.ndarray, " v"] | None = None
     """What resists the motion at each value, along it [Nm] or [N]; None for rigid objects."""
+    more_pull: float = 0.0
+    """What the part pulls beyond its resistance, against the hand's motion [N]."""
     weight: Weight | None = None
     """Weight of a rigid object; None for the part of a joint."""
 
@@ -134,8 +136,9 @@ class TaskMotion:
         change = np.where(np.abs(change) > MIN_CHANGE, change, np.inf)
         travel = np.gradient(point[:, held], axis=1) / change
         square = np.maximum((travel**2).sum(-1, keepdims=True), MIN_TRAVEL**2)
-        along = np.sign(q[-1] - q[0]) * self.effort[self.value[held]]
-        force[:, held] = -along[:, None] * travel / square
+        effort = self.effort[self.value[held], None]
+        along = effort / square + self.more_pull / np.sqrt(square)
+        force[:, held] = -np.sign(q[-1] - q[0]) * along * travel
         return force, point
 
     @property
