@@ -12,6 +12,8 @@ import pytest
 from tests.urdf_parts import LIMIT, box, dual_armed, joint, link, mobile_manipulator
 
 from momapos.model.collision.self_collision import contacts
+from momapos.model.collision.spheres import Spheres
+from momapos.model.kinematics.chain import Chain
 from momapos.model.robots import homes
 from momapos.model.robots.arm_states import sample_states, touches
 from momapos.model.robots.resting_states import Body, RestingState, resting_states
@@ -225,7 +227,12 @@ def test_where_no_homes_are_accepted_those_farthest_from_contact_are_taken_and_i
         return found if kwargs["held"] else [replace(found[0], q=across), *found]
 
     monkeypatch.setattr(homes, "resting_states", candidates)
-    monkeypatch.setattr(homes, "blocked_share", lambda *_: np.ones(1))
+    by_hulls = homes.blocked_share
+
+    def refused(chain: Chain, spheres: Spheres, *args: Any) -> np.ndarray:
+        return by_hulls(chain, spheres, *args) if spheres.exact.all() else np.ones(1)
+
+    monkeypatch.setattr(homes, "blocked_share", refused)
     path = tmp_path / "robot.urdf"
     path.write_text(stiff_arm(0.5))
     file, made = write_robot(path)

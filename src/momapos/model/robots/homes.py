@@ -12,7 +12,7 @@ from momapos.model.collision import Spheres, build_spheres, choose_exact_pairs
 from momapos.model.kinematics import Chain, LoadArrays, build_chain
 from momapos.model.urdf import Articulated
 
-from .arm_states import inevitable_pairs, sample_states, touches
+from .arm_states import inevitable_pairs, sample_states
 from .base_guess import base_links
 from .gripper_guess import listed, points_of
 from .joint_tree import ArmChain
@@ -125,8 +125,7 @@ def _note(of_arm: str, home: _Home, *, shared: bool) -> str:
         far = f"at least {1000 * home.gap:.0f} mm" if home.gap > 0 else "hardly"
         how = "is in contact" if home.gap < 0 else f"is {far} from contact, too near for planning,"
         return (
-            f"IMPORTANT: {of_arm}home: {listed(state.q)} {how} at {at}; of {CANDIDATES} homes of "
-            "every arm none is better"
+            f"IMPORTANT: {of_arm}home: {listed(state.q)} {how} at {at}; no better state was found"
         )
     touches = f"; in contact at {at}, if it moves alone" if state.blocked else ""
     keeps = f"keeps the arm {where} and below {state.top:.2f} m"
@@ -199,7 +198,7 @@ class _Search:
         spheres = choose_exact_pairs(chain, without(spheres, set(pairs)))
         torso = self._torso(arm, chain)
         share = float(blocked_share(chain, spheres, home.q[None], torso)[0])
-        gap = _gap(chain, spheres, home.q) if share else GAPS[0]
+        gap = _gap(chain, spheres, home.q, torso) if share else GAPS[0]
         return replace(home, state=replace(home.state, blocked=share), gap=gap)
 
     def _candidates(self, before: tuple[_Home, ...], pairs: Pairs) -> Iterator[_Home]:
@@ -217,9 +216,10 @@ class _Search:
         theirs = {link for other in placed for link in self._own_links(other)}
         crossing = _of_pairs(spheres, lambda a, b: bool(mine & {a, b} and theirs & {a, b}))
         q = self._samples(arm, chain, held)
+        torso = self._torso(arm, chain)
         found = resting_states(
             chain, spheres, replace(self._body, loads=loads), q,
-            torso=self._torso(arm, chain),
+            torso=torso,
             held=[k for k, name in enumerate(chain.names) if name in held],
             crossing=crossing if placed else None,
             count=CANDIDATES if len(self.arms) > 1 else 1,
@@ -227,7 +227,7 @@ class _Search:
         )  # fmt: skip
         state = None
         for state in found:
-            gap = _gap(chain, spheres, state.q) if state.blocked else GAPS[0]
+            gap = _gap(chain, spheres, state.q, torso) if state.blocked else GAPS[0]
             yield _Home(state.q, state, gap)
         if state is None:
             yield _Home(q[0], None)
@@ -289,10 +289,10 @@ def _flaw(homes: Sequence[_Home]) -> tuple[float, float]:
     return sum(home.flaw for home in homes), -min(home.gap for home in homes)
 
 
-def _gap(chain: Chain, spheres: Spheres, q: Float[np.ndarray, " n"]) -> float:
-    """Return the largest of `GAPS` by which a state is away from contact [m], -1 in contact."""
+def _gap(chain: Chain, spheres: Spheres, q: Float[np.ndarray, " n"], torso: Sequence[int]) -> float:
+    """Return the largest of `GAPS` by which hulls are apart at all heights [m], -1 in contact."""
     hulls = spheres.by_hulls
-    free = (g for g in GAPS if not touches(chain, hulls.grown(g), q[None], floor=True)[0])
+    free = (g for g in GAPS if not blocked_share(chain, hulls.grown(g), q[None], torso)[0])
     return next(free, -1.0)
 
 
