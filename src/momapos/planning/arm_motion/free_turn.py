@@ -117,7 +117,7 @@ def _feasible_modes(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " w"]:
 def _is_feasible(robot: Robot, motion: TaskMotion, mode: int, count: int) -> bool:
     """Return whether the arm follows a mode from some of the most promising base poses."""
     arm, Ts = _arm_and_poses(robot, motion, mode)
-    # Where the task is does not matter: grasps beside each other are alike.
+    # Where the task is does not matter: grasps of one bar are alike.
     Ts = Ts.copy()
     Ts[:, :2, 3] -= Ts[0, :2, 3]
     return _meets(arm, (np.round(Ts, _DIGITS) + 0.0).tobytes(), count)
