@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from momapos.apps.bench.articulated import SETS, set_of
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.model.robots.robot import Robot, load_robot
@@ -29,7 +30,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
-from objects import SETS, set_of, tasks
+from objects import tasks
 from placement import ROBOTS, SCENES, machine, scene_of
 
 CONFIG = PipelineConfig(timeout=120.0)

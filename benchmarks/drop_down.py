@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from momapos.apps.bench.articulated import SETS, parts, set_of
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.core.geometry.transforms import apply
@@ -35,7 +36,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
 from momapos.simulation.execute import attempt
-from objects import SETS, objects, parts, room, set_of
+from objects import objects, room
 from placement import ROBOTS, machine
 from rows import keep_rows
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from momapos.apps.bench.articulated import SETS, set_of
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.model.robots.robot import Robot, load_robot
@@ -29,7 +30,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.max_opening import values_before
 from momapos.planning.partial_opening import add_max_opening
 from momapos.planning.reachability.map_store import load_reach_map
-from objects import CONFIG, SETS, set_of, tasks
+from objects import CONFIG, tasks
 from placement import ROBOTS, machine
 from rows import keep_rows
 

@@ -17,10 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from momapos.apps.bench.articulated import SETS, parts, set_of
 from momapos.core.geometry.transforms import apply
 from momapos.model.scene.scene import Scene
 from momapos.model.urdf.joint_opening import opening_of
-from objects import SETS, objects, parts, room, set_of
+from objects import objects, room
 from scan_parts import AXIS, Way, way_of
 
 FACING = 0.9

@@ -22,6 +22,7 @@ from execution import SPREAD
 from momapos.core.cache import user_cache
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import read_plan
+from momapos.model.records.protocols import ReachScorer
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -35,7 +36,7 @@ HARD = 150.0
 
 
 @cache
-def robot_of(name: str) -> tuple[Robot, object]:
+def robot_of(name: str) -> tuple[Robot, ReachScorer]:
     """Return a robot of the library and its reachability map."""
     robot = load_robot(name, cache=user_cache())
     return robot, load_reach(robot)

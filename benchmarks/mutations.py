@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from momapos.apps.bench.articulated import SETS
 from momapos.core.cache import default_cache_dir, user_cache
 from momapos.core.errors import MomaposError
 from momapos.core.geometry.transforms import pose_planar
@@ -41,7 +42,7 @@ from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.verification.plan_check import verify_files
-from objects import CONFIG, SETS, tasks
+from objects import CONFIG, tasks
 from placement import ROBOTS, machine
 from rows import keep_rows
 

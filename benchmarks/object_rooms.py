@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from objects import Usual
+from momapos.apps.bench.articulated import Usual
 
 FRONT = (0.0, -1.0)
 """Direction of the front of every listed model, in its own frame."""

@@ -18,8 +18,8 @@ import yourdfpy
 from PIL import Image
 from scipy import ndimage
 
+from momapos.apps.bench.articulated import set_of
 from momapos.model.records.scans import FaceImage, PartKind
-from objects import set_of
 
 PIXEL = 0.003
 """Size of a rendered pixel [m]."""

@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from execution import SPREAD
+from momapos.apps.bench.articulated import SETS, Usual, parts, set_of
 from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.core.cache import default_cache_dir
@@ -62,7 +63,7 @@ from momapos.workflows.run import run_plan
 from momapos.workflows.scan import scan_to_scene
 from object_kitchens import Place, kitchen
 from object_rooms import listed
-from objects import SETS, Usual, objects, parts, room, set_of
+from objects import objects, room
 from scan import moved, plan_in_scan, why_not
 from scan_parts import Row, compare, false_parts, shown, table, way_of
 

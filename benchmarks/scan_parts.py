@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from momapos.apps.bench.articulated import parts, set_of
 from momapos.core.geometry.transforms import apply
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.joint_opening import opening_of
-from objects import parts, set_of
 from scan import handle_at
 
 LOCATED = 0.5

@@ -18,12 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
+from momapos.apps.bench.articulated import parts, set_of
 from momapos.apps.synthetic_scans.surfaces import Paint, patches, urdf_paints
 from momapos.core.geometry.transforms import apply, pose
 from momapos.model.scene.formats.urdf_writer import urdf_text
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.urdf_records import Geometry, Link
-from objects import objects, parts, room, set_of
+from objects import objects, room
 
 _FRONT = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Turns a front toward -x, as in `objects.room`, to -y, as in `object_rooms`."""

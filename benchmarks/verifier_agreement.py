@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from momapos.apps.bench.articulated import SETS, set_of
 from momapos.core.cache import default_cache_dir, user_cache
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import write_plan
@@ -42,7 +43,7 @@ from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
 from momapos.verification.plan_check import find_file, read_scene
 from mutations import REFUSED, corrupted, loaded, ours, theirs
-from objects import SETS, set_of, tasks
+from objects import tasks
 from placement import ROBOTS, SCENES, machine, scene_of, shared
 from rows import keep_rows
 

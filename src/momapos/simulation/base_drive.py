@@ -77,6 +77,11 @@ class BaseDrive:
         there = base_coordinates(self._world, pose[None])[0]
         self.goal, self.moves = there - self._whole_turns, True
 
+    def stop(self) -> None:
+        """Stay here; the brakes act at once."""
+        self.goal = self._late = self.odometry.copy()
+        self._sent.extend([self.goal] * len(self._sent))
+
     def localize(self) -> None:
         """Know the true pose, as after a drive to a base pose, if the base has come to rest."""
         if np.abs(self.velocity).max() < _AT_REST:

@@ -247,6 +247,12 @@ class ExecutionRun:
                 return ending
         return None
 
+    def stop(self) -> None:
+        """Hold the arm and the base where they are, so that nothing is pulled further."""
+        self.arm.stop()
+        if self.base is not None:
+            self.base.stop()
+
     def send_base(self, plan: Trajectory, sample: int) -> None:
         """Send a moving base to where a trajectory has it at a sample."""
         if self.base is not None and plan.base is not None:

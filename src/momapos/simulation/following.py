@@ -133,7 +133,7 @@ class _PartWay:
         T, T_after = self._pose_at(k), self._pose_at(min(k + 1, self.last))
         here = self._hand()
         if i % PROXIMITY_INTERVAL == 0 and self._meets_robot(k):
-            run.arm.stop()
+            run.stop()
             return Ending.STOPPED_AT_END if self._near_end(here) else Ending.MEETS_ROBOT
         farther = self.estimate.see(here[:3, 3])
         way = self.estimate.axis.way_at(here[:3, 3])
@@ -150,16 +150,16 @@ class _PartWay:
         if max(run.touch.pads) > 1.0 or run.world.welded:
             run.learned = self._learned(here[:3, 3])
             if farther and run.doubt is not None and run.doubt(self.estimate.points):
-                run.arm.stop()  # hold the part, which would swing on otherwise
+                run.stop()  # hold the part, which would swing on otherwise
                 settled = run.rest(Stage.MANIPULATE, SETTLE_TIME)
                 ending = ending or settled or Ending.OTHERWISE
         if ending is Ending.SLIPPED and self._near_end(here):
             return Ending.SLIPPED_AT_END
         if ending is Ending.TOO_HARD and run.tipping.leans and self._near_end(here):
-            run.arm.stop()  # it need not pull on
+            run.stop()  # it need not pull on
             return Ending.STOPPED_AT_END
         if ending is None and _at_stop(run, here, self._pose_at(self.last), self.length):
-            run.arm.stop()
+            run.stop()
             return Ending.STOPPED_AT_END
         return ending
 
@@ -185,7 +185,7 @@ class _PartWay:
                     return
             resists = -run.arm.wrench[:3] @ way > STOP_FORCE
             if resists:
-                run.arm.stop()
+                run.stop()
                 if np.linalg.norm(here - start) > _MAX_RETURN_SLIP:
                     return
                 here = start

@@ -198,7 +198,8 @@ def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...], settings:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with temporary_folder(folder, "suite") as new:
-            tasks = tuple(kind.build(seed, robots, new, Path(settings.problems)))
+            objects = (Path(settings.problems),) if kind.needs_objects else ()
+            tasks = tuple(kind.build(seed, robots, new, *objects))
             names = sorted({task.scene for task in tasks})
             scenes = {scene: scene_digest(scene_path(new, scene)) for scene in names}
             suite = Suite(name, kind.revision, seed, robots, kind.methods, scenes, tasks)

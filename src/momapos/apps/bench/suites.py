@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from .dining_rooms import DiningRoom
 
-Build: TypeAlias = Callable[[int, Sequence[str], Path, Path], list[SuiteTask]]
-"""Builds the tasks from a seed and robots; scene files go below the given folder. The last folder
-is the user's, with the objects of a suite that needs some."""
+Build: TypeAlias = Callable[..., list[SuiteTask]]
+"""Builds the tasks from a seed and robots; scene files go below the given folder. A suite that
+needs objects takes the user's folder, too."""
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
 PAPER_METHODS = ("ours", "paper", "habitat", "m3", "reuleaux")
@@ -121,18 +121,18 @@ def can_be_picked(scene: Scene, robot: Robot, name: str) -> bool:
     return not motion.refusal and lifted is None
 
 
-def _smoke(seed: int, robots: Sequence[str], _: Path, __: Path) -> list[SuiteTask]:
+def _smoke(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
     """Select evenly, to include doors, drawers and picks of both kitchens."""
     tasks = kitchen_tasks(robots, seed)
     count = min(SMOKE_TASKS, len(tasks))
     return [tasks[k * len(tasks) // count] for k in range(count)]
 
 
-def _openings(seed: int, robots: Sequence[str], _: Path, __: Path) -> list[SuiteTask]:
+def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
     return [task for task in kitchen_tasks(robots, seed) if task.verb == "open"]
 
 
-def _paper_sim(seed: int, robots: Sequence[str], folder: Path, _: Path) -> list[SuiteTask]:
+def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
     """Generate rooms, and spread the tasks evenly over the classes; all robots get the same."""
     import numpy as np
 
@@ -193,7 +193,7 @@ def spread(by_group: Mapping[str, Sequence[SuiteTask]], count: int) -> list[Suit
     ]
 
 
-def _paper_real(seed: int, robots: Sequence[str], folder: Path, _: Path) -> list[SuiteTask]:
+def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
     from .laboratory import laboratory_tasks
 
     return laboratory_tasks(seed, robots, folder)
@@ -221,7 +221,7 @@ SUITES = {
         protocols=(PAPER_PROTOCOL, DEFAULT_PROTOCOL),
     ),
     "ablations": SuiteKind(
-        lambda seed, robots, _, __: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS,
+        lambda seed, robots, _: kitchen_tasks(robots, seed), ("segway_ur5e",), ABLATIONS,
         protocols=(DEFAULT_PROTOCOL,),
     ),
     "articulated": SuiteKind(

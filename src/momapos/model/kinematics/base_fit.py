@@ -193,7 +193,7 @@ def fit_bases(
 def promising_bases(
     ik: IkModel, T_world_tool: Float[np.ndarray, "4 4"], count: int
 ) -> Float[np.ndarray, "k 3"]:
-    """Return base poses from which an arm nearly reaches a tool pose, the best first.
+    """Return base poses from which an arm nearly reaches a tool pose.
 
     These belong to the seeds whose tool has nearly the height and the tilt of the tool pose; place
     and turn about the vertical are those of the base.
@@ -205,7 +205,8 @@ def promising_bases(
     """
     wanted, seeds = pose_features(T_world_tool[None])[0].reshape(3, 3), ik.seed_poses
     off = ((seeds.reshape(-1, 3, 3)[..., 2] - wanted[:, 2]) ** 2).sum(1)
-    near = seeds[np.argsort(off, kind="stable")[:count]].reshape(-1, 3, 3)
+    nearest = np.argpartition(off, min(count, len(off)) - 1)[:count]
+    near = seeds[np.sort(nearest)].reshape(-1, 3, 3)
     # The turn that brings the first two axes of the tool nearest to the wanted ones.
     x, y = near[:, 1:, 0], near[:, 1:, 1]
     sine = (x * wanted[1:, 1] - y * wanted[1:, 0]).sum(1)

@@ -116,11 +116,19 @@ def _feasible_modes(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " w"]:
 
 def _is_feasible(robot: Robot, motion: TaskMotion, mode: int, count: int) -> bool:
     """Return whether the arm follows a mode from some of the most promising base poses."""
-    arm, grasp = _arm_of(robot, motion, mode)
-    steps = motion.waypoint_steps[[1, len(motion.waypoint_steps) // 2, -1]]
-    Ts = motion.Ts_world_tool[grasp, steps]
-    starts = np.concatenate([promising_bases(arm.ik, T, count) for T in Ts])
-    return bool(_fit(robot, motion, mode, starts)[1].any())
+    arm, Ts = _arm_and_poses(robot, motion, mode)
+    # Where the task is does not matter: grasps of one bar are alike.
+    Ts = Ts.copy()
+    Ts[:, :2, 3] -= Ts[0, :2, 3]
+    return _meets(arm, (np.round(Ts, _DIGITS) + 0.0).tobytes(), count)
+
+
+@lru_cache(maxsize=4096)
+def _meets(arm: ArmModel, poses: bytes, count: int) -> bool:
+    """Return whether base poses reach tool poses (4, 4, 4), given as their bytes."""
+    Ts = np.frombuffer(poses).reshape(-1, 4, 4)
+    starts = np.concatenate([promising_bases(arm.ik, T, count) for T in Ts[1:]])
+    return bool(fit_bases(arm.chain, arm.ik, starts, Ts)[1].any())
 
 
 def _straight(motion: TaskMotion) -> bool:
@@ -133,9 +141,17 @@ def _fit(
     robot: Robot, motion: TaskMotion, mode: int, poses: Float[np.ndarray, "n 3"], tries: int = 1
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Fit base poses so that the arm reaches a mode's tool poses at the ends and in the middle."""
+    arm, Ts = _arm_and_poses(robot, motion, mode)
+    return fit_bases(arm.chain, arm.ik, poses, Ts, tries=tries)
+
+
+def _arm_and_poses(
+    robot: Robot, motion: TaskMotion, mode: int
+) -> tuple[ArmModel, Float[np.ndarray, "4 4 4"]]:
+    """Return the arm to solve a mode for, and its tool poses at the ends and in the middle."""
     arm, grasp = _arm_of(robot, motion, mode)
     steps = motion.waypoint_steps[[0, 1, len(motion.waypoint_steps) // 2, -1]]
-    return fit_bases(arm.chain, arm.ik, poses, motion.Ts_world_tool[grasp, steps], tries=tries)
+    return arm, motion.Ts_world_tool[grasp, steps]
 
 
 def _own(robot: Robot, q: Float[np.ndarray, "d m"]) -> Float[np.ndarray, "d n"]:
