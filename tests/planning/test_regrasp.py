@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +13,15 @@ from tests.rooms import cabinet_room
 
 from momapos.apps.cli.console import summary
 from momapos.apps.plots.answer_plot import waypoints_by_grasp
+from momapos.core.geometry import invert
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning import regrasp
+from momapos.planning.arm_motion.arm_planner import FreePath, quick_config
+from momapos.planning.arm_motion.config import PlannerConfig
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.task_requests import make_task
@@ -187,6 +193,34 @@ def test_both_grasps_are_printed_and_drawn(answer: PlacementResult, tmp_path: Pa
         o for outcomes in answer.search.outcomes for o in outcomes if o.status.value == "feasible"
     ]
     assert len(feasible) == 1
+
+
+def test_a_way_between_the_grasps_that_needs_a_long_search_is_found_at_last(
+    kitchen: Scene, robot: Robot, reach: ReachMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, most = regrasp.plan_with_clearance, quick_config(CONFIG.arm_planner).budget
+
+    def only_long(*given: Any, config: PlannerConfig, **more: Any) -> FreePath | None:
+        return None if config.budget <= most else search(*given, config=config, **more)
+
+    monkeypatch.setattr(regrasp, "plan_with_clearance", only_long)
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    config = replace(CONFIG, place=PlaceConfig(rounds=1, grid=False))
+    found = plan_base_placement(kitchen, robot, task, reach, config=config).plan
+    assert len(motion_of(found).holds) == 2
+
+
+def test_every_push_holds_the_tool_as_near_to_the_part_as_the_exact_check_wants(
+    kitchen: Scene, robot: Robot
+) -> None:
+    prepared = ready(kitchen, robot, "cabinet_back", "door_hinge")
+    part = prepared.verifier.part
+    for two in iter_two_grasps(prepared, CONFIG, 0):
+        push = two.second.motion
+        step = push.grasp_step
+        body = invert(part.poses(push.object_q[step : step + 1]))[0]
+        points = (body @ push.Ts_world_tool[:, step][:, None])[..., :3, 3]
+        assert max(min(part.distance(p, b) for b, p in enumerate(row)) for row in points) <= 0.06
 
 
 @pytest.mark.parametrize("in_reach", [True, False])
