@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +17,6 @@ from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning import regrasp
-from momapos.planning.arm_motion.arm_planner import FreePath, quick_config
-from momapos.planning.arm_motion.config import PlannerConfig
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.task_requests import make_task
@@ -193,21 +188,6 @@ def test_both_grasps_are_printed_and_drawn(answer: PlacementResult, tmp_path: Pa
         o for outcomes in answer.search.outcomes for o in outcomes if o.status.value == "feasible"
     ]
     assert len(feasible) == 1
-
-
-def test_a_way_between_the_grasps_that_needs_a_long_search_is_found_at_last(
-    kitchen: Scene, robot: Robot, reach: ReachMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    search, most = regrasp.plan_with_clearance, quick_config(CONFIG.arm_planner).budget
-
-    def only_long(*given: Any, config: PlannerConfig, **more: Any) -> FreePath | None:
-        return None if config.budget <= most else search(*given, config=config, **more)
-
-    monkeypatch.setattr(regrasp, "plan_with_clearance", only_long)
-    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
-    config = replace(CONFIG, place=PlaceConfig(rounds=1, grid=False))
-    found = plan_base_placement(kitchen, robot, task, reach, config=config).plan
-    assert len(motion_of(found).holds) == 2
 
 
 def test_every_push_holds_the_tool_as_near_to_the_part_as_the_exact_check_wants(
