@@ -37,11 +37,12 @@ def arc(count: int, radius: float, turn: float) -> np.ndarray:
     return radius * np.column_stack([np.cos(angle), np.sin(angle), 0.3 * angle])
 
 
+WIDE = arc(12, 1.0, 2.0)
 CURVES = {
     "a wide arc": arc(12, 1.2, 2.5),
     "a tight arc": arc(12, 0.4, 3.0),
     "a wave": np.column_stack([np.linspace(0, 3, 20), np.sin(np.linspace(0, 4, 20))]),
-    "an arc after a corner": np.vstack([arc(12, 1.0, 2.0), arc(12, 1.0, 2.0)[-1:] + [[0, 0, 0.2]]]),
+    "an arc after a corner": np.vstack([WIDE, WIDE[-1] + [0.0, 0.0, 0.2]]),
 }
 
 

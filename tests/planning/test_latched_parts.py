@@ -84,10 +84,11 @@ def test_the_hand_turns_a_latch_and_holds_on_as_the_part_opens(
     np.testing.assert_array_equal(motion.latch_q[first:], LATCHES[kind][1])
     assert motion.latch_q[0] == 0.0
     assert (np.abs(np.diff(motion.latch_q[: first + 1])) > 0).all()
-    # One grasp throughout: the tool keeps its pose in the link of the latch.
+    # One grasp throughout: the tool keeps its pose in the link of the latch, between waypoints to a
+    # millimeter.
     held = item.moving_poses(answer.plan.task.joint, motion.object_q, motion.latch_q)["grip"]
     in_latch = invert(held) @ motion.Ts_world_tool
-    np.testing.assert_allclose(in_latch, np.broadcast_to(in_latch[0], in_latch.shape), atol=1e-6)
+    np.testing.assert_allclose(in_latch, np.broadcast_to(in_latch[0], in_latch.shape), atol=1e-3)
     assert "turn to" in answer.latch
 
 

@@ -11,6 +11,7 @@ from tests.rooms import cabinet_room
 
 from momapos.apps.cli.console import summary
 from momapos.apps.plots.answer_plot import waypoints_by_grasp
+from momapos.core.geometry import invert
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
@@ -187,6 +188,19 @@ def test_both_grasps_are_printed_and_drawn(answer: PlacementResult, tmp_path: Pa
         o for outcomes in answer.search.outcomes for o in outcomes if o.status.value == "feasible"
     ]
     assert len(feasible) == 1
+
+
+def test_every_push_holds_the_tool_as_near_to_the_part_as_the_exact_check_wants(
+    kitchen: Scene, robot: Robot
+) -> None:
+    prepared = ready(kitchen, robot, "cabinet_back", "door_hinge")
+    part = prepared.verifier.part
+    for two in iter_two_grasps(prepared, CONFIG, 0):
+        push = two.second.motion
+        step = push.grasp_step
+        body = invert(part.poses(push.object_q[step : step + 1]))[0]
+        points = (body @ push.Ts_world_tool[:, step][:, None])[..., :3, 3]
+        assert max(min(part.distance(p, b) for b, p in enumerate(row)) for row in points) <= 0.06
 
 
 @pytest.mark.parametrize("in_reach", [True, False])

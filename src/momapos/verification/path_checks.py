@@ -132,8 +132,10 @@ def curve_notes(motion: Motion) -> Iterator[str]:
     for phase, q in (("approach", motion.approach), ("manipulation", motion.q)):
         off = float(deviation(q).max(initial=0.0))
         if off > NOTED_DEVIATION:
-            words = "the straight motions, which are checked; states closer together prevent it"
-            yield f"between states of the {phase}, a spline gets up to {off:.3f} rad or m off {words}"
+            yield (
+                f"between states of the {phase}, a spline gets up to {off:.3f} rad or m off the "
+                "straight motions, which are checked; states closer together prevent it"
+            )
 
 
 def _pieces(q: Float[np.ndarray, "s n"], step: float) -> Float[np.ndarray, " t"]:

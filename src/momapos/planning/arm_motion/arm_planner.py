@@ -25,7 +25,7 @@ PREFERRED_CLEARANCE = 0.005
 from its path by millimeters, and between the checked states it may come closer [m]."""
 BRIEF_SHARE = 0.25
 """Share of the checks for a path between two grasps or home; most are easy or infeasible [-]."""
-QUICK_SHARE = 0.0125
+QUICK_SHARE = 0.005
 """Share for a path that is searched again, with more checks, if nothing else is found [-]: of 75
 ways between two grasps at a door, the six that exist take less, and 69 have none even with 30 times
 as many as `BRIEF_SHARE`."""
