@@ -29,25 +29,28 @@ class Reached:
     """The use in words."""
     best: PlacementResult | None
     """The answer for the farthest value that was found; None if there is none."""
-    why: str
-    """What stops it there."""
-
-    @property
-    def value(self) -> float | None:
-        """Return the farthest value [rad] or [m]."""
-        return None if self.best is None else self.best.plan.task.to
+    refused: PlacementResult | None
+    """The answer for a farther value that has no motion; None if the part does not stay there."""
+    start: float
+    """Where the part is now [rad] or [m]."""
 
     @property
     def way(self) -> float:
         """Return how far the part moves [rad] or [m]."""
-        if self.best is None or self.value is None:
-            return 0.0
-        return abs(self.value - float(self.best.prepared.motion.object_q[0]))
+        to = None if self.best is None else self.best.plan.task.to
+        return 0.0 if to is None else abs(to - self.start)
 
     def __str__(self) -> str:
-        if self.best is None or self.value is None:
-            return f"{self.use} cannot move the part: {self.why}"
-        return f"{self.use} moves the part to {self.best.value_words(self.value)}; then: {self.why}"
+        why = "the part does not stay where the hand would let go"
+        if self.refused is not None:
+            why = _why_not(self.refused)
+        known = self.best or self.refused
+        if known is None or known.plan.task.to is None:
+            return f"{self.use}, no motion was found: {why}"
+        value = known.value_words(known.plan.task.to)
+        if self.best is None:
+            return f"{self.use}, no motion even to {value} was found: {why}"
+        return f"{self.use}, the part moves at least to {value}; farther: {why}"
 
 
 def reached_by_use(query: PlacementQuery, answer: Answer) -> list[Reached]:
@@ -60,34 +63,34 @@ def reached_by_use(query: PlacementQuery, answer: Answer) -> list[Reached]:
         query: A question that has no answer, with the uses that it allows.
         answer: Answers a question from one base pose.
     """
-    use, quick = query.config.base, by_samples(query.config)
-    best, refused = _farthest(query, quick, answer)
-    every = [Reached("one base pose", best, why_not(refused))]
+    use, quick, task = query.config.base, by_samples(query.config), query.task
+    assert task.joint is not None
+    start = query.scene.object(task.object).values()[task.joint]
+    best, refused = _farthest(query, quick, answer, start)
+    every = [Reached("from one base pose", best, refused, start)]
     if use in ("stops", "auto"):
         found = plan_stops(query, refused, answer, how_far=True)
-        best, why = (found.stretches or (None,))[-1], why_not(found.refused or refused)
-        if found.refused is None and best is not None:
-            why = "the part does not stay where the hand would let go"
-        every.append(Reached(f"a base that stops up to {MAX_STOPS} times", best, why))
+        last = found.stretches[-1] if found.stretches else None
+        failed = found.refused if last else found.refused or refused
+        every.append(Reached(f"from up to {MAX_STOPS} stops", last, failed, start))
     if use in ("moving", "auto"):
         # The base poses of a short arm are on a surface, which samples miss.
         how = query.config if query.robot.chain.size < FULL_DOF else quick
-        best, refused = _farthest(query, how, plan_moving)
-        every.append(Reached("a base that moves with the part", best, why_not(refused)))
+        every.append(
+            Reached("with a moving base", *_farthest(query, how, plan_moving, start), start)
+        )
     return every
 
 
 def _farthest(
-    query: PlacementQuery, config: PipelineConfig, answer: Answer
+    query: PlacementQuery, config: PipelineConfig, answer: Answer, start: float
 ) -> tuple[PlacementResult | None, PlacementResult]:
     """Return the answer for the farthest value that has one, and that for the next, by bisection.
 
     The first try is the task's own value, which shows why it has no answer.
     """
     task = query.task
-    assert task.joint is not None
     assert task.to is not None
-    start = query.scene.object(task.object).values()[task.joint]
     values = np.linspace(start, task.to, STRETCHES + 1)[1:]
 
     def answer_to(index: int) -> PlacementResult:
@@ -112,7 +115,7 @@ def _farthest(
     return best, refused
 
 
-def why_not(answer: PlacementResult) -> str:
+def _why_not(answer: PlacementResult) -> str:
     """Return what stops an infeasible answer, in words: of the base pose that came farthest."""
     candidates = answer.plan.candidates
     if answer.plan.status == "timeout":

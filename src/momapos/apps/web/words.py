@@ -78,6 +78,7 @@ def answer_card(answer: PlacementResult) -> Card:
     elif plan.feasible_to is not None and plan.feasible_from is not None:
         to = value_text(answer, plan.feasible_to)
         facts.append(("feasible", f"to {to} from {pose_text(plan.feasible_from)}"))
+        notes += plan.notes
     counts = plan.candidates
     details = [("candidates", f"{counts.sampled} sampled, {counts.checked} fully checked")]
     total = plan.timing.get("total", 0.0)
