@@ -1,10 +1,9 @@
-"""momapos bench: run suites of tasks, and report the results."""
+"""momapos bench run: run suites of tasks."""
 
 from __future__ import annotations
 
 import json as json_format
 import math
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -24,10 +23,10 @@ from momapos.apps.bench import (
     protocols_of,
     refuse_unknown,
 )
-from momapos.core import InputError, MomaposError, check_outputs
+from momapos.core import InputError, check_outputs
 
 from .console import busy, progress
-from .options import Flag, OptionalFile, OptionalFolder, Text, check_seed, optional
+from .options import Flag, OptionalFolder, Text, check_count, check_seed, optional
 
 MAX_COUNT, MAX_TASKS = 1_000, 1_000_000
 """Maximum number of images in a scan, and of disturbed base poses [-]."""
@@ -35,7 +34,7 @@ MAX_COUNT, MAX_TASKS = 1_000, 1_000_000
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from momapos.apps.bench import AnswerMap, Contents, Row
+    from momapos.apps.bench import Row
 
 
 def bench_run(
@@ -97,7 +96,7 @@ def bench_run(
     # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
     if suite == ARM_SUITE:
-        _within("--limit", limit, 0, MAX_TASKS)
+        check_count("--limit", limit, 0, MAX_TASKS)
         unused = {
             "--workers": workers != 2, "--scheduler": scheduler, "--commit": commit,
             "--grasps": grasps, "--execute": execute, "--scan": scan,
@@ -110,13 +109,13 @@ def bench_run(
         return _run_arms(problems, robots, methods, out, limit, seed, json=json)
     refuse_unknown(suite, robots)
     _check_problems(suite, problems)
-    _within("--workers", workers, 1, MAX_COUNT)
-    _within("--limit", limit, 0, MAX_TASKS)
+    check_count("--workers", workers, 1, MAX_COUNT)
+    check_count("--limit", limit, 0, MAX_TASKS)
     for name, value in (("--timeout", timeout), ("--task-limit", task_limit)):
         if not 0 < value < math.inf:
             raise InputError(f"{name} must be a time above 0 s, not {value:g}")
     for name, count in (("--scan", scan), ("--disturbances", disturbances)):
-        _within(name, count, 0, MAX_COUNT)
+        check_count(name, count, 0, MAX_COUNT)
     protocols = protocols_of(suite, commit, grasps)
     if scan:
         _check_scannable(suite)
@@ -174,73 +173,6 @@ def bench_run(
     return 0
 
 
-def bench_report(
-    folder: Annotated[Positional[Path], arg(metavar="DIR")],
-    /,
-    *,
-    compare: OptionalFolder = None,
-    html: OptionalFile = None,
-    maps: int = 3,
-    parquet: OptionalFile = None,
-    json: Flag = False,
-) -> int:
-    """Print the tables of a results folder as Markdown.
-
-    Args:
-        folder: The results folder.
-        compare: Another results folder of the same tasks, to compare task by task.
-        html: Write a self-contained HTML page with figures and all rows.
-        maps: Number of tasks whose potential and candidates the page shows; the installed momapos
-            plans them again.
-        parquet: Write the rows to this Parquet file.
-        json: Print one JSON object with all rows instead of tables.
-    """
-    check_outputs([html, parquet])
-    _within("--maps", maps, 0, MAX_COUNT)
-    from momapos.apps.bench import ARM_FILE, all_rows, in_order, read_folder
-
-    if (folder / ARM_FILE).is_file():
-        if compare is not None or html is not None or parquet is not None:
-            raise InputError(f"{folder}: results of {ARM_SUITE} are reported as Markdown or --json")
-        return _report_arms(folder, json=json)
-    found = read_folder(folder)
-    rows = in_order(found.suite, all_rows(folder))
-    if not rows:
-        raise InputError(f"{folder}: contains no results yet; 'momapos bench run' writes them")
-    from momapos.apps.bench import all_tables, compared_tables, labeled
-
-    tables = all_tables(found.suite, rows)
-    if compare is not None:
-        other = read_folder(compare)
-        compared = compared_tables(labeled(rows), labeled(all_rows(compare)))
-        if not compared[0].lines:
-            raise InputError(
-                f"{compare}: shares no task and method with {folder} (suites "
-                f"{other.suite.name} and {found.suite.name})"
-            )
-        tables += compared
-    heading = _heading(found, rows)
-    if html is not None:
-        from momapos.apps.bench import page
-        from momapos.model.scene import write_text_atomic
-
-        drawn = _maps(folder, found, rows, maps)
-        write_text_atomic(html, page(heading, tables, labeled(rows), drawn))
-    if parquet is not None:
-        from momapos.apps.bench import write_parquet
-
-        write_parquet(rows, parquet)
-    if json:
-        from momapos.apps.bench import to_plain
-
-        print(json_format.dumps({**to_plain(found), "rows": to_plain(rows)}))
-    else:
-        from momapos.apps.bench import markdown
-
-        print(markdown(heading, tables))
-    return 0
-
-
 def _run_arms(
     problems: Path | None, robots: tuple[str, ...], planners: tuple[str, ...], out: Path,
     limit: int, seed: int, *, json: bool,
@@ -278,32 +210,6 @@ def _run_arms(
     return 0
 
 
-def _report_arms(folder: Path, *, json: bool) -> int:
-    """Print the results of arm problems."""
-    from momapos.apps.bench import arm_heading, arm_tables, markdown, read_arm_results, to_plain
-
-    found = read_arm_results(folder)
-    if json:
-        print(json_format.dumps(to_plain(found)))
-    else:
-        print(markdown(arm_heading(found), arm_tables(found)))
-    return 0
-
-
-def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[AnswerMap]:
-    """Draw maps of some results, if the folder still has the files."""
-    if not count:
-        return []
-    from momapos.apps.bench import draw_maps
-
-    try:
-        with busy("drawing"):
-            return draw_maps(folder, found, rows, count)
-    except MomaposError as error:
-        print(f"note: no potential maps: {error}", file=sys.stderr)
-        return []
-
-
 def _check_problems(suite: str, problems: Path | None) -> None:
     """Refuse a missing or superfluous folder of problems.
 
@@ -338,11 +244,6 @@ def _check_scannable(suite: str) -> None:
     from momapos.perception import default_tools
 
     default_tools()
-
-
-def _within(name: str, value: int, least: int, most: int) -> None:
-    if not least <= value <= most:
-        raise InputError(f"{name} must be between {least} and {most}, not {value}")
 
 
 @contextmanager
@@ -396,19 +297,3 @@ def _counts(rows: list[Row]) -> dict[str, Any]:
     executed = [row.done for row in rows if row.done is not None]
     physics = {"executed": len(executed), "done": sum(executed)} if executed else {}
     return {"outcomes": outcomes, **physics}
-
-
-def _heading(found: Contents, rows: list[Row]) -> list[str]:
-    suite, settings = found.suite, found.settings
-    hosts = sorted({row.host for row in rows})
-    return [
-        f"momapos bench: {suite.name}",
-        f"{len({row.task for row in rows})} of {len(suite.tasks)} tasks, {len(rows)} results; "
-        f"suite revision {suite.revision}, seed {suite.seed}; robots {', '.join(suite.robots)}.",
-        f"{settings.timeout:g} s of processor time per plan, {settings.limit:g} s per task"
-        + ("; executed in simulation" if settings.execute else "; not executed")
-        + (f"; rooms known from a scan of {settings.scan} images" if settings.scan else "")
-        + f"; protocols (base pose, grasps): {'; '.join(map(str, settings.protocols))}.",
-        "Created with " + ", ".join(f"{name} {version}" for name, version in found.versions.items())
-        + f", on {', '.join(hosts)}.",
-    ]  # fmt: skip

@@ -53,7 +53,7 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     ),
     "bench": (
         "compare methods: run a suite of tasks, report the results",
-        {"run": "bench:bench_run", "report": "bench:bench_report"},
+        {"run": "bench:bench_run", "report": "bench_report:bench_report"},
     ),
 }  # fmt: skip
 """Summary of each command, and its function, or those of its subcommands, in `momapos.apps.cli`.

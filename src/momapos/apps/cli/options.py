@@ -84,11 +84,20 @@ def check_seed(seed: int) -> None:
         raise InputError(f"--seed must be between 0 and {MAX_SEED}")
 
 
+def check_count(option: str, value: int, least: int, most: int) -> None:
+    """Refuse a number that is out of range.
+
+    Raises:
+        InputError: The value of the option is below `least` or above `most`.
+    """
+    if not least <= value <= most:
+        raise InputError(f"{option} must be between {least} and {most}, not {value}")
+
+
 def check_samples(samples: int) -> None:
     """Refuse a number of tolerance samples that is out of range.
 
     Raises:
         InputError: It is below 1 or above the limit.
     """
-    if not 1 <= samples <= MAX_SAMPLES:
-        raise InputError(f"--tolerance-samples must be between 1 and {MAX_SAMPLES}, not {samples}")
+    check_count("--tolerance-samples", samples, 1, MAX_SAMPLES)

@@ -118,15 +118,14 @@ def reach_eval(
 
     import numpy as np
 
-    from momapos.core import Cache, InputError, check_outputs, default_cache_dir
+    from momapos.core import Cache, check_outputs, default_cache_dir
     from momapos.model.robots import load_robot
     from momapos.planning.reachability import evaluate, load_reach_map
 
     from .console import progress
-    from .options import check_seed
+    from .options import check_count, check_seed
 
-    if not 0 < count <= 10_000_000:
-        raise InputError(f"--count must be between 1 and 10000000, not {count}")
+    check_count("--count", count, 1, 10_000_000)
     check_seed(seed)
     check_outputs(folders=[cache])
     kept = cache or default_cache_dir()

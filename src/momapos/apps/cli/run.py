@@ -20,6 +20,7 @@ from .options import (
     PlanArg,
     PoseArg,
     Text,
+    check_count,
     check_seed,
     optional,
 )
@@ -90,8 +91,8 @@ def run(
     # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
     files = _check_files(plan, world, out, out_scene, record)
-    if tries is not None and not 1 <= tries <= MAX_TRIES:
-        raise InputError(f"--tries must be between 1 and {MAX_TRIES}, not {tries}")
+    if tries is not None:
+        check_count("--tries", tries, 1, MAX_TRIES)
     if world is None and world_at is not None:
         raise InputError("--world-at needs --world")
     begin = None if start is None else parse_pose(start, "--start")

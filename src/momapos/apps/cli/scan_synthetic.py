@@ -9,11 +9,11 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from momapos.core import InputError, check_outputs
+from momapos.core import check_outputs
 from momapos.model.scene import find_scene
 
 from .console import progress
-from .options import Flag, JointsArg, SceneArg, check_seed
+from .options import Flag, JointsArg, SceneArg, check_count, check_seed
 
 SOLVED = 0
 
@@ -44,8 +44,7 @@ def scene_scan(
     """
     check_outputs(folders=[out])
     check_seed(seed)
-    if not 1 <= frames <= 10_000:
-        raise InputError(f"--frames must be between 1 and 10000, not {frames}")
+    check_count("--frames", frames, 1, 10_000)
     find_scene(scene)  # reports a mistyped name before anything heavy is imported
     from momapos.apps.synthetic_scans import DepthSensor, refuse_used, synthetic_scan, write_scan
     from momapos.core import user_cache

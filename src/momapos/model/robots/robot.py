@@ -28,8 +28,8 @@ from momapos.model.kinematics import Chain, IkModel, Segments, build_chain, buil
 from momapos.model.records import InverseKinematics
 from momapos.model.urdf import Articulated, Boxes
 
+from .base_table import read_footprint, read_turning_radius
 from .file_values import TomlTable
-from .footprint import read_footprint
 from .gripper_guess import FINGER, HAND
 from .robot_names import find_robot, library_file
 from .robot_tables import (
@@ -317,7 +317,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
         home=own.vector("home"),
         footprint=read_footprint(base, path, cache),
         drive=base.choice("drive", DRIVES),  # type: ignore[arg-type]
-        min_turning_radius=_turning_radius(base),
+        min_turning_radius=read_turning_radius(base),
         max_speed=base.positive("max_speed", 0.5),
         max_yaw_rate=base.positive("max_yaw_rate", 1.0),
         max_acceleration=base.positive("max_acceleration", 0.5),
@@ -343,25 +343,6 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     )
     _check(robot)
     return robot
-
-
-def _turning_radius(base: TomlTable) -> float:
-    """Return the least turning radius, which only a car-like base has.
-
-    Raises:
-        RobotError: A car-like base lacks one, or another one has it.
-    """
-    key = "min_turning_radius"
-    if base.data.get("drive") != "car":
-        if key in base.data:
-            raise RobotError(f'{base.path}: base.{key} is for base.drive = "car" only; remove it')
-        return 0.0
-    if key not in base.data:
-        raise RobotError(
-            f"{base.path}: base.{key} is missing; a car-like base needs the least radius on which "
-            "base_link, at the middle of its fixed axle, can turn [m]"
-        )
-    return base.positive(key, 0.0)
 
 
 def _assumed(tool: TomlTable, grips: Grip) -> tuple[str, ...]:

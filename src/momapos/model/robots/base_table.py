@@ -1,4 +1,4 @@
-"""The base's outline on the floor, from a robot file."""
+"""The base's outline on the floor and its least turning radius, from a robot file."""
 
 from __future__ import annotations
 
@@ -34,6 +34,25 @@ def read_footprint(base: TomlTable, path: Path, cache: Cache | None) -> Float[np
     """
     points = base.matrix("footprint", 2)
     return once(cache, "footprint", (points,), lambda: _outline(points, path))
+
+
+def read_turning_radius(base: TomlTable) -> float:
+    """Return the least turning radius, which only a car-like base has.
+
+    Raises:
+        RobotError: A car-like base lacks one, or another one has it.
+    """
+    key = "min_turning_radius"
+    if base.data.get("drive") != "car":
+        if key in base.data:
+            raise RobotError(f'{base.path}: base.{key} is for base.drive = "car" only; remove it')
+        return 0.0
+    if key not in base.data:
+        raise RobotError(
+            f"{base.path}: base.{key} is missing; a car-like base needs the least radius on which "
+            "base_link, at the middle of its fixed axle, can turn [m]"
+        )
+    return base.positive(key, 0.0)
 
 
 def _outline(points: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarray, "k 2"]:

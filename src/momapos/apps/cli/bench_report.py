@@ -1,0 +1,131 @@
+"""momapos bench report: print the results of a suite."""
+
+from __future__ import annotations
+
+import json as json_format
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from momapos.apps.bench import ARM_SUITE
+from momapos.core import InputError, MomaposError, check_outputs
+
+from .console import busy
+from .options import Flag, OptionalFile, OptionalFolder, check_count
+
+MAX_MAPS = 1_000
+"""Maximum number of maps on a page [-]."""
+
+if TYPE_CHECKING:
+    from momapos.apps.bench import AnswerMap, Contents, Row
+
+
+def bench_report(
+    folder: Annotated[Positional[Path], arg(metavar="DIR")],
+    /,
+    *,
+    compare: OptionalFolder = None,
+    html: OptionalFile = None,
+    maps: int = 3,
+    parquet: OptionalFile = None,
+    json: Flag = False,
+) -> int:
+    """Print the tables of a results folder as Markdown.
+
+    Args:
+        folder: The results folder.
+        compare: Another results folder of the same tasks, to compare task by task.
+        html: Write a self-contained HTML page with figures and all rows.
+        maps: Number of tasks whose potential and candidates the page shows; the installed momapos
+            plans them again.
+        parquet: Write the rows to this Parquet file.
+        json: Print one JSON object with all rows instead of tables.
+    """
+    check_outputs([html, parquet])
+    check_count("--maps", maps, 0, MAX_MAPS)
+    from momapos.apps.bench import ARM_FILE, all_rows, in_order, read_folder
+
+    if (folder / ARM_FILE).is_file():
+        if compare is not None or html is not None or parquet is not None:
+            raise InputError(f"{folder}: results of {ARM_SUITE} are reported as Markdown or --json")
+        return _report_arms(folder, json=json)
+    found = read_folder(folder)
+    rows = in_order(found.suite, all_rows(folder))
+    if not rows:
+        raise InputError(f"{folder}: contains no results yet; 'momapos bench run' writes them")
+    from momapos.apps.bench import all_tables, compared_tables, labeled
+
+    tables = all_tables(found.suite, rows)
+    if compare is not None:
+        other = read_folder(compare)
+        compared = compared_tables(labeled(rows), labeled(all_rows(compare)))
+        if not compared[0].lines:
+            raise InputError(
+                f"{compare}: shares no task and method with {folder} (suites "
+                f"{other.suite.name} and {found.suite.name})"
+            )
+        tables += compared
+    heading = _heading(found, rows)
+    if html is not None:
+        from momapos.apps.bench import page
+        from momapos.model.scene import write_text_atomic
+
+        drawn = _maps(folder, found, rows, maps)
+        write_text_atomic(html, page(heading, tables, labeled(rows), drawn))
+    if parquet is not None:
+        from momapos.apps.bench import write_parquet
+
+        write_parquet(rows, parquet)
+    if json:
+        from momapos.apps.bench import to_plain
+
+        print(json_format.dumps({**to_plain(found), "rows": to_plain(rows)}))
+    else:
+        from momapos.apps.bench import markdown
+
+        print(markdown(heading, tables))
+    return 0
+
+
+def _report_arms(folder: Path, *, json: bool) -> int:
+    """Print the results of arm problems."""
+    from momapos.apps.bench import arm_heading, arm_tables, markdown, read_arm_results, to_plain
+
+    found = read_arm_results(folder)
+    if json:
+        print(json_format.dumps(to_plain(found)))
+    else:
+        print(markdown(arm_heading(found), arm_tables(found)))
+    return 0
+
+
+def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[AnswerMap]:
+    """Draw maps of some results, if the folder still has the files."""
+    if not count:
+        return []
+    from momapos.apps.bench import draw_maps
+
+    try:
+        with busy("drawing"):
+            return draw_maps(folder, found, rows, count)
+    except MomaposError as error:
+        print(f"note: no potential maps: {error}", file=sys.stderr)
+        return []
+
+
+def _heading(found: Contents, rows: list[Row]) -> list[str]:
+    suite, settings = found.suite, found.settings
+    hosts = sorted({row.host for row in rows})
+    return [
+        f"momapos bench: {suite.name}",
+        f"{len({row.task for row in rows})} of {len(suite.tasks)} tasks, {len(rows)} results; "
+        f"suite revision {suite.revision}, seed {suite.seed}; robots {', '.join(suite.robots)}.",
+        f"{settings.timeout:g} s of processor time per plan, {settings.limit:g} s per task"
+        + ("; executed in simulation" if settings.execute else "; not executed")
+        + (f"; rooms known from a scan of {settings.scan} images" if settings.scan else "")
+        + f"; protocols (base pose, grasps): {'; '.join(map(str, settings.protocols))}.",
+        "Created with " + ", ".join(f"{name} {version}" for name, version in found.versions.items())
+        + f", on {', '.join(hosts)}.",
+    ]  # fmt: skip
