@@ -167,8 +167,9 @@ class TwoGrasps:
         """
         start = self.second.robot.chain.freedom_values(pulled.q[-1])
         found = [screened, *self.second.arm_paths(base, pushes[pushes != screened.grasp])]
-        near = [replace(one, q=self._near(one, start)) for one in found]
-        return sorted(near, key=lambda one: float(np.abs(one.q[0] - start).max()))
+        states = [self._near(one, start) for one in found]
+        far = [float(np.abs(q[0] - start).max()) for q in states]
+        return [replace(found[k], q=states[k]) for k in np.argsort(far, kind="stable")]
 
     def _near(
         self, pushed: ArmPathResult, start: Float[np.ndarray, " n"]

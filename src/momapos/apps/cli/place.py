@@ -39,9 +39,10 @@ from .options import (
     check_samples,
     exit_status,
 )
+from .place_output import deliver, draw, with_all_time
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from momapos.model.records import BaseRegion, Task
@@ -357,76 +358,12 @@ def _answer(
     if options.advice and query.at is None and config.place.method in OURS:
         with busy(f"{chosen[0].name}: advice"), watch.stage("advice"):
             answer = with_advice(answer, other_robots(options.robot, cache))
-    answer = _with_all_time(answer, sum(spent), watch.seconds)
+    answer = with_all_time(answer, sum(spent), watch.seconds)
     if options.tolerance:
         with busy(f"{chosen[0].name}: tolerance"):
             answer = with_tolerance(answer, samples=options.tolerance_samples)
     # Files first: the reader of the output may close it at any line.
-    _draw(scene, task, chosen, answer, options, config, map_file)
+    draw(scene, task, chosen, answer, options, config, map_file)
     tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=True)]
-    _deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
+    deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
     return exit_status(answer.plan.status, allow_assumed=options.allow_assumed)
-
-
-def _with_all_time(
-    answer: PlacementResult, planning: float, later: Mapping[str, float]
-) -> PlacementResult:
-    """Return an answer whose timing includes what was spent on others, and on more than it.
-
-    Args:
-        answer: The chosen answer.
-        planning: Time of all answers: of every arm and hypothesis [s].
-        later: Time of further stages [s].
-    """
-    timing = dict(answer.plan.timing)
-    others = planning - timing.get("total", 0.0)
-    more = {**({"other attempts": others} if others > 0.0 else {}), **later}
-    timing |= {**more, "total": timing.get("total", 0.0) + sum(more.values())}
-    return replace(answer, plan=replace(answer.plan, timing=timing))
-
-
-def _draw(
-    scene: Scene,
-    task: Task,
-    arm: tuple[Robot, ReachMap | ArmLength],
-    answer: PlacementResult,
-    options: Options,
-    config: PipelineConfig,
-    map_file: Path | None,
-) -> None:
-    robot, reach = arm
-    if options.plot is not None:
-        from momapos.apps.plots import draw_answer
-
-        draw_answer(scene, answer, reach, options.plot)
-    if map_file is not None:
-        from momapos.apps.plots import draw_opening_map
-        from momapos.planning import opening_map
-
-        from .console import progress
-
-        with progress(f"{robot.name}: opening map") as report:
-            farthest = opening_map(
-                scene, robot, task, reach, config=config, seed=options.seed, report=report
-            )
-        draw_opening_map(scene, answer, farthest, map_file)
-
-
-def _deliver(answer: PlacementResult, options: Options, *, most: bool, tried: str) -> None:
-    import json
-
-    from momapos.model import with_times
-    from momapos.model.plan_files import plan_to_dict, write_plan
-
-    from .console import summary
-
-    if options.out is not None or options.json:
-        # Executors need the time of each state.
-        plan = answer.with_notes().plan
-        answer = replace(answer, plan=with_times(plan, answer.prepared.robot))
-    if options.out is not None:
-        write_plan(answer.plan, options.out)
-    if options.json:
-        print(json.dumps(plan_to_dict(answer.plan)))
-    else:
-        print(summary(answer, options.out, most=most, tried=tried))

@@ -1,0 +1,90 @@
+"""Draw, write and print an answer of `momapos place`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from momapos.model.records import Task
+    from momapos.model.robots import Robot
+    from momapos.model.scene import Scene
+    from momapos.planning import PipelineConfig, PlacementResult
+    from momapos.planning.reachability import ArmLength, ReachMap
+
+    from .place import Options
+
+
+def with_all_time(
+    answer: PlacementResult, planning: float, later: Mapping[str, float]
+) -> PlacementResult:
+    """Return an answer whose timing includes what was spent on others, and on more than it.
+
+    Args:
+        answer: The chosen answer.
+        planning: Time of all answers: of every arm and hypothesis [s].
+        later: Time of further stages [s].
+    """
+    timing = dict(answer.plan.timing)
+    others = planning - timing.get("total", 0.0)
+    more = {**({"other attempts": others} if others > 0.0 else {}), **later}
+    timing |= {**more, "total": timing.get("total", 0.0) + sum(more.values())}
+    return replace(answer, plan=replace(answer.plan, timing=timing))
+
+
+def draw(
+    scene: Scene,
+    task: Task,
+    arm: tuple[Robot, ReachMap | ArmLength],
+    answer: PlacementResult,
+    options: Options,
+    config: PipelineConfig,
+    map_file: Path | None,
+) -> None:
+    """Write the pictures that the options ask for."""
+    robot, reach = arm
+    if options.plot is not None:
+        from momapos.apps.plots import draw_answer
+
+        draw_answer(scene, answer, reach, options.plot)
+    if map_file is not None:
+        from momapos.apps.plots import draw_opening_map
+        from momapos.planning import opening_map
+
+        from .console import progress
+
+        with progress(f"{robot.name}: opening map") as report:
+            farthest = opening_map(
+                scene, robot, task, reach, config=config, seed=options.seed, report=report
+            )
+        draw_opening_map(scene, answer, farthest, map_file)
+
+
+def deliver(answer: PlacementResult, options: Options, *, most: bool, tried: str) -> None:
+    """Write the plan file, and print the answer.
+
+    Args:
+        answer: The answer.
+        options: Where to write it, and whether to print JSON.
+        most: Whether the largest value was asked for.
+        tried: Statuses of all arms; "" for a robot with one arm.
+    """
+    from momapos.model import with_times
+    from momapos.model.plan_files import plan_to_dict, write_plan
+
+    from .console import summary
+
+    if options.out is not None or options.json:
+        # Executors need the time of each state.
+        plan = answer.with_notes().plan
+        answer = replace(answer, plan=with_times(plan, answer.prepared.robot))
+    if options.out is not None:
+        write_plan(answer.plan, options.out)
+    if options.json:
+        print(json.dumps(plan_to_dict(answer.plan)))
+    else:
+        print(summary(answer, options.out, most=most, tried=tried))
