@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from momapos.model.scene import upright_boxes
+from momapos.model.scene import upright_boxes, with_assumptions
 from momapos.planning.arm_motion import boxes_near_base, boxes_near_swept_volume, near_boxes
 from momapos.planning.grasps import TaskMotion
 from momapos.planning.importance import Importance, Selection, everything, start_of
@@ -54,9 +54,8 @@ def refine_model(
         joined = selection.join(names[i] for i in np.flatnonzero(near))
         selection = replace(joined, rounds=selection.rounds + 1)
         with query.watch.stage("exact check"):
-            verifier = PlanVerifier(
-                query.scene.with_box_proxies(selection.names), robot, query.task
-            )
+            scene = query.scene.with_box_proxies(selection.names)
+            verifier = PlanVerifier(with_assumptions(scene, result.plan), robot, query.task)
             violation = verifier.first_violation(pose, found)
         if violation is not None:
             return selection, False

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from momapos.core import Clock, MomaposError, Stopwatch
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, with_assumptions
 from momapos.verification import PlanVerifier
 
 from .max_opening_plan import MIN_TIMEOUT, by_samples
@@ -66,7 +66,7 @@ class Trials:
         plan = answer.plan
         if self.late or plan.base_pose is None or plan.motion is None:
             return False
-        verifier = PlanVerifier(scene, answer.prepared.robot, plan.task)
+        verifier = PlanVerifier(with_assumptions(scene, plan), answer.prepared.robot, plan.task)
         arm = verifier.check(plan.base_pose, plan.motion)
         return arm.valid and all(check.ok for check in verifier.drive_checks(plan))
 

@@ -11,7 +11,7 @@ from momapos.core.geometry import compose, invert, local_points, pose_planar
 from momapos.model.kinematics import track_tools
 from momapos.model.records import Attempt, Motion, PlacementPlan, PoseOutcome, PoseStatus
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, with_assumptions
 from momapos.verification import PlanVerifier
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ def motion_from(
         motion, chain.joint_values(q),
     )  # fmt: skip
     x, y, yaw = base[0].tolist()
-    violation = PlanVerifier(scene, robot, plan.task).first_violation((x, y, yaw), found)
+    verifier = PlanVerifier(with_assumptions(scene, plan), robot, plan.task)
+    violation = verifier.first_violation((x, y, yaw), found)
     if violation is not None:
         return Attempt(None, PoseOutcome(PoseStatus.EXACT_CHECK, violation))
     return Attempt(found, PoseOutcome(PoseStatus.FEASIBLE))

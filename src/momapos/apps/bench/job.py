@@ -15,7 +15,7 @@ from momapos.core import MomaposError, require, user_cache
 from momapos.model.plan_files import write_plan
 from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, load_robot, opened_as
-from momapos.model.scene import Scene, load_scene
+from momapos.model.scene import Scene, load_scene, with_assumptions
 from momapos.planning import PipelineConfig, plan_by_method
 from momapos.planning.grasps import make_task
 from momapos.planning.reachability import load_reach
@@ -145,7 +145,7 @@ def _verify(step: Step, plan: PlacementPlan, robot: Robot) -> tuple[bool, str]:
     """Return whether the exact check accepts a plan, and the failed check."""
     assert plan.base_pose is not None
     assert plan.motion is not None
-    verifier = PlanVerifier(step.scene, robot, step.task)
+    verifier = PlanVerifier(with_assumptions(step.scene, plan), robot, step.task)
     checks = (*verifier.check(plan.base_pose, plan.motion).checks, *verifier.drive_checks(plan))
     wrong = next((check for check in checks if not check.ok), None)
     return wrong is None, "" if wrong is None else f"{wrong.name} {wrong.culprit}"
