@@ -110,12 +110,18 @@ def test_a_lift_rests_low(tmp_path: Path) -> None:
     assert robot.home[0] < 0.1, "the lift travels 0.3 m and carries a head"
 
 
-def free_at_every_height(robot: Robot) -> bool:
-    """Return whether no hulls touch at home, whatever the heights of vertical slides."""
+def home_at_every_height(robot: Robot) -> np.ndarray:
+    """Return the home at 21 heights of each vertical slide."""
     slides = [i for i, n in enumerate(robot.arm_joints) if robot.model.joint(n).kind == "prismatic"]
     q = np.repeat(robot.home[None], 21, axis=0)
     for i in slides:
         q[:, i] = np.linspace(robot.chain.lower[i], robot.chain.upper[i], 21)
+    return q
+
+
+def free_at_every_height(robot: Robot) -> bool:
+    """Return whether no hulls touch at home, whatever the heights of vertical slides."""
+    q = home_at_every_height(robot)
     return not contacts(robot.chain, robot.spheres, q).by_hulls.any()
 
 
@@ -142,20 +148,27 @@ def test_every_arm_is_free_at_home_at_every_height_of_the_lift(tmp_path: Path, t
         assert free_at_every_height(robot)
 
 
-def test_an_arm_takes_another_home_where_the_first_leaves_no_place_for_the_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first candidate is made to reach across the stiff arm, whose states then all collide."""
-    across = np.array([0.1, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+ACROSS = np.array([0.1, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def reach_across_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the first candidate reach across the other arm."""
 
     def candidates(*args: Any, **kwargs: Any) -> list[RestingState]:
         found = list(resting_states(*args, **kwargs))
-        return found if kwargs["held"] else [replace(found[0], q=across), *found]
+        return found if kwargs["held"] else [replace(found[0], q=ACROSS), *found]
 
     monkeypatch.setattr(homes, "resting_states", candidates)
+
+
+def test_an_arm_takes_another_home_where_the_first_leaves_no_place_for_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first candidate reaches across the stiff arm, whose states then all collide."""
+    reach_across_first(monkeypatch)
     text = stiff_arm(0.5)
     robots = {robot.arm: robot for robot in load_arms(written(tmp_path, text))}
-    assert not np.array_equal(robots["right"].home, across)
+    assert not np.array_equal(robots["right"].home, ACROSS)
     assert all(map(free_at_every_height, robots.values()))
 
 
@@ -201,10 +214,7 @@ THICK = (
 
 def accepted_at_every_height(robot: Robot) -> bool:
     """Return whether the planner accepts the home, by its spheres and hulls, and on the floor."""
-    slides = [i for i, n in enumerate(robot.arm_joints) if robot.model.joint(n).kind == "prismatic"]
-    q = np.repeat(robot.home[None], 15, axis=0)
-    for i in slides:
-        q[:, i] = np.linspace(robot.chain.lower[i], robot.chain.upper[i], 15)
+    q = home_at_every_height(robot)
     return not touches(robot.chain, robot.spheres, q, floor=True).any()
 
 
@@ -220,13 +230,7 @@ def test_the_planner_accepts_the_home_of_every_arm_next_to_all_others(
 def test_where_no_homes_are_accepted_those_farthest_from_contact_are_taken_and_it_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    across = np.array([0.1, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
-
-    def candidates(*args: Any, **kwargs: Any) -> list[RestingState]:
-        found = list(resting_states(*args, **kwargs))
-        return found if kwargs["held"] else [replace(found[0], q=across), *found]
-
-    monkeypatch.setattr(homes, "resting_states", candidates)
+    reach_across_first(monkeypatch)
     by_hulls = homes.blocked_share
 
     def refused(chain: Chain, spheres: Spheres, *args: Any) -> np.ndarray:
