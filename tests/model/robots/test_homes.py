@@ -240,7 +240,7 @@ def test_where_no_homes_are_accepted_those_farthest_from_contact_are_taken_and_i
     path = tmp_path / "robot.urdf"
     path.write_text(stiff_arm(0.5))
     file, made = write_robot(path)
-    assert not np.array_equal(load_robot(file, arm="right").home, across)
+    assert not np.array_equal(load_robot(file, arm="right").home, ACROSS)
     said = [note for note in made.assumptions if note.startswith("IMPORTANT: right: home")]
     assert len(said) == 1
     assert "at least 20 mm from contact, too near for planning, at 100 %" in said[0]
