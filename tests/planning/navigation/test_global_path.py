@@ -12,6 +12,7 @@ from momapos.core.geometry.polygons import inscribed_radius
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning.navigation import global_path
 from momapos.planning.navigation.cost_map import CELL, FloorPlan, build_cost_map
 from momapos.planning.navigation.footprint_map import (
     HEADINGS,
@@ -21,7 +22,7 @@ from momapos.planning.navigation.footprint_map import (
 )
 from momapos.planning.navigation.global_path import BasePath, direct_path, leads_straight, plan_path
 from momapos.planning.navigation.judge import FootprintCollisionChecker
-from momapos.planning.navigation.lattice import Lattice, PathModel, standable
+from momapos.planning.navigation.lattice import Lattice, PathModel, astar, standable
 from momapos.planning.navigation.lattice_moves import lattice_moves
 from momapos.planning.navigation.outline_gaps import CostWeights, OutlineArrays
 from momapos.planning.navigation.path_ends import MIN_GAP
@@ -64,6 +65,43 @@ def test_there_is_no_path_through_a_door_narrower_than_the_footprint(robot: Robo
     assert all(leads_straight(wide, *path.nodes[k : k + 2]) for k in range(len(path.nodes) - 1))
     assert direct_path(narrow, start, goal) is None
     assert not leads_straight(narrow, start, goal)
+
+
+def test_a_start_remembers_what_it_never_reaches(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    width = float(min(np.ptp(robot.footprint, axis=0)))
+    narrow = build_navigation_map(room(wall_with_door(width - 0.02)), robot)
+    start, searches = np.array([-1.5, 0.3, 0.0]), 0
+
+    def counted(*args: object) -> tuple[np.ndarray, np.ndarray]:
+        nonlocal searches
+        searches += 1
+        return astar(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(global_path, "astar", counted)
+    for y in (-0.6, -0.2, 0.2, 0.6):
+        assert plan_path(narrow, start, np.array([1.5, y, 1.0])) is None
+    assert searches <= 2, "one from straight exits, one from shuffled ones"
+    assert plan_path(narrow, start, np.array([-1.2, -0.6, 2.5])) is not None
+
+
+@pytest.mark.parametrize("more", [-0.02, 0.02])
+def test_what_a_start_remembers_changes_no_path(robot: Robot, more: float) -> None:
+    rng = np.random.default_rng(4)
+    scene = room(wall_with_door(float(min(np.ptp(robot.footprint, axis=0))) + more))
+    shared = build_navigation_map(scene, robot)
+    start = free_pose(shared, rng, gap=0.05)
+    found = 0
+    for goal in [free_pose(shared, rng, gap=0.01) for _ in range(8)]:
+        path, again = (
+            plan_path(one, start, goal) for one in (shared, build_navigation_map(scene, robot))
+        )
+        assert (path is None) == (again is None)
+        if path is not None and again is not None:
+            np.testing.assert_array_equal(path.nodes, again.nodes)
+            found += 1
+    assert found > 0
 
 
 def test_a_path_is_free_of_collision_and_little_longer_than_that_of_a_disc(robot: Robot) -> None:

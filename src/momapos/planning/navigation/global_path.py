@@ -206,7 +206,7 @@ class _Planner:
         """Return the states of the cheapest path over the lattice, flat; empty without a path."""
         nav_map = self.nav_map
         rows, columns = nav_map.shape
-        if not len(first.states) or not len(last.states):
+        if not len(first.states) or not len(last.states) or first.never_reach(last.states):
             return np.zeros(0, int)
         costs = np.full((2, math.prod(lattice_shape(nav_map))), np.inf)
         for cost, end in zip(costs, (first, last), strict=True):
@@ -214,7 +214,10 @@ class _Planner:
         cells = np.unique(last.states % (rows * columns))
         share = _CAR_ESTIMATE if nav_map.robot.drive == "car" else _LOWER_BOUND
         ahead = share * path_lengths(_standable(nav_map), cells, CELL)
-        return astar(nav_map.known_gaps, ahead, *costs, _lattice(nav_map), self.model())
+        path, reached = astar(nav_map.known_gaps, ahead, *costs, _lattice(nav_map), self.model())
+        if not len(path):
+            first.remember(np.isfinite(ahead), reached)
+        return path
 
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Turn at each node directly from one leg to the next, where that is not costlier."""

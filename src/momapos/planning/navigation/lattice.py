@@ -176,7 +176,7 @@ def _gap_at(h, i, j, known, lattice, surroundings, scratch):
 @entry
 def astar(
     known: S3, ahead: F2, first: F1, last: F1, lattice: Lattice, model: PathModel
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Find the cheapest path over the lattice (Hart, Nilsson, Raphael 1968).
 
     Args:
@@ -187,7 +187,8 @@ def astar(
         lattice, model: The states, and the data of the search.
 
     Returns:
-        Flat indices of the path's states from start to goal; empty without a path.
+        Flat indices of the path's states from start to goal, empty without a path; and whether each
+        state was expanded: without a path, all that can be reached.
     """
     origin, cell, headings, moves = lattice.origin, lattice.cell, lattice.headings, lattice.moves
     surroundings, weights = model.surroundings, model.cost_weights
@@ -249,7 +250,7 @@ def astar(
     path = [np.int64(end)]
     while path[-1] >= 0:
         path.append(parent[path[-1]])
-    return np.array(path[:-1][::-1], np.int64)
+    return np.array(path[:-1][::-1], np.int64), done
 
 
 @entry

@@ -6,7 +6,7 @@ obstacles are too close for that, they lead through its exits (`lattice_connecti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ from .lattice_moves import REVERSING_COST, planned_radius
 from .outline_gaps import CostWeights, OutlineArrays, gaps
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 MIN_GAP = 0.01
 """Smallest gap along a path, except at its ends [m]."""
@@ -35,6 +35,8 @@ _CAR_RADII = 0.3, 0.6
 _MAX_CURVE = 0.9
 """Largest length of the path between an exit and a lattice state [m]. Only longer curves of a
 car-like base exceed it; they take half of the time and lead to no better paths."""
+_MAX_FAILURES = 8
+"""Number of searches without a path that a start remembers, of about 1 MB each [-]."""
 CONTACT_COST = 1.0
 """Additional cost of a meter in contact with obstacles [-]."""
 TURNING_COST = 0.1
@@ -93,6 +95,29 @@ class LatticeEntries:
     """Cost of the cheapest path between the start or goal and each state [m]."""
     via: Int[np.ndarray, " n"]
     """Index of the exit on that path."""
+    failures: list[tuple[Bool[np.ndarray, " c"], Bool[np.ndarray, " s"]]] = field(
+        default_factory=list
+    )
+    """The cells that a search from here without a path considered, and the states it reached."""
+
+    def remember(
+        self, cells: Bool[np.ndarray, "rows columns"], reached: Bool[np.ndarray, " s"]
+    ) -> None:
+        """Remember a search from here without a path.
+
+        Args:
+            cells: The cells that are connected to its goal, whatever the heading.
+            reached: The states that it reached.
+        """
+        if len(self.failures) < _MAX_FAILURES:
+            self.failures.append((cells.ravel(), reached))
+
+    def never_reach(self, states: Int[np.ndarray, " n"]) -> bool:
+        """Check whether an earlier search shows that none of some states can be reached."""
+        return any(
+            cells[states % len(cells)].all() and not reached[states].any()
+            for cells, reached in self.failures
+        )
 
     def path(self, state: int) -> Float[np.ndarray, "k 3"]:
         """Return the exits on the path from the start or goal to a state."""
