@@ -35,6 +35,8 @@ GET = {
     "Chromium": "make test-page, after apt-get install chromium",
     "minutes": "make test-slow",
     "a wheel": "make test-wheel",
+    "zsh": "apt-get install zsh",
+    "fish": "apt-get install fish",
     "rclpy": "make test-ros, with Python 3.11",
     "real data": f"{SHARED}, where FOLDER holds bestman/",
     "robot descriptions": ".venv/bin/pip install --no-deps example-robot-data "

@@ -21,6 +21,7 @@ from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach
 
 SAMPLED = PlaceConfig(rounds=1, grid=False)
+FREEZER = "fridge/freezer_door_hinge"
 USES = ("from one base pose, ", "from up to 3 stops, ", "with a moving base, ")
 
 
@@ -42,7 +43,7 @@ def refused(scene: Scene, item: str, base: BaseUse) -> PlacementPlan:
 
 
 def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(kitchen: Scene) -> None:
-    plan = refused(kitchen, "dishwasher", "auto")
+    plan = refused(kitchen, FREEZER, "auto")
     assert [words.startswith(use) for words, use in zip(plan.notes, USES, strict=True)] == [
         True
     ] * 3
@@ -53,7 +54,7 @@ def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(kitch
     assert moving.startswith(
         f"{USES[2]}the part moves at least to {np.degrees(plan.feasible_to):.0f} deg; farther: "
     )
-    task = make_task(kitchen, "open", "dishwasher", None, plan.feasible_to)
+    task = make_task(kitchen, "open", *FREEZER.split("/"), plan.feasible_to)
     config = PipelineConfig(place=SAMPLED)
     again = plan_moving(PlacementQuery.of(kitchen, load_robot("stretch"), task, config=config))
     assert again.plan.base_pose == plan.feasible_from

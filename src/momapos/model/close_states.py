@@ -98,7 +98,7 @@ def _parameters(
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "2 k n"]]:
     """Return the states' positions along the path, and slopes at both ends of each interval.
 
-    The slope at a state is that of the parabola through it and its neighbors. Beside a corner or
+    The slope at a state is that of the parabola through it and its neighbors. Next to a corner or
     end, where the arm rests, the parabola is that of the neighbor.
     """
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
@@ -112,11 +112,11 @@ def _parameters(
     m = np.diff(kept, axis=0) / h[:, None]
     inner = (h[1:, None] * m[:-1] + h[:-1, None] * m[1:]) / (h[:-1] + h[1:])[:, None]
     stops = corners(kept)[:, None]
-    slopes[:, moved[1:] - 1] = _beside_ends(m, inner, stops[:-1], stops[1:])
+    slopes[:, moved[1:] - 1] = _next_to_ends(m, inner, stops[:-1], stops[1:])
     return s, slopes
 
 
-def _beside_ends(
+def _next_to_ends(
     m: Float[np.ndarray, "k c"],
     inner: Float[np.ndarray, "k_minus_1 c"],
     starts: Bool[np.ndarray, "k #c"],
@@ -150,7 +150,7 @@ def _monotone(
     inner = (h[1:] * a + h[:-1] * b) / np.maximum(h[1:] + h[:-1], _SAME)
     turns = a * b <= 0.0
     starts, ends = (np.pad(turns, (one, (0, 0)), constant_values=True) for one in ((1, 0), (0, 1)))
-    slopes = _beside_ends(m, inner, starts, ends)
+    slopes = _next_to_ends(m, inner, starts, ends)
     return np.clip(slopes, np.minimum(0.0, 3.0 * m), np.maximum(0.0, 3.0 * m))
 
 

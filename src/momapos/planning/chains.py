@@ -163,7 +163,7 @@ class _Chain:
         return self._may_solve(task, without_part(scene, name, joint)) is not False
 
     def _values(self, k: int, task: int, *, shorter: bool) -> Iterator[_Other]:
-        """Yield values of an opening with which a task may have a plan, the surest first.
+        """Yield values of an opening with which a task may have a plan, the most probable first.
 
         Args:
             k: Index of the opening among the requests.

@@ -124,4 +124,7 @@ def _why_not(answer: PlacementResult) -> str:
         return candidates.nearest.reason
     if answer.prepared.infeasible_reason:
         return answer.prepared.infeasible_reason
-    return next(iter(candidates.rejections), "it is out of the arm's reach from every base path")
+    return next(
+        iter(candidates.rejections),
+        "on no base path does the arm reach every waypoint and bear what it must pull",
+    )

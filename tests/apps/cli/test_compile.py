@@ -53,7 +53,7 @@ def test_every_kernel_for_planning_is_an_entry() -> None:
 
 def test_every_kernel_is_announced_or_has_a_reason_to_compile_on_first_use() -> None:
     announced = {*ANSWER, *CHECK, *VERIFY, *RANK, *WALKS}
-    names = {entry.name for entry in every_entry()}
+    names = {name for entry in every_entry() if (name := entry.name).startswith("momapos.")}
     assert announced <= names
     unused = [k for k in ON_FIRST_USE if not any(f"{name}.".startswith(f"{k}.") for name in names)]
     assert not unused

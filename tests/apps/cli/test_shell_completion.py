@@ -11,6 +11,7 @@ from pathlib import Path
 from shutil import which
 
 import pytest
+from tests.optional import skip
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.names import names_for
@@ -85,7 +86,7 @@ complete -C "momapos place open kitchen_small fridge --robot fet"
 @pytest.mark.parametrize("shell", SHELLS)
 def test_a_shell_completes_the_name_of_a_robot(shell: str, tmp_path: Path) -> None:
     if which(shell) is None:
-        pytest.skip(f"needs {shell}")
+        skip(shell)
     program = tmp_path / "momapos"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{START}" "$@"\n')
     program.chmod(0o755)

@@ -363,7 +363,11 @@ def _answer(
         with busy(f"{chosen[0].name}: tolerance"):
             answer = with_tolerance(answer, samples=options.tolerance_samples)
     # Files first: the reader of the output may close it at any line.
-    draw(scene, task, chosen, answer, options, config, map_file)
+    draw(
+        scene, task, chosen, answer, config, plot=options.plot, map_file=map_file,
+        seed=options.seed,
+    )  # fmt: skip
     tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=True)]
-    deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
+    several = ", ".join(tried) if len(arms) > 1 else ""
+    deliver(answer, options.out, as_json=options.json, most=to == MAX, tried=several)
     return exit_status(answer.plan.status, allow_assumed=options.allow_assumed)

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from momapos.planning import PipelineConfig, PlacementResult
     from momapos.planning.reachability import ArmLength, ReachMap
 
-    from .place import Options
-
 
 def with_all_time(
     answer: PlacementResult, planning: float, later: Mapping[str, float]
@@ -41,16 +39,18 @@ def draw(
     task: Task,
     arm: tuple[Robot, ReachMap | ArmLength],
     answer: PlacementResult,
-    options: Options,
     config: PipelineConfig,
+    *,
+    plot: Path | None,
     map_file: Path | None,
+    seed: int,
 ) -> None:
-    """Write the pictures that the options ask for."""
+    """Write the picture and the opening map, each if there is a file for it."""
     robot, reach = arm
-    if options.plot is not None:
+    if plot is not None:
         from momapos.apps.plots import draw_answer
 
-        draw_answer(scene, answer, reach, options.plot)
+        draw_answer(scene, answer, reach, plot)
     if map_file is not None:
         from momapos.apps.plots import draw_opening_map
         from momapos.planning import opening_map
@@ -59,17 +59,20 @@ def draw(
 
         with progress(f"{robot.name}: opening map") as report:
             farthest = opening_map(
-                scene, robot, task, reach, config=config, seed=options.seed, report=report
+                scene, robot, task, reach, config=config, seed=seed, report=report
             )
         draw_opening_map(scene, answer, farthest, map_file)
 
 
-def deliver(answer: PlacementResult, options: Options, *, most: bool, tried: str) -> None:
+def deliver(
+    answer: PlacementResult, out: Path | None, *, as_json: bool, most: bool, tried: str
+) -> None:
     """Write the plan file, and print the answer.
 
     Args:
         answer: The answer.
-        options: Where to write it, and whether to print JSON.
+        out: The plan file; None for no file.
+        as_json: Whether to print the plan as JSON.
         most: Whether the largest value was asked for.
         tried: Statuses of all arms; "" for a robot with one arm.
     """
@@ -78,13 +81,13 @@ def deliver(answer: PlacementResult, options: Options, *, most: bool, tried: str
 
     from .console import summary
 
-    if options.out is not None or options.json:
+    if out is not None or as_json:
         # Executors need the time of each state.
         plan = answer.with_notes().plan
         answer = replace(answer, plan=with_times(plan, answer.prepared.robot))
-    if options.out is not None:
-        write_plan(answer.plan, options.out)
-    if options.json:
+    if out is not None:
+        write_plan(answer.plan, out)
+    if as_json:
         print(json.dumps(plan_to_dict(answer.plan)))
     else:
-        print(summary(answer, options.out, most=most, tried=tried))
+        print(summary(answer, out, most=most, tried=tried))

@@ -84,13 +84,13 @@ def _near_any(bases, low, high, boxes, spread, reach, near):
             most[k] = max(most[k], bases[n, k] + reach)
     count = 0
     for b in range(len(spread)):
-        beside = False
+        away = False
         for k in range(2):
-            beside |= boxes.center[b, k] - spread[b, k] > most[k]
-            beside |= boxes.center[b, k] + spread[b, k] < least[k]
-        beside |= boxes.center[b, 2] - spread[b, 2] > high
-        beside |= boxes.center[b, 2] + spread[b, 2] < low
-        if not beside:
+            away |= boxes.center[b, k] - spread[b, k] > most[k]
+            away |= boxes.center[b, k] + spread[b, k] < least[k]
+        away |= boxes.center[b, 2] - spread[b, 2] > high
+        away |= boxes.center[b, 2] + spread[b, 2] < low
+        if not away:
             near[count] = b
             count += 1
     return count
@@ -102,8 +102,8 @@ def _near_point(x, y, near, count, boxes, spread, reach, here):
     found = 0
     for i in range(count):
         b = near[i]
-        beside = abs(boxes.center[b, 0] - x) > spread[b, 0] + reach
-        if not beside and abs(boxes.center[b, 1] - y) <= spread[b, 1] + reach:
+        away = abs(boxes.center[b, 0] - x) > spread[b, 0] + reach
+        if not away and abs(boxes.center[b, 1] - y) <= spread[b, 1] + reach:
             here[found] = b
             found += 1
     return found
@@ -152,7 +152,7 @@ def _hit(bases: F2, base: BoxArrays, boxes: BoxArrays, clearance: float) -> np.n
         for i in range(found):
             b = here[i]
             dx, dy = center[b, 0] - x, center[b, 1] - y
-            # The box within a ball, seen from the base, beside all parts of the base.
+            # The box within a ball, seen from the base, away from all parts of the base.
             along, across = cos * dx + sin * dy, cos * dy - sin * dx
             if (
                 along - grown[b] > bounds[1, 0]
