@@ -248,9 +248,7 @@ class Feasibility:
             latch_q=None if self.motion.latch_q is None else self.motion.latch_q[steps],
             base=None if bases is None else bases[steps],
         )  # fmt: skip
-        # Between states of a base that moves, a short arm's hand would turn in the grasp.
-        if bases is None:
-            motion = with_close_states(motion, partial(world_tools, chain, base))
+        motion = with_close_states(motion, partial(world_tools, chain, base))
         if self.home_again:
             home = self.path_home(base if bases is None else bases[-1], q[-1], grasp)
             if home is None:
