@@ -28,7 +28,7 @@ from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task, slides
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.max_opening import values_before
-from momapos.planning.partial_opening import add_max_opening
+from momapos.planning.partial_opening import with_max_opening
 from momapos.planning.reachability.map_store import load_reach_map
 from objects import CONFIG, tasks
 from placement import ROBOTS, machine
@@ -74,7 +74,7 @@ def ask(robot: Robot, scene: Scene, joint: str, count: int | None, seed: int) ->
     between = time.process_time()
     if answer.plan.status != "infeasible":
         return Answer(answer.plan.status, task.to, seconds=(between - begun, 0.0))
-    plan = add_max_opening(answer.plan, scene, robot, reach, config=CONFIG)
+    plan = with_max_opening(answer).plan
     seconds = between - begun, time.process_time() - between
     first = scene.object("object").values()[joint] if plan.feasible_to is None else plan.feasible_to
     values = values_before(first, task.to, slides=slides(scene, task))

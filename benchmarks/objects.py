@@ -51,7 +51,7 @@ from momapos.planning.grasps.config import GraspConfig
 from momapos.planning.grasps.handles import has_handle
 from momapos.planning.grasps.task_requests import make_task, slides
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.partial_opening import add_max_opening
+from momapos.planning.partial_opening import with_max_opening
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
 from momapos.workflows.run import run_plan
@@ -124,7 +124,7 @@ def measure(
         task = make_task(scene, "open", "object", joint)
         begun = time.process_time()
         plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
-        row |= {"status": plan.status, "seconds": time.process_time() - begun}
+        row |= {"status": answer.plan.status, "seconds": time.process_time() - begun}
     except MomaposError as error:
         return {**row, "status": "refused", "reason": str(error)}
     row["feasible_to"] = plan.feasible_to
@@ -150,12 +150,12 @@ def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str,
     }  # fmt: skip
     for family, grasps in FAMILIES.items():
         config = replace(CONFIG, motion=replace(CONFIG.motion, grasps=grasps))
-        plan = plan_base_placement(scene, robot, task, reach, config=config).plan
-        if plan.status == "solved":
+        answer = plan_base_placement(scene, robot, task, reach, config=config)
+        if answer.plan.status == "solved":
             return {**row, "family": family}
-    informative = [reason for reason in plan.candidates.rejections if reason not in OBVIOUS]
-    row |= {"status": plan.status, "reason": ", ".join(informative[:2]), "to": task.to}
-    farthest = add_max_opening(plan, scene, robot, reach, config=CONFIG)
+    informative = [reason for reason in answer.plan.candidates.rejections if reason not in OBVIOUS]
+    row |= {"status": answer.plan.status, "reason": ", ".join(informative[:2]), "to": task.to}
+    farthest = with_max_opening(replace(answer, query=replace(answer.query, config=CONFIG))).plan
     return {**row, "slides": slides(scene, task), "feasible_to": farthest.feasible_to}
 
 

@@ -27,8 +27,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.importance.ranking import rank
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.partial_opening import add_max_opening
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.partial_opening import with_max_opening
 from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
@@ -76,12 +75,12 @@ def test_a_goal_below_the_floor_is_refused_with_the_value_of_contact(
     robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
     scene, fetch = drop_down_door(tmp_path), robots("fetch")
-    refused = plan(scene, fetch, "open", "cupboard", "hinge", "40deg").plan
-    assert refused.status == "infeasible"
+    refused = plan(scene, fetch, "open", "cupboard", "hinge", "40deg")
+    assert refused.plan.status == "infeasible"
     reason = "cupboard/door meets the floor at 25 deg, moving from 0 to 40 deg"
-    assert list(refused.candidates.rejections) == [reason]
-    stated = add_max_opening(refused, scene, fetch, load_reach_map(fetch), config=CONFIG)
-    assert stated.feasible_to == pytest.approx(math.radians(24))
+    assert list(refused.plan.candidates.rejections) == [reason]
+    stated = with_max_opening(refused)
+    assert stated.plan.feasible_to == pytest.approx(math.radians(24))
 
 
 def test_a_public_drop_down_door_meets_the_floor_at_25_degrees(

@@ -15,10 +15,9 @@ from momapos.planning.base_use import plan_moving
 from momapos.planning.config import BaseUse, PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.partial_opening import add_max_opening
+from momapos.planning.partial_opening import with_max_opening
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach
 
 SAMPLED = PlaceConfig(rounds=1, grid=False)
 FREEZER = "fridge/freezer_door_hinge"
@@ -35,11 +34,9 @@ def refused(scene: Scene, item: str, base: BaseUse) -> PlacementPlan:
     robot = load_robot("stretch")
     config = PipelineConfig(place=SAMPLED, base=base)
     task = make_task(scene, "open", *item.split("/"))
-    plan = plan_base_placement(scene, robot, task, config=config, clock=time.process_time).plan
-    assert plan.status == "infeasible"
-    return add_max_opening(
-        plan, scene, robot, load_reach(robot), config=config, clock=time.process_time
-    )
+    answer = plan_base_placement(scene, robot, task, config=config, clock=time.process_time)
+    assert answer.plan.status == "infeasible"
+    return with_max_opening(answer, clock=time.process_time).plan
 
 
 def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(kitchen: Scene) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from jaxtyping import Bool, Float
 from tests.cupboards import HINGE, carcass, furniture_room, link
 from tests.rooms import Everywhere, cabinet_room
 from tests.shapes import unchecked
@@ -31,10 +32,10 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.max_opening import last_of_all, last_that_works
 from momapos.planning.max_opening_plan import find_max_opening
-from momapos.planning.partial_opening import add_max_opening
+from momapos.planning.partial_opening import with_max_opening
 from momapos.planning.plan import plan_to_value
 from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
@@ -172,27 +173,41 @@ def test_with_enough_time_nothing_is_solved_beyond_the_stated_opening(
 ) -> None:
     robot = load_robot(robot_name)
     task = make_task(kitchen, "open", "dishwasher", "door_hinge")
-    answer = plan_base_placement(kitchen, robot, task)
+    answer = plan_base_placement(kitchen, robot, task, config=PipelineConfig(timeout=600.0))
     if answer.plan.status == "solved":
         return
-    reach, config = load_reach_map(robot), PipelineConfig(timeout=600.0)
-    found = add_max_opening(answer.plan, kitchen, robot, reach, config=config)
-    stated = found.feasible_to or 0.0
+    stated = with_max_opening(answer).plan.feasible_to or 0.0
     for ahead in (1.0, 2.0, 3.0, 6.0):
         farther = replace(task, to=stated + math.radians(ahead))
         assert plan_base_placement(kitchen, robot, farther).plan.status == "infeasible"
 
 
+def nowhere(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    return np.zeros(len(poses), bool)
+
+
+@pytest.fixture(scope="module")
+def excluded(kitchen: Scene, fetch: Robot) -> PlacementResult:
+    """Return the answer of a user who allows no base pose."""
+    task = make_task(kitchen, "open", "dishwasher", "door_hinge")
+    return plan_base_placement(kitchen, fetch, task, keep_poses=nowhere)
+
+
 def test_the_time_limit_ends_the_search_for_a_smaller_value_and_a_note_says_so(
-    kitchen: Scene, fetch: Robot, refused: PlacementPlan
+    excluded: PlacementResult,
 ) -> None:
-    bare, times = replace(refused, feasible_to=None, feasible_from=None, notes=()), count()
-    late = add_max_opening(
-        bare, kitchen, fetch, load_reach_map(fetch), clock=lambda: 1e6 * next(times)
-    )
+    times = count()
+    late = with_max_opening(excluded, clock=lambda: 1e6 * next(times)).plan
     assert late.feasible_to is None
     assert late.notes[0].startswith("the time limit ended the search for a smaller value")
-    assert not refused.notes
+    assert not excluded.plan.notes
+
+
+def test_no_opening_is_stated_from_base_poses_that_the_user_excludes(
+    excluded: PlacementResult, refused: PlacementPlan
+) -> None:
+    assert refused.feasible_to is not None
+    assert with_max_opening(excluded).plan.feasible_to is None
 
 
 def test_the_stated_base_pose_opens_to_the_stated_value(

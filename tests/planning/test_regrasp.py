@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning.arm_motion.arm_planner import quick_config
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.task_requests import make_task
@@ -24,7 +27,7 @@ from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
-from momapos.planning.regrasp import iter_two_grasps, two_grasp_searches
+from momapos.planning.regrasp import TwoGrasps, iter_two_grasps, two_grasp_searches
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
 from momapos.planning.task_setup import PreparedTask, prepare
@@ -122,6 +125,20 @@ def test_within_the_tolerance_the_door_also_opens_with_two_grasps(
         else:
             assert len(attempt.motion.holds) == 2
     assert len(missed) <= 1, missed  # the tolerance is found from samples
+
+
+def test_base_poses_without_a_quick_way_between_the_grasps_are_tried_again(
+    kitchen: Scene, robot: Robot, reach: ReachMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick, search = quick_config(CONFIG.arm_planner), TwoGrasps._between
+
+    def without_quick_ways(two: TwoGrasps, *where: Any) -> np.ndarray | None:
+        return None if where[-1] == quick else search(two, *where)
+
+    monkeypatch.setattr(TwoGrasps, "_between", without_quick_ways)
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    slow = plan_base_placement(kitchen, robot, task, reach, clock=time.process_time)
+    assert [hold.family for hold in motion_of(slow.plan).holds] == ["pinch", "push"]
 
 
 def test_a_door_that_would_fall_is_not_released(kitchen: Scene, robot: Robot) -> None:

@@ -21,7 +21,7 @@ from .opening_maps import waypoint_values as waypoint_values
 from .other_regions import MAX_OTHER_REGIONS as MAX_OTHER_REGIONS
 from .other_regions import poses_in_other_regions as poses_in_other_regions
 from .other_regions import without_departure_check as without_departure_check
-from .partial_opening import add_max_opening as add_max_opening
+from .partial_opening import with_max_opening as with_max_opening
 from .query import DEFAULT as DEFAULT
 from .query import PlacementQuery as PlacementQuery
 from .result import PlacementResult as PlacementResult

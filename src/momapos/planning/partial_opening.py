@@ -5,16 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from momapos.core import Clock, Stopwatch
-from momapos.model.records import PlacementPlan, ReachScorer
-from momapos.model.robots import Robot
-from momapos.model.scene import Scene
 from momapos.planning.grasps import slides
 from momapos.verification import meets_floor_at
 
-from .config import PipelineConfig
 from .max_opening import values_per_waypoint
 from .max_opening_plan import MIN_TIMEOUT, find_max_opening, values_short_of
 from .opening_by_use import reached_by_use
@@ -23,44 +17,29 @@ from .query import PlacementQuery
 from .result import PlacementResult
 from .time_limit import FARTHEST, cut_short, time_left
 
-DEFAULT = PipelineConfig()
 
-
-def add_max_opening(
-    plan: PlacementPlan,
-    scene: Scene,
-    robot: Robot,
-    reach: ReachScorer,
-    *,
-    config: PipelineConfig = DEFAULT,
-    clock: Clock = time.perf_counter,
-) -> PlacementPlan:
-    """Add to an infeasible plan how far the part can be moved, and from which base pose.
+def with_max_opening(
+    answer: PlacementResult, *, clock: Clock = time.perf_counter
+) -> PlacementResult:
+    """Add to an infeasible answer how far the part can be moved, and from which base pose.
 
     The value is in whole degrees or centimeters, and a plan to it exists. It is sure where the part
-    itself is blocked at the next value. The time limit of the plan includes this search; a note
-    says if it ended the search.
+    itself is blocked at the next value. The time limit of the answer includes this search; a
+    note says if it ended the search.
 
-    If the configuration allows several stops or a moving base, notes say how far each use of the
-    base moves the part and what stops it. The value then is the largest of theirs, to an eighth of
-    the way.
+    If the query allows several stops or a moving base, notes say how far each use of the base moves
+    the part and what stops it. The value then is the largest of theirs, to an eighth of the way.
 
     Args:
-        plan: The plan; returned unchanged unless it is infeasible and its task moves a joint.
-        scene: The scene.
-        robot: The robot.
-        reach: Its reachability map.
-        config: The configuration with which the plan was searched.
+        answer: The answer; returned unchanged unless it is infeasible, moves a joint and has its
+            query.
         clock: Measures the time.
     """
-    task = plan.task
-    if plan.status != "infeasible" or task.joint is None:
-        return plan
-    start = None if plan.start is None else np.array(plan.start)
-    watch = Stopwatch(clock)
-    query = PlacementQuery(
-        scene, robot, task, reach, start, config, plan.region, seed=plan.seed, watch=watch
-    )
+    plan, query = answer.plan, answer.query
+    if query is None or plan.status != "infeasible" or plan.task.joint is None:
+        return answer
+    config, watch = query.config, Stopwatch(clock)
+    query = replace(query, task=plan.task, watch=watch)
     limit = time_left(plan, config.timeout)
     words: list[str] = []
     if config.base == "fixed":
@@ -74,14 +53,14 @@ def add_max_opening(
     late = watch.total > limit - MIN_TIMEOUT
     words += [cut_short("the search for a smaller value")] if late else []
     plan = replace(plan, timing={**plan.timing, FARTHEST: watch.total}, notes=(*plan.notes, *words))
-    if best is None:
-        return plan
-    return replace(
-        plan,
-        feasible_to=best.plan.task.to,
-        feasible_from=best.plan.base_pose,
-        feasible_sure=sure,
-    )
+    if best is not None:
+        plan = replace(
+            plan,
+            feasible_to=best.plan.task.to,
+            feasible_from=best.plan.base_pose,
+            feasible_sure=sure,
+        )
+    return replace(answer, plan=plan)
 
 
 def _largest(query: PlacementQuery, limit: float) -> tuple[PlacementResult | None, bool]:

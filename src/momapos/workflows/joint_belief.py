@@ -20,7 +20,7 @@ from momapos.model.scene import (
     with_part_motion,
 )
 from momapos.model.urdf import opening_of
-from momapos.planning import PlacementResult, add_max_opening
+from momapos.planning import PlacementResult, with_max_opening
 from momapos.planning.placement import OURS
 from momapos.simulation import (
     WIDE_OPEN_ANGLE,
@@ -280,9 +280,7 @@ def _largest_opening(result: PlacementResult) -> float | None:
     whole = query is not None and plan.base_pose is None and not plan.task.farthest
     if query is None or not whole or query.config.place.method not in OURS:
         return plan.feasible_to
-    return add_max_opening(
-        plan, query.scene, query.robot, query.reach, config=query.config, clock=query.watch.clock
-    ).feasible_to
+    return with_max_opening(result, clock=query.watch.clock).plan.feasible_to
 
 
 def _assumed(result: PlacementResult, found: Assumption) -> PlacementResult:

@@ -320,7 +320,7 @@ def _answer(
     import time
 
     from momapos.core import Stopwatch, TaskDoneError, user_cache
-    from momapos.planning import add_max_opening, cheapest, with_advice, with_tolerance
+    from momapos.planning import cheapest, with_advice, with_max_opening, with_tolerance
     from momapos.planning.grasps import make_task
     from momapos.workflows import plan_by_hypothesis
 
@@ -349,10 +349,7 @@ def _answer(
         scene, task, answers = plan_by_hypothesis(scene, task, plan)
         if query.needs_smaller_opening(task, answers):
             with watch.stage("largest value"):
-                answers = [
-                    replace(answer, plan=add_max_opening(answer.plan, scene, *arm, config=config))
-                    for answer, arm in zip(answers, arms, strict=True)
-                ]
+                answers = [with_max_opening(answer) for answer in answers]
         answer = cheapest(answers, farthest=task.farthest)
     chosen = next(arm for arm, one in zip(arms, answers, strict=True) if one is answer)
     if options.advice and query.at is None and config.place.method in OURS:
