@@ -92,8 +92,88 @@ def test_all_runs_of_a_file_share_its_time_limit(
 def test_arguments_reach_the_file(tmp_path: Path) -> None:
     path = tmp_path / "robot.xacro"
     path.write_text(f'{HEAD}<xacro:arg name="a" default="x"/><link name="$(arg a)"/></robot>')
-    assert 'name="x"' in expand_xacro(path, {}, {})[0]
-    assert 'name="chosen"' in expand_xacro(path, {}, {"a": "chosen"})[0]
+    assert 'name="x"' in expand_xacro(path, {}, {}).urdf
+    assert 'name="chosen"' in expand_xacro(path, {}, {"a": "chosen"}).urdf
+
+
+@needs_xacrodoc
+@pytest.mark.parametrize("where", ["", ":", "."])
+def test_no_module_next_to_the_file_is_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", where)
+    path, trap = tmp_path / "robot.xacro", tmp_path / "run"
+    path.write_text(HEAD + "<xacro:property name='a' value=\"${load_yaml('a.yaml')}\"/></robot>")
+    (tmp_path / "a.yaml").write_text("a: 1")
+    for name in ("json", "re", "xacro", "xacrodoc", "yaml", "resource"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(trap)!r}, 'w')\nraise SystemExit(1)")
+    assert "<robot" in expand_xacro(path, {}, {}).urdf
+    assert not trap.exists()
+
+
+OLD = (
+    '<property name="length" value="0.4"/>'
+    '<macro name="{name}" params="at"><link name="link_${{at}}"><collision><geometry>'
+    '<box size="${{length}} 1 1"/></geometry></collision></link></macro>'
+)
+"""Properties and macros as files wrote them until ROS Melodic."""
+
+
+@needs_xacrodoc
+@pytest.mark.parametrize("call", ["part", "xacro:part"])
+@pytest.mark.parametrize("tag", ["include", "xacro:include"])
+def test_old_tags_without_the_prefix_are_expanded_and_named(
+    tmp_path: Path, tag: str, call: str
+) -> None:
+    path = tmp_path / "robot.xacro"
+    (tmp_path / "parts.xacro").write_text(f"{HEAD}{OLD.format(name='part')}</robot>")
+    path.write_text(f'{HEAD}<{tag} filename="parts.xacro"/><{call} at="end"/></robot>')
+    found = expand_xacro(path, {}, {})
+    assert 'name="link_end"' in found.urdf
+    assert 'size="0.4 1 1"' in found.urdf
+    (note,) = found.notes
+    assert "<property>" in note
+    assert "<macro>" in note
+
+
+@needs_xacrodoc
+def test_tags_of_other_formats_are_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xacro"
+    inside = '<gazebo><plugin name="p"><property name="a" value="${b}"/></plugin></gazebo>'
+    text = f'{HEAD}<xacro:property name="b" value="1"/><link name="a"/>{inside}</robot>'
+    path.write_text(text)
+    found = expand_xacro(path, {}, {})
+    assert '<property name="a" value="1" />' in found.urdf
+    assert found.notes == ()
+
+
+SWITCH = {
+    "argument": ('<xacro:arg name="arm" default="false"/>', "$(arg arm)", "--xacro-arg arm=false"),
+    "variable": ("", "$(optenv TEST_HAS_ARM false)", "$TEST_HAS_ARM=false"),
+    "empty": ("", "$(optenv TEST_HAS_ARM 0)", "$TEST_HAS_ARM=0"),
+}
+
+
+@needs_xacrodoc
+@pytest.mark.parametrize("kind", SWITCH)
+def test_a_robot_whose_arm_is_switched_off_names_the_switch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.delenv("TEST_HAS_ARM", raising=False)
+    declared, condition, words = SWITCH[kind]
+    body = mobile_manipulator().removeprefix('<robot name="test robot">').removesuffix("</robot>")
+    path = tmp_path / "robot.urdf.xacro"
+    path.write_text(
+        f'{HEAD}{declared}<xacro:if value="{condition}">{body}</xacro:if>'
+        f'<xacro:unless value="{condition}"><link name="only"/></xacro:unless></robot>'
+    )
+    with pytest.raises(MomaposError) as caught:
+        write_robot(path)
+    assert words in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
+    monkeypatch.setenv("TEST_HAS_ARM", "true")
+    _, derived = write_robot(path, args={"arm": "true"} if declared else {})
+    assert words not in " ".join(derived.assumptions)
 
 
 def test_a_missing_xacrodoc_is_reported_with_its_extra(

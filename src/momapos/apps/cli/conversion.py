@@ -72,14 +72,15 @@ def _convert_xacro(
     path: Path, out: Path, *, root: Path | None, without: Sequence[str]
 ) -> tuple[Scene, ImportReport | None]:
     """Convert an expanded xacro file; copies its files, since the expansion is temporary."""
-    text, _ = expand_xacro(path, {}, {})
+    expanded = expand_xacro(path, {}, {})
     try:
         with temporary_folder(path.parent, path.stem) as folder:
             urdf = folder / path.with_suffix("").with_suffix(".urdf").name
-            urdf.write_text(text)
-            return convert(urdf, out, copy=True, root=root, without=without)
+            urdf.write_text(expanded.urdf)
+            scene, report = convert(urdf, out, copy=True, root=root, without=without)
     except OSError as error:
         raise InputError(f"{path.parent}: cannot be written ({error.strerror})") from error
+    return replace(scene, warnings=(*expanded.notes, *scene.warnings)), report
 
 
 def _write_foreign(scene: Scene, out: Path) -> Scene:

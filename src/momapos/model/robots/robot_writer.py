@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from momapos.core import Cache, RobotError, write_atomic
+from momapos.core import Cache, RobotError, UrdfError, write_atomic
 
 from .derive import Derived, ReportProgress, RobotSource, derive_robot
 from .robot import Robot, load_arms
 from .srdf import srdf_text
-from .xacro import expand_xacro, is_xacro
+from .xacro import Expanded, expand_xacro, is_xacro
 
 
 def write_robot(
@@ -53,18 +53,43 @@ def write_robot(
         raise RobotError(f"{out}: cannot be written ({out.parent} is no folder)")
     files: dict[Path, str] = {}
     if is_xacro(source.urdf):
-        expanded = out.with_suffix(".urdf")
-        _refuse_existing(expanded)
-        text, packages = expand_xacro(source.urdf, source.packages, args or {})
-        files[expanded] = text
-        source = replace(source, urdf=expanded, packages=packages, content=text, near=source.urdf)
-    derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
+        urdf = out.with_suffix(".urdf")
+        _refuse_existing(urdf)
+        expanded = expand_xacro(source.urdf, source.packages, args or {})
+        files[urdf] = expanded.urdf
+        derived = _derive_expanded(source, urdf, expanded, out, seed, cache, report)
+    else:
+        derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
     if derived.pairs:
         srdf = out.with_suffix(".srdf")
         _refuse_existing(srdf)
         files[srdf] = srdf_text(out.stem, derived.pairs)
     _write({**files, out: derived.toml}, out, cache, inspect)
     return out, derived
+
+
+def _derive_expanded(
+    source: RobotSource,
+    urdf: Path,
+    expanded: Expanded,
+    out: Path,
+    seed: int,
+    cache: Cache | None,
+    report: ReportProgress,
+) -> Derived:
+    """Derive a robot file from an expanded xacro file; say what the file leaves out by default."""
+    near = source.urdf
+    source = replace(
+        source, urdf=urdf, packages=expanded.packages, content=expanded.urdf, near=near
+    )
+    try:
+        derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
+    except (RobotError, UrdfError) as error:  # the URDF is not written
+        off = f"; {near.name} leaves parts out by default: {expanded.off}" if expanded.off else ""
+        raise type(error)(str(error).replace(str(urdf), str(near)) + off) from error
+    off = (f"xacro: {near.name} leaves parts out by default: {expanded.off}",)
+    notes = (*expanded.notes, *derived.assumptions, *(off if expanded.off else ()))
+    return replace(derived, assumptions=notes)
 
 
 def _refuse_existing(path: Path) -> None:

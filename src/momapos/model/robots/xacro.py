@@ -9,8 +9,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from momapos.core import RobotError, parse_xml, require
 from momapos.model.urdf import MAX_MESH_PARENTS
@@ -19,21 +21,25 @@ MAX_SECONDS, MAX_MEMORY, MAX_RESULT_BYTES = 60, 2_000_000_000, 50_000_000
 """Limits: total time of all runs of a file [s], memory [bytes], and size of the result [bytes]."""
 MAX_RUNS = 30
 """Maximum number of runs; each run can report one missing package [-]."""
+MAX_SWITCHES = 6
+"""Maximum number of switches that a message names [-]."""
 _MISSING = re.compile(r"Package not found: (\S+)")
-_CHILD = f"""
-import json, resource, sys
-resource.setrlimit(resource.RLIMIT_CPU, ({MAX_SECONDS}, {MAX_SECONDS}))
-resource.setrlimit(resource.RLIMIT_AS, ({MAX_MEMORY}, {MAX_MEMORY}))
-from xacrodoc import XacroDoc, packages
-packages.update_package_cache(json.loads(sys.argv[2]))
-try:
-    doc = XacroDoc.from_file(
-        sys.argv[1], subargs=json.loads(sys.argv[3]), resolve_packages=False
-    )
-except Exception as error:
-    sys.exit(" ".join(str(error).split()) or type(error).__name__)
-sys.stdout.write(doc.dom.toxml())
-"""
+_PROGRAM = Path(__file__).with_name("xacro_program.py")
+
+
+@dataclass(frozen=True)
+class Expanded:
+    """A URDF that a xacro file expanded to."""
+
+    urdf: str
+    """Its text, with mesh paths by package."""
+    packages: dict[str, Path]
+    """Folders of these packages."""
+    notes: tuple[str, ...]
+    """Old syntax that was expanded."""
+    off: str
+    """Arguments and environment variables of the file that leave parts out by default, in words;
+    "" for none."""
 
 
 def is_xacro(path: Path) -> bool:
@@ -41,18 +47,16 @@ def is_xacro(path: Path) -> bool:
     return path.suffix.lower() == ".xacro"
 
 
-def expand_xacro(
-    path: Path, packages: Mapping[str, Path], args: Mapping[str, str]
-) -> tuple[str, dict[str, Path]]:
+def expand_xacro(path: Path, packages: Mapping[str, Path], args: Mapping[str, str]) -> Expanded:
     """Expand a xacro file.
+
+    Tags and macros without the prefix `xacro:` are expanded, as xacro did until ROS Melodic, if
+    nothing else gives a whole URDF.
 
     Args:
         path: The file.
         packages: Package folders by name; other packages are searched in the folders above.
         args: Arguments of the file by name.
-
-    Returns:
-        The URDF, with mesh paths by package; and the folders of these packages.
 
     Raises:
         RobotError: The file cannot be expanded; the message names the reason or missing package.
@@ -64,40 +68,64 @@ def expand_xacro(
         raise RobotError(f"{path}: no such file")
     known = {name: folder.resolve() for name, folder in packages.items()}
     until = time.monotonic() + MAX_SECONDS
+    done = _with_packages(path, known, args, until, old=False)
+    notes: tuple[str, ...] = ()
+    if done["old_tags"] and not done.get("whole"):
+        again = _with_packages(path, known, args, until, old=True)
+        if "urdf" in again or "error" in done:
+            tags = ", ".join(f"<{tag}>" for tag in again["old_tags"])
+            notes = (
+                f"{path.name}: tags without the prefix xacro: ({tags}) are expanded, as before "
+                "ROS Noetic",
+            )
+            done = again
+    if "error" in done:
+        raise RobotError(f"{path}: the xacro file cannot be expanded ({done['error']:.300})")
+    urdf, used = _named_by_packages(done["urdf"], path, known)
+    return Expanded(urdf, used, notes, _off(done["off"]))
+
+
+def _off(switches: Mapping[str, str]) -> str:
+    """Name switches with their values, as a shell writes them."""
+    names = [f"{name}={value or repr('')}" for name, value in switches.items()]
+    more = f" and {len(names) - MAX_SWITCHES} more" if len(names) > MAX_SWITCHES else ""
+    return ", ".join(names[:MAX_SWITCHES]) + more
+
+
+def _with_packages(
+    path: Path, known: dict[str, Path], args: Mapping[str, str], until: float, *, old: bool
+) -> dict[str, Any]:
+    """Run the program until it misses no package; adds those that it missed."""
     for _ in range(MAX_RUNS):
-        done = _run(path, known, args, until - time.monotonic())
-        last = done.stderr.strip().splitlines()[-1:] or [""]
-        if done.returncode == 0:
-            return _named_by_packages(done.stdout, path, known)
-        missing = _MISSING.search(last[0])
+        done = _run(path, known, args, until - time.monotonic(), old=old)
+        missing = _MISSING.search(done.get("error", ""))
         if missing is None or missing[1] in known:
-            raise RobotError(f"{path}: the xacro file cannot be expanded ({last[0]:.300})")
+            return done
         known[missing[1]] = _package(missing[1], path)
     raise RobotError(f"{path}: names more than {MAX_RUNS} unknown packages")
 
 
 def _run(
-    path: Path, known: Mapping[str, Path], args: Mapping[str, str], seconds: float
-) -> subprocess.CompletedProcess[str]:
-    folders = {name: str(folder) for name, folder in known.items()}
+    path: Path, known: Mapping[str, Path], args: Mapping[str, str], seconds: float, *, old: bool
+) -> dict[str, Any]:
+    asked = {
+        "file": str(path.resolve()), "folder": str(path.resolve().parent), "args": dict(args),
+        "packages": {name: str(folder) for name, folder in known.items()}, "old": old,
+        "seconds": MAX_SECONDS, "memory": MAX_MEMORY,
+    }  # fmt: skip
     try:
-        return subprocess.run(
-            [
-                sys.executable,
-                "-c",
-                _CHILD,
-                str(path.resolve()),
-                json.dumps(folders),
-                json.dumps(dict(args)),
-            ],
-            cwd=path.resolve().parent,  # include paths are relative to it
-            capture_output=True,
-            text=True,
-            timeout=seconds,
-            check=False,
-        )
+        # -P: this folder is not searched for modules.
+        done = subprocess.run(
+            [sys.executable, "-P", str(_PROGRAM), json.dumps(asked)],
+            capture_output=True, text=True, timeout=seconds, check=False,
+        )  # fmt: skip
     except subprocess.TimeoutExpired as error:
         raise RobotError(f"{path}: expanding it took longer than {MAX_SECONDS} s") from error
+    if done.returncode:
+        last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
+        raise RobotError(f"{path}: the xacro file cannot be expanded ({last[0]:.300})")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
 
 
 def _package(name: str, path: Path) -> Path:
