@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from tests import optional
 from tests.model.robots.rovers import (
     CORNERS,
+    DISC,
     FRONT,
     REAR,
     Axle,
@@ -149,6 +150,35 @@ def test_public_bases_are_recognized(tmp_path: Path, name: str, drive: str) -> N
     robot, _ = derived(tmp_path, (CASES / "robots" / f"{name}.urdf").read_text())
     assert robot.drive == drive
     assert robot.model.rest_poses[robot.base_link][2, 2] > 0.999
+
+
+FIXED = "".join(
+    link(f"wheel{k}", DISC) + joint(f"axle{k}", "fixed", "chassis", f"wheel{k}", f"{x} {y} 0.1")
+    for k, (x, y) in enumerate(CORNERS)
+)
+"""Wheels that a file only draws."""
+PLUGINS = {
+    "libgazebo_ros_planar_move.so": "omni",
+    "gz-sim-mecanum-drive-system": "omni",
+    "libgazebo_ros_diff_drive.so": "differential",
+    "libgazebo_ros_range.so": "differential",
+}
+
+
+@pytest.mark.parametrize("plugin", PLUGINS)
+def test_where_no_wheels_tell_the_plugin_of_the_simulation_does(
+    tmp_path: Path, plugin: str
+) -> None:
+    gazebo = f'<gazebo><plugin name="drive" filename="{plugin}"/></gazebo>'
+    robot, words = derived(tmp_path, rover([], more=FIXED + gazebo))
+    assert robot.drive == PLUGINS[plugin]
+    assert (plugin in words) == (robot.drive == "omni")
+
+
+def test_wheels_count_more_than_the_plugin_of_the_simulation(tmp_path: Path) -> None:
+    gazebo = '<gazebo><plugin name="drive" filename="libgazebo_ros_planar_move.so"/></gazebo>'
+    robot, _ = derived(tmp_path, rover(PAIR, more=gazebo))
+    assert robot.drive == "differential"
 
 
 @pytest.mark.parametrize("name", ["three wheels in a ring", "two wheels"])

@@ -51,6 +51,7 @@ def test_a_xacro_file_becomes_a_urdf_next_to_the_robot_file(tmp_path: Path) -> N
             "package 'nobody' was not found",
         ),
         (f"{HEAD}<xacro:nothing/></robot>", "cannot be expanded"),
+        (f'{HEAD}<link name="$(arg name)"/></robot>', "give it: --xacro-arg name=VALUE"),
         ("<robot", "cannot be expanded"),
         (f'{HEAD}<xacro:property name="x" value="${{9**9**9**9}}"/>${{x}}</robot>', "expand"),
     ],

@@ -119,7 +119,7 @@ def robot_check(
     check_outputs([out, plot])
     check_figure_path(plot)
     packages = {name: Path(folder) for name, folder in _pairs(package, "--package").items()}
-    args, box = _pairs(xacro_arg, "--xacro-arg"), _box(on_box)
+    args, box = _pairs(xacro_arg, "--xacro-arg", empty=True), _box(on_box)
     derives = file.suffix.lower() in DERIVED_FROM
     if not derives:
         if (out, on_box, package, xacro_arg, visual_hulls) != (None, None, (), (), False):
@@ -230,12 +230,12 @@ def _of_arm(text: str, robot: Robot) -> str:
     return f"{robot.arm}: {text}" if robot.arm else text
 
 
-def _pairs(words: Sequence[str], option: str) -> dict[str, str]:
-    """Parse NAME=VALUE words."""
+def _pairs(words: Sequence[str], option: str, *, empty: bool = False) -> dict[str, str]:
+    """Parse NAME=VALUE words, whose value may be empty or not."""
     pairs = {}
     for word in words:
-        name, _, value = word.partition("=")
-        if not name or not value:
+        name, equals, value = word.partition("=")
+        if not name or not (value or (empty and equals)):
             raise RobotError(f"{option} {word!r:.80} is not NAME=VALUE")
         pairs[name] = value
     return pairs

@@ -241,9 +241,23 @@ def find_footprint(
 
 
 def find_drive(
-    model: Articulated, anchor: str, boxed: bool, guess: DriveGuess | None, notes: list[str]
+    model: Articulated,
+    anchor: str,
+    boxed: bool,
+    guess: DriveGuess | None,
+    plugin: str,
+    notes: list[str],
 ) -> str:
-    """Return the drive that the wheels tell, or guess it from names."""
+    """Return the drive that the wheels tell, or guess it from names and simulation.
+
+    Args:
+        model: The robot.
+        anchor: Root of what drives.
+        boxed: Whether an arm stands on a driving box.
+        guess: What the wheels tell.
+        plugin: Plugin that drives the base in any direction in its maker's simulation; "" if none.
+        notes: Receives the reason.
+    """
     if guess is not None and not boxed:
         notes.append(f"drive: {guess.drive}: {guess.why}; speeds are guesses")
         if guess.doubt:
@@ -252,6 +266,12 @@ def find_drive(
     names = [*model.urdf.links, *(joint.name for joint in model.urdf.joints)]
     if any(OMNI.search(name) for name in names):
         notes.append("drive: omni, by the names of its wheels")
+        return "omni"
+    if plugin and not boxed:
+        notes.append(
+            f"drive: omni: {plugin} drives it in any direction in its simulation, and no wheels "
+            "tell; set differential if the real base cannot"
+        )
         return "omni"
     if not (_named_wheels(model) or boxed or anchor != model.urdf.root or model.urdf.rigid):
         notes.append(

@@ -35,7 +35,7 @@ from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_a
 from .never_checked import NESTED
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
-from .running_gear import RunningGear, drawn_meshes, find_running_gear
+from .running_gear import RunningGear, drawn_meshes, find_running_gear, sideways_plugin
 from .srdf import Srdf, find_srdf, srdf_next_to
 
 MAX_LINKS = 500
@@ -136,7 +136,8 @@ def derive_robot(
     model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
     footprint = find_footprint(model, base_link, firsts, notes)
     boxed = source.mount is not None and source.mount.box is not None
-    drive = find_drive(model, anchor, boxed, guess, notes)
+    plugin = sideways_plugin(source.content, urdf)
+    drive = find_drive(model, anchor, boxed, guess, plugin, notes)
     waiting = [ArmToRest(name, arm.chain, arm.text) for name, arm in arms.items()]
     homes = find_homes(
         model, base_link, waiting, footprint, srdf, seed, notes,

@@ -17,11 +17,15 @@ from momapos.model.urdf import MAX_URDF_BYTES, Articulated, Joint, read_tree
 from .gripper_guess import fixed_to, joints_below
 
 if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
     from jaxtyping import Float
 
 WHEEL = re.compile(r"wheel|caster|castor|track(?!ing)|roller", re.I)
 _CASTER = re.compile(r"caster|castor", re.I)
 OMNI = re.compile(r"mecanum|omni|swerve", re.I)
+SIDEWAYS = re.compile(r"planar_move|force_based_move|mecanum|omni_?drive", re.I)
+"""Plugins of Gazebo Classic and Gazebo Sim that drive a base in any direction."""
 STEER = re.compile(r"steer|knuckle|ackerman", re.I)
 ENDLESS = 6.0
 """Range from which a joint turns a wheel [rad]."""
@@ -144,12 +148,27 @@ def drawn_meshes(content: str | None, urdf: Path) -> dict[str, list[str]]:
         content: The URDF's content; None to read it.
         urdf: The file.
     """
-    text = read_text_bounded(urdf, MAX_URDF_BYTES, error=UrdfError) if content is None else content
     return {
         link.get("name", ""): [mesh.get("filename", "") for mesh in link.iter("mesh")]
-        for link in read_tree(text, urdf).findall("link")
+        for link in _tree(content, urdf).findall("link")
         if link.find("visual") is not None or link.find("collision") is not None
     }
+
+
+def sideways_plugin(content: str | None, urdf: Path) -> str:
+    """Return the plugin that drives the base in any direction in Gazebo; "" for none.
+
+    Args:
+        content: The URDF's content; None to read it.
+        urdf: The file.
+    """
+    names = (plugin.get("filename", "") for plugin in _tree(content, urdf).iter("plugin"))
+    return next((name for name in names if SIDEWAYS.search(name)), "")
+
+
+def _tree(content: str | None, urdf: Path) -> Element:
+    text = read_text_bounded(urdf, MAX_URDF_BYTES, error=UrdfError) if content is None else content
+    return read_tree(text, urdf)
 
 
 def _names_steering(joint: Joint) -> bool:

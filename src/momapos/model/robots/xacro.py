@@ -24,6 +24,7 @@ MAX_RUNS = 30
 MAX_SWITCHES = 6
 """Maximum number of switches that a message names [-]."""
 _MISSING = re.compile(r"Package not found: (\S+)")
+_UNSET = re.compile(r"Undefined substitution argument\W+(\w+)")
 _PROGRAM = Path(__file__).with_name("xacro_program.py")
 
 
@@ -80,7 +81,9 @@ def expand_xacro(path: Path, packages: Mapping[str, Path], args: Mapping[str, st
             )
             done = again
     if "error" in done:
-        raise RobotError(f"{path}: the xacro file cannot be expanded ({done['error']:.300})")
+        unset = _UNSET.search(done["error"])
+        how = f"; give it: --xacro-arg {unset[1]}=VALUE of momapos robot check" if unset else ""
+        raise RobotError(f"{path}: the xacro file cannot be expanded ({done['error']:.300}){how}")
     urdf, used = _named_by_packages(done["urdf"], path, known)
     return Expanded(urdf, used, notes, _off(done["off"]))
 
