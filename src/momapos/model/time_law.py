@@ -18,6 +18,8 @@ import numpy as np
 
 from momapos.core import InputError
 
+from .toppra_import import import_toppra
+
 if TYPE_CHECKING:
     from jaxtyping import Float
 
@@ -84,8 +86,7 @@ def time_piece(
     Raises:
         InputError: The limits cannot be met.
     """
-    import toppra
-
+    toppra = import_toppra()
     logging.getLogger("toppra").setLevel(logging.ERROR)
     spline = toppra.SplineInterpolator(s, path)
     profile = _Profile.fastest(spline, s, limits)
@@ -152,15 +153,14 @@ class _Profile:
     @classmethod
     def fastest(cls, spline: Any, s: Float[np.ndarray, " m"], limits: Limits) -> _Profile:
         """Return the fastest motion within the limits of speed and acceleration."""
-        from toppra import algorithm, constraint
-
+        toppra = import_toppra()
         grid = np.linspace(s[0], s[-1], max(_MIN_GRID_POINTS, 2 * len(s)))
         bounds = [np.minimum(limit, _NO_LIMIT) for limit in (limits.speed, limits.acceleration)]
         kept = [
-            constraint.JointVelocityConstraint(np.stack([-bounds[0], bounds[0]], 1)),
-            constraint.JointAccelerationConstraint(np.stack([-bounds[1], bounds[1]], 1)),
+            toppra.constraint.JointVelocityConstraint(np.stack([-bounds[0], bounds[0]], 1)),
+            toppra.constraint.JointAccelerationConstraint(np.stack([-bounds[1], bounds[1]], 1)),
         ]
-        solver = algorithm.TOPPRA(kept, spline, grid, parametrizer="ParametrizeConstAccel")
+        solver = toppra.algorithm.TOPPRA(kept, spline, grid, parametrizer="ParametrizeConstAccel")
         if solver.compute_trajectory(0.0, 0.0) is None:
             raise InputError("no trajectory along the motion meets the joints' limits")
         speed = np.array(solver.problem_data.sd_vec)
