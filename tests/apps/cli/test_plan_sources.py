@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_file
 from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -37,6 +39,20 @@ def test_plans_share_the_kitchens_and_robots_of_the_package(tmp_path: Path) -> N
     _, again, same = open_plan(path, None, None, "to read", allow_assumed=False)
     assert same is robot
     assert [one.model for one in again.objects] == [one.model for one in room.objects]
+
+
+def test_a_process_that_opens_plans_does_not_collect_models(tmp_path: Path) -> None:
+    path = a_plan("fetch", tmp_path)
+
+    def models() -> int:
+        gc.collect()
+        return sum(isinstance(one, Articulated) for one in gc.get_objects())
+
+    open_plan(path, None, None, "to read", allow_assumed=False)
+    before = models()
+    for _ in range(20):
+        open_plan(path, None, None, "to read", allow_assumed=False)
+    assert models() <= before
 
 
 def test_a_robot_of_the_user_is_read_each_time(
