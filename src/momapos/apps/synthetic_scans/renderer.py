@@ -49,7 +49,7 @@ _TO_SRGB = np.rint(255 * np.linspace(0, 1, 4097) ** (1 / 2.2)).astype(np.uint8)
 class Backdrop(NamedTuple):
     """What a camera sees of the first triangles of a world, which don't move."""
 
-    count: int
+    number: int
     """Number of these triangles [-]."""
     buffers: Buffers
     color: UInt8[np.ndarray, "h w 3"]
@@ -123,7 +123,7 @@ class RenderWorld:
         if backdrop is None:
             rasterize(self._seen_from(T), self.closed, xs, ys, buffers)
             return buffers
-        first, (inverse, nearest) = backdrop.count, backdrop.buffers
+        first, (inverse, nearest) = backdrop.number, backdrop.buffers
         moving = self.triangles[first:] @ T[:3, :3].T + T[:3, 3]
         rasterize(moving, self.closed[first:], xs, ys, buffers)
         hidden = inverse >= buffers.inverse
