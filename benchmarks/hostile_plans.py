@@ -131,7 +131,9 @@ def main() -> int:
         print(f"{count:6d} {told}")
     third = len(held) // 3
     middle, last = max(held[third : 2 * third]), max(held[-third:])
+    tenths = [f"{held[k * len(held) // 10 - 1]:.0f}" for k in range(1, 11)]
     print(f"memory: {middle:.0f} MB in the middle third, {last:.0f} MB in the last")
+    print(f"after each tenth: {' '.join(tenths)} MB")
     return int(bool(seen["WRONG"]) or last > GROWTH * middle)
 
 

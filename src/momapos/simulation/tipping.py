@@ -42,6 +42,8 @@ class Tipping:
         """`step` is the time between updates [s]."""
         self._world, self._step = world, step
         self._body = world.model.body("base").id
+        self._own = np.flatnonzero(world.model.body_rootid == self._body)
+        """The robot's bodies."""
         self._velocity = world.data.qvel.copy()
         """Joint velocities at the last update."""
         self._tilt, self._rate = 0.0, 0.0
@@ -84,8 +86,7 @@ class Tipping:
     def _turn(self, margin: float) -> None:
         """Integrate the turn about the edge, on which the weight acts with a lever."""
         model, data = self._world.model, self._world.data
-        own = model.body_rootid == self._body
-        mass, at = model.body_mass[own], data.xipos[own]
+        mass, at = model.body_mass[self._own], data.xipos[self._own]
         inertia = float(mass @ ((at - data.xpos[self._body]) ** 2).sum(1))
         self._rate -= self._step * GRAVITY * float(mass.sum()) * margin / inertia
         self._tilt += self._step * self._rate
@@ -100,12 +101,13 @@ class Tipping:
         data.qacc[:] = change / self._step
         mujoco.mj_rnePostConstraint(model, data)
         data.qacc[:], self._velocity = kept, data.qvel.copy()
-        torque, force = np.split(data.cfrc_int[self._body], 2)
-        center = data.subtree_com[model.body_rootid[self._body]]
-        moment = torque + np.cross(center, force)
+        torque_x, torque_y, _, *force = data.cfrc_int[self._body].tolist()
         if force[2] <= 0.0:
             return None
-        point = np.array([[-moment[1], moment[0]]]) / force[2]
+        center = data.subtree_com[model.body_rootid[self._body]].tolist()
+        moment_x = torque_x + (center[1] * force[2] - center[2] * force[1])
+        moment_y = torque_y + (center[2] * force[0] - center[0] * force[2])
+        point = np.array([[-moment_y, moment_x]]) / force[2]
         T = data.xmat[self._body].reshape(3, 3)
         pose = np.array([*data.xpos[self._body][:2], np.arctan2(T[1, 0], T[0, 0])])
         return local_points(pose, point)[0]

@@ -17,8 +17,11 @@ from momapos.apps.synthetic_scans.recording import (
 from momapos.apps.synthetic_scans.renderer import (
     RenderWorld,
     ear_clipped,
+    join_worlds,
     look_at,
+    moved_world,
     pinhole,
+    render_backdrop,
     render_frame,
     render_world,
 )
@@ -118,6 +121,24 @@ def test_nearer_surfaces_occlude_farther_ones() -> None:
     assert frame.depth is not None
     assert frame.depth[240, 320] == pytest.approx(1.0, abs=1e-4)
     assert frame.depth[20, 20] == pytest.approx(3.0, abs=1e-4)
+
+
+def test_a_backdrop_leaves_images_and_depth_as_they_are(kitchen: Scene, world: RenderWorld) -> None:
+    size = (160, 120)
+    lens, aim = pinhole(size, 130.0), kitchen.object("fridge").bounds.mean(0)
+    T = look_at(aim + np.array([-0.7, -2.0, 0.4]), aim)
+    behind = render_backdrop(world, T, lens, size)
+    box = render_world(a_room(a_box("box", (0.3, 0.3, 0.3), (0, 0, 0))), np.random.default_rng(0),
+                       floor=False)  # fmt: skip
+    joined = join_worlds(world, box)
+    for shift in ((0.0, -0.7, 0.0), (0.3, -0.4, 0.2), (0.0, 0.1, 0.0), (0.0, -9.0, 0.0)):
+        moved = moved_world(joined, box.triangles + aim + np.array(shift))
+        plain, fast = (
+            render_frame(moved, T, lens, size, backdrop=known) for known in (None, behind)
+        )
+        np.testing.assert_array_equal(plain.color, fast.color)
+        np.testing.assert_array_equal(plain.depth, fast.depth)
+        assert (fast.color != behind.color).any() == (shift[1] in (-0.7, -0.4))
 
 
 def test_joint_values_move_the_rendered_parts(kitchen: Scene) -> None:

@@ -14,6 +14,7 @@ from .plan_sources import open_run
 
 if TYPE_CHECKING:
     from momapos.apps.export import Camera, Episode
+    from momapos.model.scene import Scene
 
 SETS = {"lerobot": "_lerobot", "hdf5": ".hdf5"}
 """Ending of the name of each kind of set."""
@@ -43,11 +44,12 @@ def export_episodes(
 
     from .console import progress
 
+    rooms: dict[Path, Scene] = {}
     with progress(f"{len(runs)} runs") as report:
 
         def episodes() -> Iterator[tuple[str, Episode]]:
             for done, run in enumerate(runs):
-                yield str(run), _episode(run, scene_root, robot, chosen, pixels)
+                yield str(run), _episode(run, scene_root, robot, chosen, pixels, rooms)
                 report((done + 1) / len(runs))
 
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -63,11 +65,13 @@ def export_episodes(
 
 def _episode(
     run: Path, scene_root: Path | None, robot: str | None, cameras: tuple[Camera, ...],
-    size: tuple[int, int],
+    size: tuple[int, int], rooms: dict[Path, Scene],
 ) -> Episode:  # fmt: skip
     from momapos.apps.export import episode_of
 
-    record, _, scene, machine = open_run(run, scene_root, robot, "to export", allow_assumed=True)
+    record, _, scene, machine = open_run(
+        run, scene_root, robot, "to export", allow_assumed=True, read=rooms
+    )
     try:
         return episode_of(record, scene, machine, cameras, size)
     except MomaposError as error:

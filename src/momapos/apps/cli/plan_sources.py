@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
     from momapos.simulation import RunRecord
+
+MAX_SHARED = 16
+"""Kitchens and robots of the package that plans opened by one process share [-]."""
 
 
 def check_plan_file(plan: Path) -> None:
@@ -90,10 +94,9 @@ def open_plan(
     Raises:
         MomaposError: A file is unusable, or the plan is not solved.
     """
-    from momapos.core import user_cache
     from momapos.model.plan_files import check_unchanged, read_plan
     from momapos.model.scene import as_planned
-    from momapos.verification import check_plan_numbers, find_file, read_scene
+    from momapos.verification import check_plan_numbers, find_file
 
     content = read_plan(plan)
     if content.status == "assumed" and not allow_assumed:
@@ -109,7 +112,7 @@ def open_plan(
     check_unchanged(plan, scene_file, urdf)
     rooms = {} if read is None else read
     if scene_file not in rooms:
-        rooms[scene_file] = read_scene(scene_file, scene_root, cache=user_cache())
+        rooms[scene_file] = _scene(scene_file, scene_root)
         print_warnings(rooms[scene_file].warnings)
     scene = as_planned(rooms[scene_file], content)
     machine = _robot(content, plan, urdf, robot)
@@ -118,13 +121,19 @@ def open_plan(
 
 
 def open_run(
-    path: Path, scene_root: Path | None, robot: str | None, purpose: str, *, allow_assumed: bool
+    path: Path,
+    scene_root: Path | None,
+    robot: str | None,
+    purpose: str,
+    *,
+    allow_assumed: bool,
+    read: dict[Path, Scene] | None = None,
 ) -> tuple[RunRecord, PlacementPlan, Scene, Robot]:
     """Read the record of a run, its plan, the true scene and the robot.
 
     Args:
         path: The record.
-        scene_root, robot, purpose, allow_assumed: See `open_plan`.
+        scene_root, robot, purpose, allow_assumed, read: See `open_plan`.
 
     Raises:
         MomaposError: A file is unusable, or the record has no motion.
@@ -142,8 +151,9 @@ def open_run(
             "writes a complete one"
         )
     plan, scene, machine = open_plan(
-        path.parent / record.plan, scene_root, robot, purpose, allow_assumed=allow_assumed
-    )
+        path.parent / record.plan, scene_root, robot, purpose,
+        allow_assumed=allow_assumed, read=read,
+    )  # fmt: skip
     if record.world:
         nearby = path.parent / record.world
         there = load_scene(
@@ -159,24 +169,24 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
     Raises:
         RobotError: There is no robot file, or it describes another robot.
     """
-    from momapos.core import RobotError, user_cache
-    from momapos.model.robots import find_named_robot, library_names, load_robot, opened_as
+    from momapos.core import RobotError
+    from momapos.model.robots import find_named_robot, library_names
 
     nearby = urdf.with_suffix(".toml")
     if given is not None:
         found = find_named_robot(given)
-        robot = load_robot(found, arm=content.robot_arm, cache=user_cache())
+        robot = _load_robot(found, content.robot_arm)
     elif content.robot_file is not None:
         try:
-            robot = load_robot(content.robot_file, arm=content.robot_arm, cache=user_cache())
+            robot = _load_robot(content.robot_file, content.robot_arm)
         except InputError as error:
             raise RobotError(
                 f"{plan}: its robot file is unusable: {error}; give --robot"
             ) from error
     elif nearby.is_file():
-        robot = load_robot(nearby, cache=user_cache())
+        robot = _load_robot(nearby, None)
     elif content.robot_name in library_names():
-        robot = load_robot(content.robot_name, cache=user_cache())
+        robot = _load_robot(content.robot_name, None)
     else:
         raise RobotError(f"{plan}: there is no robot file {nearby}; give --robot")
     named = (content.base_link, content.tool_link, content.joints)
@@ -185,4 +195,53 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
             f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
             f"joints {', '.join(content.joints)}; {robot.path} describes another robot"
         )
-    return opened_as(robot, content.robot_rest)
+    return _opened(robot, tuple(sorted(content.robot_rest.items())))
+
+
+def _scene(path: Path, root: Path | None) -> Scene:
+    """Read a scene; a built-in kitchen is read once in a process."""
+    from momapos.core import user_cache
+    from momapos.model.scene import builtin_names, find_scene
+    from momapos.verification import read_scene
+
+    name = path.stem
+    if root is None and name in builtin_names() and find_scene(name).samefile(path):
+        return _kitchen(name)
+    return read_scene(path, root, cache=user_cache())
+
+
+def _load_robot(source: str | Path, arm: str | None) -> Robot:
+    """Load a robot; one of the library is loaded once in a process."""
+    from momapos.core import user_cache
+    from momapos.model.robots import library_names, load_robot
+
+    if source in library_names():
+        return _library_robot(str(source), arm)
+    return load_robot(source, arm=arm, cache=user_cache())
+
+
+# What is computed for a scene or a robot is cached with it. A process that opens many plans would
+# collect this for each of them if each had its own, so plans share what comes with the package.
+
+
+@lru_cache(maxsize=MAX_SHARED)
+def _kitchen(name: str) -> Scene:
+    from momapos.core import user_cache
+    from momapos.model.scene import load_scene
+
+    return load_scene(name, cache=user_cache())
+
+
+@lru_cache(maxsize=MAX_SHARED)
+def _library_robot(name: str, arm: str | None) -> Robot:
+    from momapos.core import user_cache
+    from momapos.model.robots import load_robot
+
+    return load_robot(name, arm=arm, cache=user_cache())
+
+
+@lru_cache(maxsize=MAX_SHARED)
+def _opened(robot: Robot, rest: tuple[tuple[str, float], ...]) -> Robot:
+    from momapos.model.robots import opened_as
+
+    return opened_as(robot, dict(rest))

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from momapos.apps.synthetic_scans import (
+    Backdrop,
     RenderWorld,
     join_worlds,
     link_of_triangles,
     look_at,
+    moved_world,
     pinhole,
+    render_backdrop,
     render_frame,
     render_world,
 )
@@ -64,11 +67,10 @@ class _Moving:
         return cls(world, link, np.einsum("nij,nkj->nki", T[:, :3, :3], world.triangles)
                    + T[:, None, :3, 3])  # fmt: skip
 
-    def placed(self, item: SceneObject) -> RenderWorld:
-        """Return the triangles of the object in another state."""
+    def placed(self, item: SceneObject) -> Float[np.ndarray, "n 3 3"]:
+        """Return the triangles of the object in another state [m]."""
         T = _link_poses(item)[self.link]
-        moved = np.einsum("nij,nkj->nki", T[:, :3, :3], self.local) + T[:, None, :3, 3]
-        return replace(self.world, triangles=moved)
+        return self.local @ T[:, :3, :3].swapaxes(1, 2) + T[:, None, :3, 3]
 
 
 def _link_poses(item: SceneObject) -> Float[np.ndarray, "l 4 4"]:
@@ -99,18 +101,41 @@ class EpisodeRenderer:
         still = render_world(replace(scene, objects=others), np.random.default_rng(0))
         return cls(scene, robot, timeline, size, still, _room_camera(scene, timeline))
 
+    def prepare(self, cameras: Sequence[Camera]) -> None:
+        """Compute what all images share, before several threads render them."""
+        self.images(0, cameras)
+
     def images(
         self, sample: int, cameras: Sequence[Camera]
     ) -> Mapping[Camera, UInt8[np.ndarray, "h w 3"]]:
         """Render what cameras see at a sample."""
-        world = join_worlds(self.still, self._moving_object.placed(self._object(sample)))
-        world = join_worlds(world, self._moving_robot.placed(self._robot(sample)))
+        robot = self._robot(sample)
+        moving = [
+            self._moving_object.placed(self._object(sample)),
+            self._moving_robot.placed(robot),
+        ]
+        world = moved_world(self._world, np.concatenate(moving))
         found: dict[Camera, UInt8[np.ndarray, "h w 3"]] = {}
         for camera in cameras:
-            T = self.T_world_room if camera == "room" else self._hand_camera(sample)
-            lens = pinhole(self.size, FOCAL[camera] * self.size[0])
-            found[camera] = render_frame(world, T, lens, self.size).color
+            room = camera == "room"
+            T = self.T_world_room if room else self._hand_camera(robot)
+            found[camera] = render_frame(
+                world, T, self._lens(camera), self.size, backdrop=self._backdrop if room else None
+            ).color
         return found
+
+    def _lens(self, camera: Camera) -> Float[np.ndarray, "3 3"]:
+        return pinhole(self.size, FOCAL[camera] * self.size[0])
+
+    @cached_property
+    def _world(self) -> RenderWorld:
+        """What stands still, the object and the robot, in this order."""
+        world = join_worlds(self.still, self._moving_object.world)
+        return join_worlds(world, self._moving_robot.world)
+
+    @cached_property
+    def _backdrop(self) -> Backdrop:
+        return render_backdrop(self.still, self.T_world_room, self._lens("room"), self.size)
 
     @cached_property
     def _moving_object(self) -> _Moving:
@@ -120,6 +145,10 @@ class EpisodeRenderer:
     def _moving_robot(self) -> _Moving:
         return _Moving.of(self.scene, self._robot(0), ROBOT_COLOR)
 
+    @cached_property
+    def _T_base_root(self) -> Float[np.ndarray, "4 4"]:
+        return invert(self.robot.model.link_poses({})[self.robot.base_link])
+
     def _values(self, sample: int) -> dict[str, float]:
         values = self.timeline.samples.positions[sample].tolist()
         return dict(zip(self.timeline.joints, values, strict=True))
@@ -127,8 +156,7 @@ class EpisodeRenderer:
     def _robot(self, sample: int) -> SceneObject:
         """Return the robot as an object of the scene."""
         model = self.robot.model
-        T_root_base = model.link_poses({})[self.robot.base_link]
-        T = pose_planar(self.timeline.samples.base[sample]) @ invert(T_root_base)
+        T = pose_planar(self.timeline.samples.base[sample]) @ self._T_base_root
         held = {**model.held, **self._values(sample)}
         free = {n: v for n, v in held.items() if n in model.joints and model.joint(n).mimic is None}
         return SceneObject(self.robot.name, "robot", T, model, free)
@@ -146,15 +174,13 @@ class EpisodeRenderer:
         }
         return replace(item, joints={**item.joints, **moved})
 
-    def _hand_camera(self, sample: int) -> Float[np.ndarray, "4 4"]:
+    def _hand_camera(self, placed: SceneObject) -> Float[np.ndarray, "4 4"]:
         """Return the pose of the camera on the hand: it looks along the approach axis."""
-        robot, poses = self.robot, self.robot.model.link_poses(self._values(sample))
-        T_base_tool = invert(poses[robot.base_link]) @ poses[robot.tool_link]
-        T = pose_planar(self.timeline.samples.base[sample]) @ T_base_tool
+        robot, T_world_tool = self.robot, placed.link_poses()[self.robot.tool_link]
         ahead, right = robot.approach_axis, robot.closing_axis
         down = np.cross(ahead, right)
         eye = -HAND_BACK * ahead - HAND_OFF * down
-        return T @ pose(eye, np.stack([right, down, ahead], axis=1))
+        return T_world_tool @ pose(eye, np.stack([right, down, ahead], axis=1))
 
 
 def _room_camera(scene: Scene, timeline: Timeline) -> Float[np.ndarray, "4 4"]:

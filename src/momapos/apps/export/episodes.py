@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,6 +32,8 @@ PART = ("value", "x", "y", "z", "qw", "qx", "qy", "qz")
 _HOLDING = ("grip", "manipulate", "dwell")
 """Stages in which the hand is closed."""
 MIN_FRAMES = 2
+MAX_THREADS = 4
+"""Threads that render; more only wait for the one that writes [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +65,22 @@ class Episode:
         return len(self.state)
 
     def images(self) -> Iterator[Mapping[Camera, UInt8[np.ndarray, "h w 3"]]]:
-        """Render the images of all frames."""
-        for sample in self.samples:
-            yield self.renderer.images(sample, self.cameras)
+        """Render the images of all frames in order, with a thread for each processor.
+
+        A bounded number of frames is ahead of the one that is used, because images can be large.
+        """
+        if not self.cameras:
+            return
+        self.renderer.prepare(self.cameras)
+        threads = max(1, min(MAX_THREADS, os.cpu_count() or 1))
+        ahead: deque[Future[Mapping[Camera, UInt8[np.ndarray, "h w 3"]]]] = deque()
+        with ThreadPoolExecutor(threads) as pool:
+            for sample in self.samples:
+                ahead.append(pool.submit(self.renderer.images, sample, self.cameras))
+                if len(ahead) > 2 * threads:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
 
 
 def episode_of(

@@ -2,10 +2,13 @@ from .depth_sensor import DepthSensor as DepthSensor
 from .recording import refuse_used as refuse_used
 from .recording import synthetic_scan as synthetic_scan
 from .recording import write_scan as write_scan
+from .renderer import Backdrop as Backdrop
 from .renderer import RenderWorld as RenderWorld
 from .renderer import join_worlds as join_worlds
 from .renderer import link_of_triangles as link_of_triangles
 from .renderer import look_at as look_at
+from .renderer import moved_world as moved_world
 from .renderer import pinhole as pinhole
+from .renderer import render_backdrop as render_backdrop
 from .renderer import render_frame as render_frame
 from .renderer import render_world as render_world

@@ -24,6 +24,8 @@ HEADLIGHT = 0.16
 """Light from all directions, and from next to the camera [-]."""
 CREVICE = 0.008
 """Radius around a point in which raised surfaces darken it [m]."""
+CREVICE_RAYS = 8
+"""Largest such radius [rays]."""
 RAISED = 0.003
 """Minimum height of a raised surface [m]."""
 DEEP = 0.035
@@ -183,7 +185,7 @@ def _crevice(i: int, j: int, normal: Triple, view: View) -> float:
     xs, ys, inverse = view.xs, view.ys, view.buffers.inverse
     height, width = inverse.shape
     inv = inverse[i, j]
-    step = int(min(max(CREVICE * inv / (xs[1] - xs[0]), 2.0), 8.0))
+    step = int(min(max(CREVICE * inv / (xs[1] - xs[0]), 2.0), float(CREVICE_RAYS)))
     here = (normal[0] * xs[j] + normal[1] * ys[i] + normal[2]) / inv
     hidden = 0
     for k in range(8):
@@ -259,6 +261,7 @@ def shade_image(
     view: View,
     look: Appearance,
     shown: UInt8[np.ndarray, " levels"],
+    known: Bool[np.ndarray, "h w"],
     image: UInt8[np.ndarray, "h w 3"],
 ) -> None:
     """Color each pixel from the 3 x 3 rays around its center, with tent weights.
@@ -270,6 +273,7 @@ def shade_image(
             ray (2i + 1, 2j + 1).
         look: Everything that determines the colors.
         shown: sRGB values of evenly spaced linear colors in [0, 1].
+        known: Pixels that keep the color that they have.
         image: Output.
     """
     nearest = view.buffers.nearest
@@ -280,6 +284,8 @@ def shade_image(
     last = len(shown) - 1
     for i in range(height):
         for j in range(width):
+            if known[i, j]:
+                continue
             seen[0], weight[0] = nearest[2 * i + 1, 2 * j + 1], 0.25
             where[0, 0], where[0, 1] = 2 * i + 1, 2 * j + 1
             count = 1

@@ -49,6 +49,6 @@ def guide_html(done: set[Step]) -> str:
     words = "" if current is None else WORDS[current][1]
     return (
         '<div style="margin:.1em .75em .5em;font-size:.84em;line-height:1.5">'
-        f'<div style="display:flex;gap:.9em">{marks}</div>'
+        f'<div style="display:flex;flex-wrap:wrap;gap:0 .9em">{marks}</div>'
         f'<div style="color:var(--mantine-color-dimmed)">{words}</div></div>'
     )

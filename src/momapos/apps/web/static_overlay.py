@@ -14,9 +14,9 @@ STYLE = """<style>
 system-ui,sans-serif;background:#fffffff2;color:#1d2731;border-radius:.4em;box-shadow:0 0 1em #0002}
 #mm-answer .mm-card{margin:0;border-color:#dfe3e6;font-size:.9em}#mm-answer .d{color:#5c6873}
 #mm-answer>summary{padding:.4em .8em;cursor:pointer;font-weight:600;font-size:.9em}
-#mm-phases{position:fixed;left:95px;right:98px;bottom:40px;height:1.5em;z-index:5;display:flex;
+#mm-phases{position:fixed;left:95px;right:98px;bottom:40px;height:2.3em;z-index:5;display:flex;
 gap:2px;font:.75em system-ui,sans-serif}
-#mm-phases button{border:0;padding:0 .4em;overflow:hidden;white-space:nowrap;text-overflow:ellipsis;
+#mm-phases button{border:0;padding:0 .1em;overflow:hidden;font:inherit;line-height:1.1;
 background:#fffffff2;color:#5c6873;cursor:pointer;min-width:2px;border-radius:2px}
 #mm-phases button.on{background:#2a7ab8;color:#fff;font-weight:600}
 @media(max-width:700px){#mm-answer{font-size:.75em}}
@@ -29,7 +29,8 @@ function go(t){const box=time();if(!box)return;
 Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,"value").set.call(box,t.toFixed(2));
 box.dispatchEvent(new Event("input",{bubbles:true}));}
 phases.forEach(([name,begin,end])=>{const one=document.createElement("button");
-one.textContent=name;one.title=name;one.style.flex=(end-begin)+" 1 0";
+one.textContent=name.replace(" the "," ");one.title=name;
+one.style.flex=(end-begin)+" 1 0";
 one.onclick=()=>go(begin+.02);bar.appendChild(one);});
 const rest=document.createElement("i");
 rest.style.flex=bar.dataset.pause+" 1 0";bar.appendChild(rest);
