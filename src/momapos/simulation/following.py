@@ -101,6 +101,9 @@ class _PartWay:
         """Arm states and tool poses on the path, `PROXIMITY_INTERVAL` steps apart."""
         self.passed = [0]
         """Samples of the plan at which they are."""
+        self.drives = plan.base is not None and bool(np.ptp(plan.base, axis=0).any())
+        self.sample = 0
+        """Sample of the plan at which the arm is: the base may be late."""
 
     def _hand(self) -> Float[np.ndarray, "4 4"]:
         return self.run.arm.kinematics.at(self.run.world.data.qpos[self.run.world.arm_q])[0]
@@ -123,8 +126,8 @@ class _PartWay:
     def step(self, i: int) -> Ending | None:
         """Advance by one control step; return an early ending, or None."""
         run, plan = self.run, self.plan
-        k = min(i, self.last)
-        run.send_base(plan, k)
+        run.send_base(plan, min(i, self.last))
+        k = self.sample = run.reached_sample(plan, min(i, self.last), self.sample)
         if i % PROXIMITY_INTERVAL == 0:
             value, after = self.values[k], self.values[min(k + 1, self.last)]
             self.bounds = run.avoidance.bounds(
@@ -142,6 +145,8 @@ class _PartWay:
         run.arm.follow(
             Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3], self.bounds)
         )
+        if run.base is not None and self.drives:
+            run.base.relieve(run.arm.missing)
         ending = run.tick(Stage.MANIPULATE) or run.check_grasp()
         self.most_felt = max(self.most_felt, run.touch.size[0])
         if i % PROXIMITY_INTERVAL == 0:
