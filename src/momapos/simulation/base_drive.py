@@ -66,6 +66,8 @@ class BaseDrive:
         """Commanded pose."""
         self.odometry, self.velocity = np.zeros(3), np.zeros(3)
         """Pose and velocity, as the robot knows them."""
+        self.traveled = 0.0
+        """Length of its way so far, by odometry [m]."""
         self._true, self._slip, self._late = np.zeros(3), np.zeros(3), np.zeros(3)
         waiting = 1 + round(config.delay / step)
         self._sent = deque([np.zeros(3)] * waiting, maxlen=waiting)
@@ -101,6 +103,13 @@ class BaseDrive:
         self._aside = aside * min(1.0, BASE_ASIDE / max(float(np.hypot(*aside[:2])), 1e-12))
         self._relieves = True
 
+    def doubt_since(self, traveled: float) -> float:
+        """Return the standard deviation of the base's position by odometry since a way length [m].
+
+        The slip of wheels is about the same all the time, at worst.
+        """
+        return self._config.slip * (self.traveled - traveled)
+
     def distances_to(self, poses: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
         """Return how far poses in the world are, by odometry [m]; a radian counts as a meter."""
         off = base_coordinates(self._world, poses) - self._whole_turns + self._aside - self.odometry
@@ -134,6 +143,7 @@ class BaseDrive:
         self._slip += -h / SLIP_TIME * self._slip + spread * self._rng.normal(size=3)
         self.velocity = _in_world(wish, self.odometry[2])
         self.odometry = self.odometry + h * self.velocity
+        self.traveled += h * float(np.hypot(*self.velocity[:2]))
         true = _in_world(wish * (1.0 + self._slip), self._true[2])
         self._true = self._true + h * true
         # The motors push in proportion to the error; this lead makes them follow without lag.

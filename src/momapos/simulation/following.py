@@ -102,6 +102,8 @@ class _PartWay:
         self.passed = [0]
         """Samples of the plan at which they are."""
         self.drives = plan.base is not None and bool(np.ptp(plan.base, axis=0).any())
+        self.traveled = 0.0 if run.base is None else run.base.traveled
+        """Length of the base's way when the hand took hold [m]."""
         self.sample = 0
         """Sample of the plan at which the arm is: the base may be late."""
 
@@ -118,6 +120,11 @@ class _PartWay:
     def _pose_at(self, k: int) -> Float[np.ndarray, "4 4"]:
         """Return the tool pose for the planned part motion about the estimated joint."""
         return self._off_at(k) @ self.run.planned_tool(self.plan, k)
+
+    @property
+    def _doubt(self) -> float:
+        """Standard deviation of where the robot is, since the hand took hold [m]."""
+        return 0.0 if self.run.base is None else self.run.base.doubt_since(self.traveled)
 
     def _near_end(self, here: Float[np.ndarray, "4 4"]) -> bool:
         """Return whether the remaining path is within the tolerance."""
@@ -138,7 +145,7 @@ class _PartWay:
         if i % PROXIMITY_INTERVAL == 0 and self._meets_robot(k):
             run.stop()
             return Ending.STOPPED_AT_END if self._near_end(here) else Ending.MEETS_ROBOT
-        farther = self.estimate.see(here[:3, 3])
+        farther = self.estimate.see(here[:3, 3], self._doubt)
         way = self.estimate.axis.way_at(here[:3, 3])
         across = EVERYWHERE - np.outer(way, way)
         twist = twist_between(T, T_after) / run.step
@@ -194,7 +201,7 @@ class _PartWay:
                 if np.linalg.norm(here - start) > _MAX_RETURN_SLIP:
                     return
                 here = start
-            self.estimate.see(here)
+            self.estimate.see(here, self._doubt)
             run.learned = self._learned(here)
             if resists:
                 return
