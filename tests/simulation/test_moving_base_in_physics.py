@@ -16,6 +16,7 @@ from tests.verification.moving_case import moving_case, stops_case
 
 from momapos.core.errors import InputError
 from momapos.model.robots.robot import Drive
+from momapos.model.trajectory import Trajectory
 from momapos.simulation.base_drive import BaseDrive, base_coordinates, base_pose_of
 from momapos.simulation.config import (
     BASE_ASIDE,
@@ -149,13 +150,13 @@ def test_the_arm_waits_for_a_base_that_is_late(tmp_path: Path) -> None:
     ahead = np.array([np.cos(BASE[2]), np.sin(BASE[2]), 0.0])
     path = np.array(BASE) + np.outer(np.linspace(0.0, 0.2, 501), ahead)
     path[400:] = path[400]
-    known = SimpleNamespace(base=base, step=0.004)
+    known, plan = SimpleNamespace(base=base, step=0.004), SimpleNamespace(base=path)
     late, before = [], 0
     for sample in range(560):
         base.go(path[min(sample, 500)])
         base.update()
         after = ExecutionRun.reached_sample(
-            cast("ExecutionRun", known), SimpleNamespace(base=path), min(sample, 500), before
+            cast("ExecutionRun", known), cast("Trajectory", plan), min(sample, 500), before
         )
         assert before <= after <= before + 2
         late.append(min(sample, 500) - after)
@@ -168,7 +169,7 @@ def test_the_arm_waits_for_a_base_that_is_late(tmp_path: Path) -> None:
     )
     known.base = stuck
     reached = ExecutionRun.reached_sample(
-        cast("ExecutionRun", known), SimpleNamespace(base=path), 300, 0
+        cast("ExecutionRun", known), cast("Trajectory", plan), 300, 0
     )
     assert reached == 300 - round(MAX_LATE / 0.004)
 
