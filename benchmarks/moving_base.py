@@ -2,11 +2,15 @@
 
     python benchmarks/moving_base.py [--robots stretch hsr] [--uses fixed stops moving]
                                      [--sample N] [--verifier verify_plan.py] [--out DIR]
+    python benchmarks/moving_base.py --robots segway_ur5e --sample 25 --cost 5
+    python benchmarks/moving_base.py --sample 10 --always --out DIR
 
 Every door and drawer of the five kitchens of `placement.py`, or a fixed random sample. Several
 stops and a moving base are asked only where one base pose fails. Processor time; every answer is
 verified from its file; one that moves the base also by an independent program (--verifier). `--out`
-keeps the plan files.
+keeps the plan files. `--cost` instead measures what `auto` costs where one base pose suffices: each
+such opening is answered with both, in turn, so many times. `--always` asks for a moving base
+whether or not one base pose suffices, to open each part and to close it, for `moving_runs.py`.
 """
 
 from __future__ import annotations
@@ -51,6 +55,8 @@ def main() -> None:
     parser.add_argument("--sample", type=int, default=0, help="number of random openings")
     parser.add_argument("--verifier", type=Path, help="independent check of plan files")
     parser.add_argument("--out", type=Path, help="folder of the plan files")
+    parser.add_argument("--cost", type=int, default=0, help="repeats of `fixed` and `auto`")
+    parser.add_argument("--always", action="store_true", help="move the base in every answer")
     args = parser.parse_args()
     if not set(args.uses) <= set(get_args(BaseUse)):
         parser.error(f"--uses must be of {', '.join(get_args(BaseUse))}")
@@ -63,7 +69,12 @@ def main() -> None:
             if args.sample:
                 drawn = np.random.default_rng(0).permutation(len(every))[: args.sample]
                 every = [every[k] for k in sorted(drawn.tolist())]
-            report(name, args.uses, every, args.verifier, folder)
+            if args.cost:
+                report_cost(name, every, args.cost)
+            elif args.always:
+                report_moving(name, every, folder)
+            else:
+                report(name, args.uses, every, args.verifier, folder)
 
 
 def report(
@@ -113,6 +124,66 @@ def report(
                   flush=True)  # fmt: skip
         times = np.percentile(needed, [50, 95]).round(2).tolist() if needed else []
         print(f"== {name} {use}: {dict(counts)}, time where needed [s]: {times}", flush=True)
+
+
+def report_moving(name: str, every: Sequence[Opening], folder: Path) -> None:
+    """Open and close each part with a base that moves, and keep the plans."""
+    robot = load_robot(name, cache=user_cache())
+    reach = load_reach(robot)
+    counts: Counter[str] = Counter()
+    for number, (_, scene_name, item, joint) in enumerate(every):
+        scene = load_scene(shared() / "bestman" / scene_name, cache=user_cache())
+        opens = make_task(scene, "open", item, joint)
+        assert opens.to is not None
+        ajar = scene.with_joint(item, joint, opens.to)
+        closes = make_task(ajar, "close", item, joint)
+        for there, task in ((scene, opens), (ajar, closes)):
+            watch = Stopwatch(time.process_time)
+            query = PlacementQuery(there, robot, task, reach, watch=watch)
+            try:
+                plan = plan_moving(query).plan
+            except MomaposError as error:
+                print(name, scene_name, task.verb, item, joint, error, flush=True)
+                continue
+            counts[f"{task.verb} {plan.status}"] += 1
+            nearest = plan.candidates.nearest
+            if plan.feasible:
+                write_plan(plan, folder / f"{name}-{task.verb}-{number}.json")
+            words = "" if plan.feasible or nearest is None else nearest.reason
+            print(f"{name} {task.verb} {scene_name} {item}/{joint} {plan.status} "
+                  f"{watch.total:.2f} s {words}", flush=True)  # fmt: skip
+    print(f"== {name}: {dict(counts)}", flush=True)
+
+
+def report_cost(name: str, every: Sequence[Opening], repeats: int) -> None:
+    """Compare the processor time of `auto` and `fixed` where one base pose suffices."""
+    robot = load_robot(name, cache=user_cache())
+    reach, cache = load_reach(robot), user_cache()
+    ratios: list[float] = []
+    spent = np.zeros(2)
+    for _, scene_name, item, joint in every:
+        scene = load_scene(shared() / "bestman" / scene_name, cache=cache)
+        task = make_task(scene, "open", item, joint)
+        times = np.zeros((repeats + 1, 2))
+        for repeat in range(repeats + 1):  # the first one compiles
+            order: tuple[BaseUse, ...] = ("fixed", "auto") if repeat % 2 else ("auto", "fixed")
+            for use in order:
+                config, watch = PipelineConfig(base=use), Stopwatch(time.process_time)
+                query = PlacementQuery(scene, robot, task, reach, config=config, watch=watch)
+                begin = time.process_time()
+                plan = plan_placement(query).plan
+                times[repeat, int(use == "auto")] = time.process_time() - begin
+                if not plan.feasible or plan.moves_base:
+                    break
+            else:
+                continue
+            break
+        else:
+            ratios.append(float(np.median(times[1:, 1] / times[1:, 0])))
+            spent += times[1:].sum(0)
+            print(f"{name} {scene_name} {item}/{joint} {ratios[-1]:.3f}", flush=True)
+    print(f"== {name}: {len(ratios)} openings, median ratio {np.median(ratios):.3f}, "
+          f"of all time {spent[1] / spent[0]:.3f}")  # fmt: skip
 
 
 def cause(query: PlacementQuery) -> str:

@@ -24,6 +24,7 @@ from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.protocols import ReachScorer
 from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.other_motion import as_planned
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.reachability.map_store import load_reach
@@ -54,9 +55,8 @@ def execute(path: Path, seed: int) -> tuple[str, float]:
     robot, reach = robot_of(plan.robot_name)
     physics = ExecutionConfig(hold="contact", furniture=FurnitureConfig(spread=SPREAD))
     try:
-        record = run_plan(
-            plan, scene_at(Path(plan.scene)), robot, reach, seed=seed, physics=physics
-        )
+        scene = as_planned(scene_at(Path(plan.scene)), plan)
+        record = run_plan(plan, scene, robot, reach, seed=seed, physics=physics)
     except MomaposError as error:
         return f"error: {error}", 0.0
     done = record.execution

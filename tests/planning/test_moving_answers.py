@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from momapos.core.geometry.planar import local_points
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import Motion
-from momapos.model.robots.robot import load_robot
+from momapos.model.records.tasks import Verb
+from momapos.model.robots.robot import Drive, load_robot
+from momapos.model.scene.other_motion import with_assumptions
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.base_use import plan_moving
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.moving_base import BaseShift
+from momapos.planning.moving_base import BaseShift, search_moving
 from momapos.planning.moving_starts import ShortArmStarts
+from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.query import PlacementQuery
+from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.result import PlacementResult
+from momapos.planning.search_setup import SearchSetup, prepare_search
+from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
 
@@ -76,6 +84,44 @@ def known_base(path: Path) -> np.ndarray:
     return motion.base
 
 
+@pytest.mark.parametrize(
+    ("robot", "drive", "verb", "item", "joint"),
+    [
+        ("hsr", "omni", "close", "microwave", "door_hinge"),
+        ("hsr", "omni", "open", "dishwasher", "door_hinge"),
+        ("hsr", "omni", "close", "cabinet_right", "drawer_top_slide"),
+        ("segway_ur5e", "differential", "close", "microwave", "door_hinge"),
+        ("stretch", "differential", "close", "dishwasher", "door_hinge"),
+        ("segway_ur5e", "differential", "close", "cabinet_right", "drawer_top_slide"),
+        ("husky_ur5e", "car", "open", "dishwasher", "door_hinge"),
+        ("husky_ur5e", "car", "open", "cabinet_right", "drawer_top_slide"),
+        ("husky_ur5e", "car", "close", "cabinet_right", "drawer_top_slide"),
+    ],
+)
+def test_each_drive_moves_doors_flaps_and_drawers_open_or_closed(
+    kitchen: Scene, robot: str, drive: Drive, verb: Verb, item: str, joint: str
+) -> None:
+    """A flap at 45 degrees is out of the way of the hand; it would hit the floor at 90."""
+    own = load_robot(robot)
+    moves = replace(own, drive=drive, min_turning_radius=1.0 if drive == "car" else 0.0)
+    wide = np.pi / 4 if item == "dishwasher" else make_task(kitchen, "open", item, joint).to
+    assert wide is not None
+    scene = kitchen if verb == "open" else kitchen.with_joint(item, joint, wide)
+    task = make_task(scene, verb, item, joint, wide if verb == "open" else None)
+    query = PlacementQuery.of(scene, moves, task, load_reach(own), clock=time.process_time)
+    plan = plan_moving(query).plan
+    assert plan.base_pose is not None, plan.candidates
+    assert plan.motion is not None
+    assert plan.motion.base is not None
+    verifier = PlanVerifier(with_assumptions(scene, plan), moves, task)
+    assert verifier.first_violation(plan.base_pose, plan.motion) is None
+    way = local_points(plan.motion.base[0], plan.motion.base[:, :2])
+    assert np.ptp(way, axis=0).max() > 0.05
+    np.testing.assert_array_equal(plan.motion.base[:, 2], plan.motion.base[0, 2])
+    if drive != "omni":
+        np.testing.assert_allclose(way[:, 1], 0.0, atol=1e-6)
+
+
 def test_a_differential_base_moves_along_its_heading(kitchen: Scene) -> None:
     _, base = known(moving(kitchen, "stretch", "microwave", "door_hinge"))
     ahead = np.array([np.cos(base[0, 2]), np.sin(base[0, 2])])
@@ -110,7 +156,49 @@ def test_a_handle_that_is_too_high_has_no_start(kitchen: Scene) -> None:
     shifted, grasp = starts(poses)
     np.testing.assert_array_equal(shifted, poses)
     assert (grasp == -1).all()
-    assert moving(kitchen, "stretch", "wall_cabinet", "door_left_hinge").plan.status == "infeasible"
+    plan = moving(kitchen, "stretch", "wall_cabinet", "door_left_hinge").plan
+    assert plan.status == "infeasible"
+    why = "no grasp is within reach at waypoint 1, wherever the base moves"
+    assert dict(plan.candidates.rejections) == {why: 1}
+
+
+def test_a_refusal_tells_reach_from_load(kitchen: Scene) -> None:
+    """The seal of a fridge holds more than a light robot bears, from all base poses in reach."""
+    plan = moving(kitchen, "stretch", "fridge", "door_hinge").plan
+    assert plan.status == "infeasible"
+    counts, nearest = plan.candidates.rejections, plan.candidates.nearest
+    assert sum(counts.values()) == plan.candidates.sampled
+    assert {"base in collision", "beyond the arm's reach", "stretch would tip over"} <= set(counts)
+    assert nearest is not None
+    assert nearest.reason.startswith("stretch would tip over at waypoint ")
+
+
+def test_a_base_path_in_collision_is_counted_apart(kitchen: Scene) -> None:
+    """A robot of six joints tries base paths, and some lead into furniture."""
+    plan = moving(kitchen, "segway_ur5e", "wall_cabinet", "door_left_hinge").plan
+    assert plan.feasible
+    counts = plan.candidates.rejections
+    assert counts["base in collision as it moves with the part"] > 0
+    assert counts["base in collision"] > 0
+
+
+def test_a_base_that_moves_with_a_latch_is_refused_in_words(kitchen: Scene) -> None:
+    setup = prepared(kitchen, "segway_ur5e", "cabinet_right", "drawer_top_slide")
+    motion = setup.prepared.motion
+    latched = replace(motion, latch_q=np.zeros(len(motion.object_q)))
+    found = search_moving(
+        replace(setup, prepared=replace(setup.prepared, motion=latched)), PlaceConfig()
+    )
+    assert found.is_no
+    why = "a latch is turned and opened from one base pose"
+    assert dict(found.candidates().rejections) == {why: 1}
+
+
+def prepared(scene: Scene, robot: str, item: str, joint: str) -> SearchSetup:
+    task = make_task(scene, "open", item, joint)
+    query = PlacementQuery.of(scene, load_robot(robot), task, clock=time.process_time)
+    motion = task_motion(scene, query.robot, task, query.config.motion)
+    return prepare_search(query, scene, motion)
 
 
 def test_starts_put_the_hand_at_its_grasp(kitchen: Scene) -> None:

@@ -69,6 +69,23 @@ def test_a_hand_on_the_modeled_path_keeps_the_modeled_joint() -> None:
     assert estimate.shift < 1e-6
 
 
+@pytest.mark.parametrize("drift", [[0.03, 0.0], [0.0, 0.03], [-0.02, 0.02]])
+def test_a_drift_of_the_base_is_not_taken_for_another_hinge(drift: list[float]) -> None:
+    """The hand seems to leave its arc by 3 % of the way, as much as the wheels may slip."""
+    modeled, start = Axis(False, UP, np.zeros(3)), np.array([0.55, 0.0, 0.2])
+    wrong = {}
+    for known in (False, True):
+        estimate = JointEstimate(modeled, start, CONFIG)
+        for value in np.linspace(0.0, np.pi / 2, 100):
+            way = 0.55 * value
+            seen = apply(modeled.moved(value), start[None])[0] + way * np.array([*drift, 0.0])
+            estimate.see(seen, 0.03 * way if known else 0.0)
+        end = (apply(axis.moved(np.pi / 2), start[None])[0] for axis in (estimate.axis, modeled))
+        wrong[known] = np.linalg.norm(np.subtract(*end))
+    assert wrong[True] < 0.5 * wrong[False]
+    assert wrong[True] < 0.02
+
+
 def test_points_move_in_the_direction_that_the_axis_gives() -> None:
     rng = np.random.default_rng(1)
     for slides in (False, True):

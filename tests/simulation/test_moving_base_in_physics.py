@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,9 +15,17 @@ from tests.verification.door_case import BASE, Case
 from tests.verification.moving_case import moving_case, stops_case
 
 from momapos.core.errors import InputError
+from momapos.model.robots.robot import Drive
+from momapos.model.trajectory import Trajectory
 from momapos.simulation.base_drive import BaseDrive, base_coordinates, base_pose_of
-from momapos.simulation.config import BaseTrackingConfig, ExecutionConfig
+from momapos.simulation.config import (
+    BASE_ASIDE,
+    BASE_YIELD,
+    BaseTrackingConfig,
+    ExecutionConfig,
+)
 from momapos.simulation.execute import attempt
+from momapos.simulation.execution_run import MAX_LATE, ExecutionRun
 from momapos.simulation.run_record import Execution
 from momapos.simulation.run_trace import RunTrace
 
@@ -100,6 +110,68 @@ def test_a_base_keeps_its_limits_and_its_drive(tmp_path: Path) -> None:
         late = np.flatnonzero(np.abs(places).max(1) > 0.0)
         if drive == "omni":
             assert late[0] == pytest.approx(BaseTrackingConfig().delay / step, abs=2)
+
+
+@pytest.mark.parametrize("drive", ["differential", "omni"])
+def test_a_base_relieves_the_hand_where_its_drive_goes_and_returns(
+    drive: Drive, tmp_path: Path
+) -> None:
+    """The arm has no joint for what it lacks of the hand's velocity; a base has a direction."""
+    ready = made(tmp_path, "differential", fingers=False)
+    _, trace = run(asked(ready, 0.02), hold="weld")
+    world = trace.played[0].world
+    assert world is not None
+    first, robot = np.array(BASE), replace(ready.robot, drive=drive)
+    base = BaseDrive(world, robot, first, BaseTrackingConfig(0.0), 0.004, np.random.default_rng(0))
+    ahead, left = (np.array([np.cos(y), np.sin(y), 0.0]) for y in (BASE[2], BASE[2] + np.pi / 2))
+    for _ in range(100):
+        base.go(first)
+        base.relieve(0.02 * ahead + 0.01 * left)
+    there = 100 * 0.004 * BASE_YIELD * np.array([0.02, 0.01 if drive == "omni" else 0.0, 0.0])
+    np.testing.assert_allclose(base.goal, there * 0.99, atol=1e-9)
+    for _ in range(2000):
+        base.go(first)
+        base.relieve(ahead)
+    assert np.hypot(*base.goal[:2]) == pytest.approx(BASE_ASIDE)
+    for _ in range(2000):
+        base.go(first)
+    np.testing.assert_allclose(base.goal, 0.0, atol=1e-4)
+
+
+def test_the_arm_waits_for_a_base_that_is_late(tmp_path: Path) -> None:
+    """It goes on where the base is, at most twice as fast, and not forever without it."""
+    ready = made(tmp_path, "differential", fingers=False)
+    _, trace = run(asked(ready, 0.02), hold="weld")
+    world = trace.played[0].world
+    assert world is not None
+    base = BaseDrive(
+        world, ready.robot, np.array(BASE), BaseTrackingConfig(0.0), 0.004, np.random.default_rng(0)
+    )
+    ahead = np.array([np.cos(BASE[2]), np.sin(BASE[2]), 0.0])
+    path = np.array(BASE) + np.outer(np.linspace(0.0, 0.2, 501), ahead)
+    path[400:] = path[400]
+    known, plan = SimpleNamespace(base=base, step=0.004), SimpleNamespace(base=path)
+    late, before = [], 0
+    for sample in range(560):
+        base.go(path[min(sample, 500)])
+        base.update()
+        after = ExecutionRun.reached_sample(
+            cast("ExecutionRun", known), cast("Trajectory", plan), min(sample, 500), before
+        )
+        assert before <= after <= before + 2
+        late.append(min(sample, 500) - after)
+        before = after
+    delay = BaseTrackingConfig().delay / 0.004
+    assert delay - 3 < late[200] < 3 * delay
+    assert late[-1] == 0
+    stuck = BaseDrive(
+        world, ready.robot, np.array(BASE), BaseTrackingConfig(0.0), 0.004, np.random.default_rng(0)
+    )
+    known.base = stuck
+    reached = ExecutionRun.reached_sample(
+        cast("ExecutionRun", known), cast("Trajectory", plan), 300, 0
+    )
+    assert reached == 300 - round(MAX_LATE / 0.004)
 
 
 def test_at_a_second_stop_the_robot_knows_where_it_is(tmp_path: Path) -> None:

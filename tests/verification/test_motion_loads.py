@@ -11,14 +11,20 @@ import pytest
 
 from momapos.core.units import GRAVITY
 from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.records.loads import MOVING_PULL
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.resistances import JointResistance
 from momapos.model.robots.load_limits import robot_loads
 from momapos.model.robots.robot import Robot
+from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.verification.exact_check import PlanVerifier
+from momapos.verification.motion_loads import HandLoad
+from momapos.verification.path_checks import DensePath
 from momapos.verification.plan_check import verify_files
 from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.robot_efforts import robot_efforts
@@ -109,3 +115,32 @@ def test_a_payload_adds_its_weight_where_it_is_held(robots: Robots) -> None:
     level = np.linalg.norm(plan.motion.Ts_world_tool[:, :2, 3] - T_base[:2], axis=1)
     added = (lift(4.0) - lift(1.0)) / (3.0 * GRAVITY)
     assert 0.5 * level.min() < added < 1.5 * level.max()
+
+
+def test_a_part_pulls_more_on_a_hand_whose_base_moves(
+    opened: PlacementPlan, robots: Robots
+) -> None:
+    """Planner and exact check add the same force, along the path of the hand."""
+    motion, scene = opened.motion, load_scene("kitchen_small")
+    assert motion is not None
+    assert opened.base_pose is not None
+    load = HandLoad(scene.object("fridge"), opened.task, ResistanceConfig())
+    count, held = len(motion.q), motion.grasps[0]
+    path = DensePath(motion.q, motion.object_q, np.arange(count, dtype=float), 0)
+    rests = np.tile(opened.base_pose, (count, 1))
+    moves = rests + np.outer(np.linspace(0.0, 0.1, count), [1.0, 0.0, 0.0])
+    pull, at_rest, moving = (
+        load.along(replace(motion, base=base), path, motion.Ts_world_tool)[0]
+        for base in (None, rests, moves)
+    )
+    np.testing.assert_array_equal(at_rest, pull)
+    more = (moving - pull)[held.first : held.last + 1]
+    np.testing.assert_allclose(np.linalg.norm(more, axis=1), MOVING_PULL, rtol=0.02)
+    hand = np.gradient(motion.Ts_world_tool[held.first : held.last + 1, :3, 3], axis=0)
+    along = (more * hand).sum(1) / np.linalg.norm(hand, axis=1)
+    np.testing.assert_allclose(along, -MOVING_PULL, rtol=0.02)
+    planned = task_motion(scene, robots("fetch"), opened.task, PipelineConfig().motion)
+    usual, _ = planned.hand_loads
+    more_pull, _ = replace(planned, more_pull=MOVING_PULL).hand_loads
+    added = np.linalg.norm(more_pull - usual, axis=-1)[:, planned.closed]
+    np.testing.assert_allclose(added, MOVING_PULL, rtol=0.02)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -10,17 +11,25 @@ import pytest
 from tests.moving_base import arc, on_moving_base
 
 from momapos.core.geometry.planar import compose, local_points
+from momapos.core.stopwatch import Stopwatch
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_use import plan_moving
+from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.navigation.drive_record import DriveRecord
+from momapos.planning.navigation.footprint_map import build_navigation_map
+from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
+from momapos.simulation.config import ExecutionConfig
 from momapos.verification.exact_check import PlanVerifier
+from momapos.workflows.joint_belief import JointBeliefs
 from momapos.workflows.moved_motion import motion_from
+from momapos.workflows.replanning import MIN_POSE_DISTANCE, Replanner
 from momapos.workflows.run import run_plan
 
 
@@ -86,6 +95,42 @@ def test_a_base_that_stopped_too_far_away_has_no_motion_and_a_reason(
     assert "the arm does not reach" in attempt.reason
     into = motion_from(plan, scene, robot, off(plan, [0.3, 0.0, 0.0]))
     assert into.motion is None
+
+
+def test_a_robot_that_stops_elsewhere_searches_again_with_a_moving_base(scene: Scene) -> None:
+    """A Stretch opens this microwave from no single base pose, and the plan does not reach it."""
+    robot = load_robot("stretch")
+    task = make_task(scene, "open", "microwave", "door_hinge")
+    query = PlacementQuery.of(scene, robot, task, clock=time.process_time)
+    plan = plan_moving(query).plan
+    assert plan.moves_base
+    assert plan.motion is not None
+    far, goals = off(plan, [-0.5, 0.0, 0.0]), []
+    assert motion_from(plan, scene, robot, far).motion is None
+
+    def driver(_: Any, here: np.ndarray, goal: np.ndarray, __: Any) -> DriveRecord:
+        goals.append(goal)
+        there = far if len(goals) == 1 else goal
+        return DriveRecord(
+            True, "", goal, there, there, "", 1.0, 1.0, 1.0, 0.5, np.inf, 1, np.array([0.0, 1.0]),
+            np.array([here, there]), np.zeros((2, 3)), np.zeros(1),
+        )  # fmt: skip
+
+    config = PipelineConfig()
+    replanner = Replanner(
+        build_navigation_map(scene, robot), scene, plan, query.reach, driver, config,
+        lambda _, __: None, Stopwatch(time.process_time), np.random.default_rng(0),
+        initial=scene, beliefs=JointBeliefs((), ExecutionConfig().compliance),
+    )  # fmt: skip
+    assert plan.start is not None
+    here, motion = replanner.drive_and_plan(np.array(plan.start), plan, 3)
+    assert len(goals) == 2
+    assert motion is not None
+    assert motion.base is not None
+    assert np.ptp(motion.base[:, :2], axis=0).max() > 0.05
+    np.testing.assert_allclose(motion.base[0], here, atol=1e-9)
+    assert "does not reach" in replanner.visits[0].reason
+    assert np.hypot(*(goals[1] - far)[:2]) >= MIN_POSE_DISTANCE
 
 
 def test_a_run_moves_the_base_and_ends_at_its_last_pose(

@@ -149,13 +149,15 @@ def search_moving(setup: SearchSetup, place: PlaceConfig) -> Search:
         place: How to search.
     """
     every, rng = Search(), np.random.default_rng(setup.query.seed)
-    problems = [_problem(setup, way) for way in _ways(setup)]
+    problems = [_problem(setup, way) for way in _ways(setup)] or [_unsolvable(setup)]
     plans = [replace(place, rounds=1, grid=False)]
     if place.grid:
         plans.append(replace(place, rounds=0))
     for how in plans:
         for problem in problems:
-            every.merge(search(problem, how, rng))
+            if problem.infeasible_reason and how is not plans[0]:
+                continue  # it has no base poses
+            every.merge(search(problem, how, rng), reasons=True)
             if every.motion is not None or every.timed_out:
                 return every
     return every
@@ -183,6 +185,12 @@ def _ways(setup: SearchSetup) -> Iterator[MovingBase]:
             yield replace(way, shift=BaseShift(np.round(along, 9), share))
 
 
+def _unsolvable(setup: SearchSetup) -> Problem:
+    """Return the problem of a task that no moving base does, with the reason."""
+    reason = setup.prepared.infeasible_reason or "a latch is turned and opened from one base pose"
+    return replace(setup.problem, infeasible_reason=reason)
+
+
 def _problem(setup: SearchSetup, way: MovingBase) -> Problem:
     """Return the search's problem for one way in which the base moves."""
     prepared, motion = setup.prepared, way.motion
@@ -194,7 +202,8 @@ def _problem(setup: SearchSetup, way: MovingBase) -> Problem:
     )
     rules: list[PoseRule] = [setup.passage]
     if way.shift is not None:
-        rules.append(BasePoseRule(way.keeps, PoseOutcome(PoseStatus.BASE_BLOCKED)))
+        rules.append(BasePoseRule(way.keeps, PoseOutcome(PoseStatus.BASE_PATH_BLOCKED)))
+    starts = None if way.arm is None else ShortArmStarts(setup.query.robot, motion)
     check = replace(setup.feasible, motion=motion, find=way.find)
     return replace(
         setup.problem,
@@ -202,9 +211,9 @@ def _problem(setup: SearchSetup, way: MovingBase) -> Problem:
         mode_scorers=(way.scorer,),
         screen=check.screen,
         attempt=setup.accepted(check),
-        infeasible_reason=setup.passage.no_way(geometry),
+        infeasible_reason=setup.passage.no_way(geometry) or (starts.no_way if starts else ""),
         home_is_free=None,
         departure=None,
         rules=tuple(rules),
-        fit=None if way.arm is None else ShortArmStarts(setup.query.robot, motion),
+        fit=starts,
     )

@@ -16,7 +16,7 @@ import numpy as np
 from momapos.core.geometry import invert, pose_planar, rotation
 from momapos.model.kinematics import solve_ik
 from momapos.model.robots import Robot
-from momapos.planning.arm_motion import DrivingArm
+from momapos.planning.arm_motion import DrivingArm, waypoint_name
 from momapos.planning.grasps import TaskMotion
 
 if TYPE_CHECKING:
@@ -74,22 +74,39 @@ class ShortArmStarts:
         """Return the grasps in the order of trying them at each yaw, and how many are possible."""
         return np.argsort(~self.possible, axis=0, kind="stable"), self.possible.sum(0)
 
-    @cached_property
+    @property
     def possible(self) -> Bool[np.ndarray, "g y"]:
         """Return with which grasps and at which yaws the arm reaches every waypoint from somewhere.
 
         Yaws are multiples of a full turn over `YAWS`. The base keeps its yaw.
         """
+        return self._examined[0]
+
+    @property
+    def no_way(self) -> str:
+        """Return why no grasp is possible at any yaw; "" if one is."""
+        possible, last = self._examined
+        if possible.any():
+            return ""
+        return f"no grasp is within reach at {waypoint_name(last)}, wherever the base moves"
+
+    @cached_property
+    def _examined(self) -> tuple[Bool[np.ndarray, "g y"], int]:
+        """Return the possible grasps, and the waypoint that left none."""
         steps = self.motion.waypoint_steps
         position = self.motion.Ts_world_tool[0, self.motion.grasp_step, :2, 3]
         possible = np.ones((len(self.motion.Ts_world_tool), YAWS), bool)
         # The grasp and the end exclude most.
-        for step in dict.fromkeys([int(steps[1]), int(steps[-1]), *steps.tolist()]):
+        count = len(steps)
+        for waypoint in dict.fromkeys([1, count - 1, *range(count)]):
+            step = int(steps[waypoint])
             grasp, column = np.nonzero(possible)
             yaw = column * (2 * np.pi / YAWS)
             poses = np.column_stack([np.tile(position, (len(yaw), 1)), yaw])
             possible[grasp, column] = self._solve(poses, grasp, step)[1] > 0
-        return possible
+            if not possible.any():
+                return possible, waypoint
+        return possible, -1
 
     def _solve(
         self, poses: Float[np.ndarray, "n 3"], grasps: Int[np.ndarray, " n"], step: int

@@ -124,7 +124,4 @@ def _why_not(answer: PlacementResult) -> str:
         return candidates.nearest.reason
     if answer.prepared.infeasible_reason:
         return answer.prepared.infeasible_reason
-    return next(
-        iter(candidates.rejections),
-        "on no base path does the arm reach every waypoint and bear what it must pull",
-    )
+    return next(iter(candidates.rejections), "there is no base pose to try")

@@ -130,6 +130,9 @@ class CompliantArm:
         slides = world.model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
         self._bears = np.where(slides, ARM_FORCE, ARM_TORQUE)
         self._wrench, self._load = np.zeros(6), np.zeros(len(self.q))
+        self.missing = np.zeros(3)
+        """What the last step toward a reference lacks of the hand's velocity, for which the arm has
+        too few joints [m/s]."""
 
     def update_forces(self, touch: SensedForces) -> None:
         """Update the low-pass filtered force at the hand."""
@@ -175,8 +178,11 @@ class CompliantArm:
         twist = np.concatenate([_clip_length(line, config.speed), _clip_length(turn, TURN_SPEED)])
         twist -= self.kinematics.carried
         free = reference.v + _NULL_RATE * (reference.q - self.q)
+        twist += reference.twist
+        q = self._moved(J, twist, free, reference.bounds)
+        self.missing = (twist - J @ (q - self.q) / self.step)[:3]
         # Feed forward only the plan's speed: feeding forward the compliant motion oscillates.
-        self.go(self._moved(J, reference.twist + twist, free, reference.bounds), reference.v)
+        self.go(q, reference.v)
 
     def _moved(
         self,

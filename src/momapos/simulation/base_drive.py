@@ -15,9 +15,11 @@ from momapos.core.geometry import compose, local_points
 from momapos.model.robots import Robot
 
 from .config import (
+    BASE_ASIDE,
     BASE_BANDWIDTH,
     BASE_FOLLOW_RATE,
     BASE_STEERING,
+    BASE_YIELD,
     SLIP_TIME,
     BaseTrackingConfig,
 )
@@ -64,18 +66,54 @@ class BaseDrive:
         """Commanded pose."""
         self.odometry, self.velocity = np.zeros(3), np.zeros(3)
         """Pose and velocity, as the robot knows them."""
+        self.traveled = 0.0
+        """Length of its way so far, by odometry [m]."""
         self._true, self._slip, self._late = np.zeros(3), np.zeros(3), np.zeros(3)
         waiting = 1 + round(config.delay / step)
         self._sent = deque([np.zeros(3)] * waiting, maxlen=waiting)
         self.moves = False
+        self._aside, self._relieves = np.zeros(3), False
+        """Offset from the path by which the base relieves the hand, and whether it does now."""
 
     def go(self, pose: Float[np.ndarray, "3"]) -> None:
         """Send the base to a pose in the world: x [m], y [m], yaw [rad], without jumps of a turn.
 
         Consecutive poses are one step apart; see `update`.
         """
+        if not self._relieves:
+            self._aside = self._aside * (1.0 - min(1.0, BASE_FOLLOW_RATE * self._step))
+        self._relieves = False
         there = base_coordinates(self._world, pose[None])[0]
-        self.goal, self.moves = there - self._whole_turns, True
+        self.goal, self.moves = there - self._whole_turns + self._aside, True
+
+    def relieve(self, missing: Float[np.ndarray, "3"]) -> None:
+        """Leave the path a little as the hand would, as far as the arm has no joint for that.
+
+        Call it in every step after `go`; otherwise the base returns to its path.
+
+        Args:
+            missing: What the arm lacks of the hand's velocity, in the world [m/s].
+        """
+        first = float(initial_base_pose(self._world)[2])
+        ahead, _ = _in_frame(np.append(missing[:2], 0.0), first + float(self.odometry[2]))
+        if self._robot.drive != "omni":
+            ahead[1] = 0.0
+        way = _in_world(np.append(ahead, 0.0), self.odometry[2])
+        aside = self._aside + self._step * BASE_YIELD * way
+        self._aside = aside * min(1.0, BASE_ASIDE / max(float(np.hypot(*aside[:2])), 1e-12))
+        self._relieves = True
+
+    def doubt_since(self, traveled: float) -> float:
+        """Return the standard deviation of the base's position by odometry since a way length [m].
+
+        The slip of wheels is about the same all the time, at worst.
+        """
+        return self._config.slip * (self.traveled - traveled)
+
+    def distances_to(self, poses: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
+        """Return how far poses in the world are, by odometry [m]; a radian counts as a meter."""
+        off = base_coordinates(self._world, poses) - self._whole_turns + self._aside - self.odometry
+        return np.hypot(off[:, 0], off[:, 1]) + np.abs(off[:, 2])
 
     def stop(self) -> None:
         """Stay here; the brakes act at once."""
@@ -105,6 +143,7 @@ class BaseDrive:
         self._slip += -h / SLIP_TIME * self._slip + spread * self._rng.normal(size=3)
         self.velocity = _in_world(wish, self.odometry[2])
         self.odometry = self.odometry + h * self.velocity
+        self.traveled += h * float(np.hypot(*self.velocity[:2]))
         true = _in_world(wish * (1.0 + self._slip), self._true[2])
         self._true = self._true + h * true
         # The motors push in proportion to the error; this lead makes them follow without lag.

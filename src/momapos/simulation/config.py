@@ -72,6 +72,11 @@ BASE_FOLLOW_RATE = 2.0
 BASE_STEERING = 8.0
 """Turn per distance driven and per offset to the side, of a base that cannot drive sideways
 [rad/m^2]."""
+BASE_YIELD = 0.25
+"""Share of what the arm lacks of the hand's velocity that a moving base makes up for [-]. With the
+delay of a drive, all of it would oscillate."""
+BASE_ASIDE = 0.02
+"""How far from its path a moving base relieves the hand [m]."""
 SLIP_TIME = 0.5
 """Time constant of the slip of the wheels [s]."""
 PAD_TIME = 0.005

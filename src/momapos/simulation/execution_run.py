@@ -52,6 +52,10 @@ MAX_START_OVERLAP = 3e-3
 """Maximum overlap of the robot with its surroundings at the start, as a plan may have it [m]."""
 MIN_TIPPING_FORCE = 5.0
 """Force on the hand from which on it is what tips the base, and not the arm's own motion [N]."""
+MAX_LATE = 0.4
+"""How long the arm waits for a base that is late [s]; eight times the usual delay of a command."""
+CATCH_UP = 2
+"""Samples of the plan by which the arm goes on per step, as long as the base is ahead [-]."""
 MAX_OVERLOAD_STEPS = 5
 """Control steps for which a force must exceed its limit to count [-]."""
 
@@ -257,6 +261,24 @@ class ExecutionRun:
         """Send a moving base to where a trajectory has it at a sample."""
         if self.base is not None and plan.base is not None:
             self.base.go(plan.base[sample])
+
+    def reached_sample(self, plan: Trajectory, sample: int, before: int) -> int:
+        """Return the sample of a trajectory that the base has reached, by its odometry.
+
+        Wheels follow late. An arm that went on without them would pull the part aside, and a short
+        arm cannot make up for them.
+
+        Args:
+            plan: The trajectory.
+            sample: The sample to which the base was sent.
+            before: The sample that it had reached one step earlier.
+        """
+        if self.base is None or plan.base is None:
+            return sample
+        first = max(before, sample - round(MAX_LATE / self.step))
+        left = self.base.distances_to(plan.base[first : min(first + CATCH_UP, sample) + 1])
+        # Where the base rests in the plan, the arm goes on.
+        return first + int(np.flatnonzero(left <= left.min() + 1e-9)[-1])
 
     def planned_tool(self, plan: Trajectory, sample: int) -> Float[np.ndarray, "4 4"]:
         """Return the planned tool pose at a sample of a trajectory."""

@@ -101,6 +101,11 @@ class _PartWay:
         """Arm states and tool poses on the path, `PROXIMITY_INTERVAL` steps apart."""
         self.passed = [0]
         """Samples of the plan at which they are."""
+        self.drives = plan.base is not None and bool(np.ptp(plan.base, axis=0).any())
+        self.traveled = 0.0 if run.base is None else run.base.traveled
+        """Length of the base's way when the hand took hold [m]."""
+        self.sample = 0
+        """Sample of the plan at which the arm is: the base may be late."""
 
     def _hand(self) -> Float[np.ndarray, "4 4"]:
         return self.run.arm.kinematics.at(self.run.world.data.qpos[self.run.world.arm_q])[0]
@@ -116,6 +121,11 @@ class _PartWay:
         """Return the tool pose for the planned part motion about the estimated joint."""
         return self._off_at(k) @ self.run.planned_tool(self.plan, k)
 
+    @property
+    def _doubt(self) -> float:
+        """Standard deviation of where the robot is, since the hand took hold [m]."""
+        return 0.0 if self.run.base is None else self.run.base.doubt_since(self.traveled)
+
     def _near_end(self, here: Float[np.ndarray, "4 4"]) -> bool:
         """Return whether the remaining path is within the tolerance."""
         return _left(here, self._pose_at(self.last)) <= self.run.config.tolerance * self.length
@@ -123,8 +133,8 @@ class _PartWay:
     def step(self, i: int) -> Ending | None:
         """Advance by one control step; return an early ending, or None."""
         run, plan = self.run, self.plan
-        k = min(i, self.last)
-        run.send_base(plan, k)
+        run.send_base(plan, min(i, self.last))
+        k = self.sample = run.reached_sample(plan, min(i, self.last), self.sample)
         if i % PROXIMITY_INTERVAL == 0:
             value, after = self.values[k], self.values[min(k + 1, self.last)]
             self.bounds = run.avoidance.bounds(
@@ -135,13 +145,15 @@ class _PartWay:
         if i % PROXIMITY_INTERVAL == 0 and self._meets_robot(k):
             run.stop()
             return Ending.STOPPED_AT_END if self._near_end(here) else Ending.MEETS_ROBOT
-        farther = self.estimate.see(here[:3, 3])
+        farther = self.estimate.see(here[:3, 3], self._doubt)
         way = self.estimate.axis.way_at(here[:3, 3])
         across = EVERYWHERE - np.outer(way, way)
         twist = twist_between(T, T_after) / run.step
         run.arm.follow(
             Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3], self.bounds)
         )
+        if run.base is not None and self.drives:
+            run.base.relieve(run.arm.missing)
         ending = run.tick(Stage.MANIPULATE) or run.check_grasp()
         self.most_felt = max(self.most_felt, run.touch.size[0])
         if i % PROXIMITY_INTERVAL == 0:
@@ -189,7 +201,7 @@ class _PartWay:
                 if np.linalg.norm(here - start) > _MAX_RETURN_SLIP:
                     return
                 here = start
-            self.estimate.see(here)
+            self.estimate.see(here, self._doubt)
             run.learned = self._learned(here)
             if resists:
                 return

@@ -91,6 +91,7 @@ class JointEstimate:
     ) -> None:
         self.modeled, self.axis, self.config = modeled, modeled, config
         self.points = [np.array(start)]
+        self._doubts = [0.0]
         one = orthonormal(modeled.direction)
         self._across = np.stack([one, np.cross(modeled.direction, one)])
         self._x = np.zeros(2 if modeled.slides else 4)  # rotations [rad], then translations [m]
@@ -128,14 +129,21 @@ class JointEstimate:
         """Return the estimate for a whole path of the hand [m]."""
         estimate = cls(modeled, way[0], config)
         estimate.points += way[1:]
+        estimate._doubts += [0.0] * (len(way) - 1)
         estimate._fit(_INITIAL_STEPS)
         return estimate
 
-    def see(self, point: Float[np.ndarray, "3"]) -> bool:
-        """Add a position of the hand [m]; return whether it is far enough from the last one."""
+    def see(self, point: Float[np.ndarray, "3"], doubt: float = 0.0) -> bool:
+        """Add a position of the hand; return whether it is far enough from the last one.
+
+        Args:
+            point: The position [m].
+            doubt: Standard deviation of where the robot is, since the start [m].
+        """
         if np.linalg.norm(point - self.points[-1]) < _SPACING:
             return False
         self.points.append(np.array(point))
+        self._doubts.append(doubt)
         self._fit(_UPDATE_STEPS)
         return True
 
@@ -160,8 +168,13 @@ class JointEstimate:
         sigma[2:] = AXIS_ERROR
         r, step = self._off(self._x), 1e-6
         J = np.stack([(self._off(self._x + d) - r) / step for d in step * np.eye(len(self._x))], 1)
-        noise = self.config.hand_error
-        return np.append(self._x / sigma, r / noise), np.vstack([np.diag(1 / sigma), J / noise])
+        # Neighboring points share the error of where the robot is: all tell as much of it as one.
+        doubts = np.sqrt(len(r)) * np.array(self._doubts[1:])
+        each = np.hypot(self.config.hand_error, doubts)
+        noise = np.repeat(each, 3) if self.modeled.slides else np.tile(each, 2)
+        return np.append(self._x / sigma, r / noise), np.vstack(
+            [np.diag(1 / sigma), J / noise[:, None]]
+        )
 
     def _off(self, x: Float[np.ndarray, " k"]) -> Float[np.ndarray, " r"]:
         """Return the offsets of the points from the path of the first one [m]."""

@@ -82,6 +82,9 @@ class Replanner:
 
     def __post_init__(self) -> None:
         self.given = TrueWorld(self.initial, self.plan.task)
+        if self.plan.moves_base and self.config.base == "fixed":
+            # Where no single base pose served the task, none does after a failure.
+            self.config = replace(self.config, base="auto")
 
     def true_world(self, there: TrueWorld | None) -> TrueWorld | None:
         """Return the true world if it differs from the robot's belief.

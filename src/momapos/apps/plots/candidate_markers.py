@@ -35,7 +35,10 @@ KINDS = (
     MarkerKind("beyond the arm's reach", (_S.BEYOND_ARM,), "#c9ced3", ".", size=2.2, obvious=True),
     MarkerKind(
         "base",
-        (_S.BASE_BLOCKED, _S.OFF_FLOOR, _S.NO_ROUTE, _S.NO_PASSAGE, _S.NO_ROUTE_AT_HOME),
+        (
+            _S.BASE_BLOCKED, _S.BASE_PATH_BLOCKED, _S.BASE_COLLISION, _S.OFF_FLOOR, _S.NO_ROUTE,
+            _S.NO_PASSAGE, _S.NO_ROUTE_AT_HOME,
+        ),
         "#a3aab1", "x", size=2.2, obvious=True,
     ),
     MarkerKind(

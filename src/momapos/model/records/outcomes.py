@@ -19,6 +19,7 @@ class PoseStatus(Enum):
     NOT_FACING = "not facing the grasp"
     TOO_LONG_A_DRIVE = "longer drive than allowed"
     BASE_BLOCKED = "base in collision"
+    BASE_PATH_BLOCKED = "base in collision as it moves with the part"
     OFF_FLOOR = "base off the floor"
     BEYOND_ARM = "beyond the arm's reach"
     NO_ROUTE = "no base path"
@@ -31,6 +32,7 @@ class PoseStatus(Enum):
     NO_GRASP_IN_REACH = "no grasp within reach"
     HOME_COLLISION = "arm at home hits {detail}"
     WAYPOINT_OUT_OF_REACH = "out of reach at {where}"
+    BASE_COLLISION = "base hits {detail} at {where}"
     ARM_COLLISION = "arm hits {detail} at {where}"
     NO_CONTINUOUS_PATH = "no continuous arm path"
     OVERLOAD = "{detail} needs {where}"
@@ -48,12 +50,13 @@ RULED_OUT = (
 )  # fmt: skip
 """The base fits there, but the query's region excludes it."""
 NO_STAND = (
-    PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR, PoseStatus.BEYOND_ARM, PoseStatus.NO_ROUTE,
-    PoseStatus.NO_PASSAGE,
+    PoseStatus.BASE_BLOCKED, PoseStatus.BASE_PATH_BLOCKED, PoseStatus.OFF_FLOOR,
+    PoseStatus.BEYOND_ARM, PoseStatus.NO_ROUTE, PoseStatus.NO_PASSAGE,
 )  # fmt: skip
 """The base does not fit or cannot get there, or the task is too far away."""
 NO_PATH = (
-    PoseStatus.WAYPOINT_OUT_OF_REACH, PoseStatus.ARM_COLLISION, PoseStatus.NO_CONTINUOUS_PATH,
+    PoseStatus.WAYPOINT_OUT_OF_REACH, PoseStatus.BASE_COLLISION, PoseStatus.ARM_COLLISION,
+    PoseStatus.NO_CONTINUOUS_PATH,
 )  # fmt: skip
 """The arm cannot follow the motion, according to its inverse kinematics."""
 MAX_WAYPOINTS = 10_000
@@ -62,6 +65,7 @@ _STAGES = tuple(PoseStatus)
 """The statuses in the order of the checks."""
 _SUMMARY = {
     PoseStatus.WAYPOINT_OUT_OF_REACH: "out of reach at a waypoint",
+    PoseStatus.BASE_COLLISION: "base hits {detail}",
     PoseStatus.ARM_COLLISION: "arm hits {detail}",
     PoseStatus.OVERLOAD: "{detail} needs more than its effort limit",
     PoseStatus.TIPS_OVER: "{detail} would tip over",

@@ -1,6 +1,7 @@
 from .arm_models import DrivingArm as DrivingArm
 from .arm_path import ArmPath as ArmPath
 from .arm_path import find_paths as find_paths
+from .arm_path import waypoint_name as waypoint_name
 from .arm_planner import RESOLUTION as RESOLUTION
 from .arm_planner import FreePath as FreePath
 from .arm_planner import brief_config as brief_config

@@ -64,6 +64,8 @@ class ArmPath:
     """Arm states at every step of the motion."""
     bases: Float[np.ndarray, "d 3"] | None = None
     """Base pose at every step; None if the base stands."""
+    base_hits: bool = False
+    """Whether it is the base that hits the obstacle, and not the arm."""
     overload: PoseOutcome | None = None
     """What a motor or the base would have to bear, if OVERLOADED."""
 
@@ -169,7 +171,8 @@ def _connect(
             )  # fmt: skip
             if (codes == FREE).all():
                 codes = _hand_codes(robot, world, motion, here, own, tools, grasps[chosen], hand)
-            if stands is not None and (codes == FREE).all():
+            base_hits = stands is not None and bool((codes == FREE).all())
+            if stands is not None and base_hits:
                 codes = stands(here, motion.value)
             borne = loads.at(here, own, int(grasps[chosen[0]]), np.arange(len(dense)))
             bad_states = np.flatnonzero((codes != FREE) | borne.refused)
@@ -179,7 +182,7 @@ def _connect(
             bad = int(bad_states[0])
             waypoint = int(number[np.searchsorted(motion.waypoint_steps, bad)])
             if codes[bad] != FREE:
-                worst = ArmPath(HIT, waypoint, count, int(codes[bad]))
+                worst = ArmPath(HIT, waypoint, count, int(codes[bad]), base_hits=base_hits)
             else:
                 overload = loads.limits.worst(borne, waypoint_name(waypoint))
                 worst = ArmPath(OVERLOADED, waypoint, count, FREE, overload=overload)

@@ -354,7 +354,8 @@ class Feasibility:
             return PoseOutcome(PoseStatus.WAYPOINT_OUT_OF_REACH, where=where)
         if path.status == HIT:
             obstacle = self.world.reason(path.obstacle)
-            return PoseOutcome(PoseStatus.ARM_COLLISION, obstacle, where)
+            hits = PoseStatus.BASE_COLLISION if path.base_hits else PoseStatus.ARM_COLLISION
+            return PoseOutcome(hits, obstacle, where)
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
 
 

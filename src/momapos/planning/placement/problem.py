@@ -110,13 +110,23 @@ class Search:
         wanted = {key: one.status in NO_PATH for key, one in _distinct(every).items()}
         return self.poses[-1][[wanted[key] for key in map(id, every)]]
 
-    def merge(self, other: Search) -> None:
-        """Add the result of another search of the same poses, without its reasons for failures."""
+    def merge(self, other: Search, *, reasons: bool = False) -> None:
+        """Add the result of another search.
+
+        Args:
+            other: The search.
+            reasons: Whether to add its reasons for failures; not for a search of the same poses.
+        """
+        if reasons:
+            self.poses += other.poses
+            self.outcomes += other.outcomes
         self.checked += other.checked
         self.timed_out, self.fallback = other.timed_out, self.fallback or other.fallback
-        if other.motion is not None:
-            self.base, self.motion = other.base, other.motion
-            self.cost, self.robustness = other.cost, other.robustness
+        if other.motion is None:
+            return
+        self.base, self.motion = other.base, other.motion
+        self.cost, self.robustness = other.cost, other.robustness
+        if not reasons:
             assert other.base is not None
             feasible = PoseOutcome(PoseStatus.FEASIBLE)
             self.note(other.base[None], np.array([feasible], object))
