@@ -109,8 +109,14 @@ class Lattice:
     """Whether friction holds the part there."""
 
     @classmethod
-    def of(cls, query: PlacementQuery, setup: SearchSetup) -> Lattice:
-        """Lay the lattice of an opening."""
+    def of(cls, query: PlacementQuery, setup: SearchSetup, *, pushes: bool) -> Lattice:
+        """Lay the lattice of an opening.
+
+        Args:
+            query: The question.
+            setup: Its search.
+            pushes: Whether the hand may also push from behind.
+        """
         robot, config, task = query.robot, query.config, query.task
         motion: TaskMotion | None = task_motion(query.scene, robot, task, config.motion)
         assert motion is not None
@@ -121,7 +127,7 @@ class Lattice:
             sets += [] if motion.refusal else [_grasp_set(robot, motion, config, 0)]
             passed += motion.grasps.handles
             motion = with_other_handle(motion, query.scene, robot, config.motion, passed)
-        sets += _pushes(query, values)
+        sets += _pushes(query, values) if pushes else []
         item = query.scene.object(task.object)
         stays = stays_in_place(item, task.joint, values, config.motion.grasps.resistance)
         kept = tuple(one for one in sets if one is not None)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 ALONG, AROUND = "along", "around"
 """A base that keeps its yaw, and one that also turns, while the hand holds."""
+WITHOUT_FORCES, WITHOUT_OBSTACLES = "any without forces", "any without obstacles"
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ USES = (
     Use("stops", BORNE, stops=True),
     Use("any", BORNE, AROUND, PULLED, stops=True),
     Use("moving without its pull", BORNE, ALONG, BORNE),
-    Use("any without forces", CLEAR, AROUND, CLEAR, stops=True),
-    Use("any without obstacles", REACHED, AROUND, REACHED, stops=True),
+    Use(WITHOUT_FORCES, CLEAR, AROUND, CLEAR, stops=True),
+    Use(WITHOUT_OBSTACLES, REACHED, AROUND, REACHED, stops=True),
 )
 """The last three say what stops the others."""
 
@@ -106,7 +107,10 @@ class Reach:
         self.nodes: list[int] = []
 
     def add(self, layer: int, levels: Int8[np.ndarray, "g y i j"]) -> bool:
-        """Extend all uses by a layer; return whether any of them reaches it."""
+        """Extend all uses by a layer; return whether farther ones matter.
+
+        They do not once no use gets there even without forces.
+        """
         self.nodes.append(int((levels >= CLEAR).sum()))
         drivable = self.lattice.drivable[None]
         for use in USES:
@@ -122,7 +126,18 @@ class Reach:
             self.reached[use.name] = now if now.any() else None
             if now.any():
                 self.farthest[use.name] = layer
-        return any(one is not None for one in self.reached.values())
+        return self.reached[WITHOUT_FORCES] is not None
+
+    @property
+    def why(self) -> str:
+        """What stops a base that may do anything: reach, collision or force; "" for nothing."""
+        last = len(self.lattice.values) - 1
+        if self.farthest["any"] == last:
+            return ""
+        if self.farthest[WITHOUT_FORCES] == last:
+            return "force"
+        farther = self.farthest[WITHOUT_OBSTACLES] > self.farthest[WITHOUT_FORCES]
+        return "collision" if farther else "reach"
 
     def _crossed(
         self, before: Bool[np.ndarray, "g y i j"], levels: Int8[np.ndarray, "g y i j"], use: Use

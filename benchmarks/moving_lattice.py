@@ -29,6 +29,7 @@ from lattice_paths import Neighbors, Reach
 from momapos.core.cache import user_cache
 from momapos.core.errors import MomaposError
 from momapos.core.stopwatch import Stopwatch
+from momapos.model.records.protocols import ReachScorer
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -91,6 +92,7 @@ def report(
 ) -> Iterable[dict[str, Any]]:
     """Yield a row for each opening, and print it."""
     robot, cache = load_robot(name, cache=user_cache()), user_cache()
+    reach = load_reach(robot)
     scenes: dict[str, Scene] = {}
     for opening in every:
         _, place, item, joint = opening
@@ -99,7 +101,7 @@ def report(
         row: dict[str, Any] = {"robot": name, "scene": place, "task": f"{item}/{joint}"}
         row |= {"answers": answers.get(opening, {})}
         try:
-            row |= farthest(robot, scenes[place], item, joint)
+            row |= farthest(robot, scenes[place], item, joint, reach)
         except MomaposError as error:
             row |= {"why": str(error), "shares": {}, "seconds": 0.0}
         row["exceeded"] = exceeded(row)
@@ -107,55 +109,55 @@ def report(
         yield row
 
 
-def farthest(robot: Robot, scene: Scene, item: str, joint: str) -> dict[str, Any]:
+def farthest(
+    robot: Robot, scene: Scene, item: str, joint: str, reach: ReachScorer
+) -> dict[str, Any]:
     """Return the share of the way that each use of the base moves a part, and what stops it."""
     began = time.process_time()
     task = make_task(scene, "open", item, joint)
-    query = PlacementQuery(
-        scene, robot, task, load_reach(robot), watch=Stopwatch(time.process_time)
-    )
+    query = PlacementQuery(scene, robot, task, reach, watch=Stopwatch(time.process_time))
     motion = task_motion(scene, robot, task, query.config.motion)
     setup = prepare_search(query, scene, motion)
     found: dict[str, Any] = {"kind": kind_of(scene, item, joint), "nodes": []}
     blocked, latch = setup.prepared.blocked, motion.latch_q is not None
-    lattice = None if blocked or latch else Lattice.of(query, setup)
+    lattice = None if blocked or latch else Lattice.of(query, setup, pushes=False)
     if lattice is None or not lattice.sets:
         why = blocked or (
             "a latch is turned" if latch else motion.refusal or setup.prepared.no_grasp
         )
         return found | {"shares": {}, "why": why, "seconds": time.process_time() - began}
+    bound, last = through(lattice), len(lattice.values) - 1
+    if bound.farthest["fixed"] < last:
+        pushing = Lattice.of(query, setup, pushes=True)
+        bound = through(pushing) if len(pushing.sets) > len(lattice.sets) else bound
+    found["shares"] = {use: at / last if at >= 0 else -1.0 for use, at in bound.farthest.items()}
+    found |= {"nodes": bound.nodes, "grasps": bound.lattice.shape[0]}
+    return found | {"why": bound.why, "seconds": time.process_time() - began}
+
+
+def through(lattice: Lattice) -> Reach:
+    """Return what the uses of the base reach in a lattice."""
     reach = Reach(lattice, Neighbors(lattice))
     for layer in range(len(lattice.values)):
         if not reach.add(layer, lattice.levels(layer)):
             break
-    last = len(lattice.values) - 1
-    shares = {name: max(at, 0) / last if at >= 0 else -1.0 for name, at in reach.farthest.items()}
-    found |= {"shares": shares, "nodes": reach.nodes, "grasps": lattice.shape[0]}
-    return found | {"why": what_stops(shares), "seconds": time.process_time() - began}
-
-
-def what_stops(shares: dict[str, float]) -> str:
-    """Return what stops a base that may do anything: reach, collision or force; "" for nothing."""
-    if shares["any"] == 1.0:
-        return ""
-    if shares["any without forces"] == 1.0:
-        return "force"
-    return "collision" if shares["any without obstacles"] == 1.0 else "reach"
+    return reach
 
 
 def kind_of(scene: Scene, item: str, joint: str) -> str:
     """Return the kind of a part: drawer, flap, or door of a kind of furniture."""
     target = scene.object(item)
     model = target.model.joint(joint)
+    words = f"{item}/{joint}".lower()
+    kinds = {"fridge": "fridge door", "mic": "microwave", "dishwasher": "dishwasher"}
+    named = [kind for text, kind in kinds.items() if text in words]
+    if named:
+        return named[0]
     if model.kind == "prismatic":
         return "drawer"
     T = target.link_poses()[model.child]
     upright = abs(float((T[:3, :3] @ np.asarray(model.axis, float))[2])) > 0.7
-    words = f"{item}/{joint}".lower()
-    if not upright:
-        return "flap"
-    named = [one for one in ("fridge", "microwave") if one in words]
-    return f"{named[0]} door" if named else "cabinet door"
+    return "cabinet door" if upright else "flap"
 
 
 def exceeded(row: dict[str, Any]) -> list[str]:
