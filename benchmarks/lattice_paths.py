@@ -30,6 +30,8 @@ class Use:
     """How the base moves while the hand holds: `ALONG`, `AROUND`, or not at all."""
     moving_level: int = PULLED
     """Least level of nodes while it moves."""
+    rigid: bool = False
+    """Whether the hand keeps its grasp without turning about it."""
     stops: bool = False
     """Whether it may drive elsewhere where the part stays, as often as it needs."""
 
@@ -40,11 +42,12 @@ USES = (
     Use("turning", PULLED, AROUND),
     Use("stops", BORNE, stops=True),
     Use("any", BORNE, AROUND, PULLED, stops=True),
+    Use("moving rigid", PULLED, ALONG, rigid=True),
     Use("moving without its pull", BORNE, ALONG, BORNE),
     Use(WITHOUT_FORCES, CLEAR, AROUND, CLEAR, stops=True),
     Use(WITHOUT_OBSTACLES, REACHED, AROUND, REACHED, stops=True),
 )
-"""The last three say what stops the others."""
+"""The last four say what stops the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +150,7 @@ class Reach:
         if use.moves:
             moved = levels >= use.moving_level
             out |= _stepped(before, self.neighbors, use) & moved
-        return out | self._turned(out)
+        return out if use.rigid else out | self._turned(out)
 
     def _turned(self, reached: Bool[np.ndarray, "g y i j"]) -> Bool[np.ndarray, "g y i j"]:
         """Return the nodes whose grasp is next to one that is reached, as the hand turns."""
@@ -175,9 +178,9 @@ class Reach:
             now = now | (now.any(0)[None] & free) if not use.moves else now
         moved = levels >= use.moving_level
         while True:
-            more = now | (self._turned(now) & free)
+            more = now if use.rigid else now | (self._turned(now) & free)
             if use.moves:
-                more |= _stepped(more & moved, self.neighbors, use) & moved
+                more = more | (_stepped(more & moved, self.neighbors, use) & moved)
             if (more == now).all():
                 return now
             now = more
