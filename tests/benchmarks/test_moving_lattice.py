@@ -5,14 +5,9 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from tests.rooms import Everywhere
-
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
 
 REPOSITORY = Path(__file__).parents[2]
 SIDE, YAWS, LAYERS = 5, 8, 4
@@ -101,18 +96,3 @@ def test_a_moving_base_bears_more() -> None:
     assert (borne["moving"], borne["moving without its pull"]) == (-1, LAST)
     assert reached(AHEAD, level=2)["any without forces"] == LAST
     assert reached(AHEAD, level=2)["any"] == -1
-
-
-@pytest.mark.slow
-def test_the_lattice_knows_what_a_stretch_does_in_the_small_kitchen() -> None:
-    """It opens the microwave only with a moving base, and wall cabinets are too high."""
-    script = importlib.import_module("moving_lattice")
-    scene, robot = load_scene("kitchen_small"), load_robot("stretch")
-    microwave: dict[str, Any] = script.farthest(
-        robot, scene, "microwave", "door_hinge", Everywhere()
-    )
-    assert microwave["shares"]["moving"] == 1.0
-    assert microwave["why"] == ""
-    cabinet = script.farthest(robot, scene, "wall_cabinet", "door_left_hinge", Everywhere())
-    assert cabinet["shares"]["any without obstacles"] == -1.0
-    assert cabinet["why"] == "reach"
