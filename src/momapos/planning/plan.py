@@ -17,6 +17,7 @@ from momapos.planning.placement import OURS, search
 from .base_use import with_other_use
 from .max_opening_plan import plan_max_opening
 from .narrower_hands import with_narrower_hand
+from .other_handles import with_next_handle
 from .query import PlacementQuery
 from .refine_model import initial_selection, refine_model
 from .result import PlacementResult
@@ -55,6 +56,22 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
 
 def _from_one_pose(query: PlacementQuery) -> PlacementResult:
     """Answer the query with a base that stands at one pose."""
+    answer = _with_any_handle(query)
+    if answer.plan.status == "infeasible":
+        return with_narrower_hand(query, answer, _with_any_handle)
+    return answer
+
+
+def _with_any_handle(query: PlacementQuery) -> PlacementResult:
+    """Answer the query with the part's handles in turn."""
+    answer = _with_first_handle(query)
+    if answer.plan.status == "infeasible":
+        return with_next_handle(query, answer, _with_any_handle)
+    return answer
+
+
+def _with_first_handle(query: PlacementQuery) -> PlacementResult:
+    """Answer the query with the first handle in which the hand is free."""
     scene, robot, task, config = query.scene, query.robot, query.task, query.config
     watch = query.watch
     with watch.stage("importance"):
@@ -73,12 +90,10 @@ def _from_one_pose(query: PlacementQuery) -> PlacementResult:
             break
         else:
             selection = selection.relax_alpha()
-    answer = replace(
+    return replace(
         result,
         plan=replace(result.plan, key_objects=selection.record(), timing=watch.timing),
     )
-    infeasible = result.plan.status == "infeasible"
-    return with_narrower_hand(query, answer, _from_one_pose) if infeasible else answer
 
 
 def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> PlacementResult:

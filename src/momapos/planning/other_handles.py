@@ -1,0 +1,71 @@
+"""Search again with the next handle of a part where the first one leads to no base pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.planning.grasps import TaskMotion, with_other_handle
+
+from .query import PlacementQuery
+from .result import PlacementResult
+from .task_setup import prepare
+from .time_limit import cut_short, with_note
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
+    from momapos.planning.grasps import Handle
+
+
+def with_next_handle(
+    query: PlacementQuery,
+    answer: PlacementResult,
+    plan: Callable[[PlacementQuery], PlacementResult],
+) -> PlacementResult:
+    """Return the answer for the next handle in which the hand is free, if there is one.
+
+    Args:
+        query: The question.
+        answer: Its infeasible answer, with every object modeled.
+        plan: Answers a question.
+    """
+    prepared = answer.prepared
+    if prepared.blocked:
+        return answer
+    used = prepared.motion.grasps.handles
+    other = replace(query, keep_grasps=partial(_on_others, used, query))
+    if not _has_other(query, other, prepared.motion):
+        return answer
+    found = plan(other)
+    if found.plan.feasible:
+        return replace(found, query=query)
+    if found.plan.status != "timeout":
+        return answer
+    return with_note(answer, cut_short("the search with another handle"))
+
+
+def _on_others(
+    used: tuple[Handle, ...], query: PlacementQuery, motion: TaskMotion
+) -> Bool[np.ndarray, " g"]:
+    """Return which grasps of a motion hold none of some handles."""
+    new = np.array([handle not in used for handle in motion.grasps.handles], bool)
+    kept = new[motion.grasps.handle]
+    return kept if query.keep_grasps is None else kept & query.keep_grasps(motion)
+
+
+def _has_other(query: PlacementQuery, other: PlacementQuery, motion: TaskMotion) -> bool:
+    """Return whether the hand is free in a grasp of another handle."""
+    scene, robot, config = query.scene, query.robot, query.config
+    passed = list(motion.grasps.handles)
+    if with_other_handle(motion, scene, robot, config.motion, passed) is None:
+        return False
+    ready = prepare(
+        scene, robot, query.task, config,
+        clearance=config.place.clearance, keep_grasps=other.keep_grasps, watch=query.watch,
+    )  # fmt: skip
+    return not ready.no_grasp

@@ -1,0 +1,76 @@
+"""Laws of parts with several handles: the next one counts where the first leads nowhere."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from tests import optional
+from tests.cupboards import carcass, furniture_room, joint
+from tests.real import DATA, check_independently
+
+from momapos.model.plan_files.plan_format import write_plan
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.max_opening_plan import by_samples
+
+HEIGHT = 3.0
+HIGH, LOW = 2.8, 0.9
+"""Heights of bars above the floor, out of reach and within it [m]."""
+
+
+def wardrobe(*bars: float) -> list[str]:
+    """Return a tall door with upright bars at some heights, the first one first in the file."""
+    shapes = [("", (0.02, 0.59, HEIGHT - 0.02), (0.0, 0.295, 0.0))]
+    shapes += [
+        (f"handle_{k}", (0.02, 0.02, 0.16), (-0.05, 0.53, z - HEIGHT / 2))
+        for k, z in enumerate(bars)
+    ]
+    door = "".join(
+        f'<collision name="{name}"><origin xyz="{x} {y} {z}"/><geometry><box size="{a} {b} {c}"/>'
+        "</geometry></collision>"
+        for name, (a, b, c), (x, y, z) in shapes
+    )
+    hinge = joint(
+        "hinge", "revolute", ("body", "door"), (-0.262, -0.295, HEIGHT / 2), (0, 0, 1), (0, 1.6)
+    )
+    return [carcass(height=HEIGHT), f'<link name="door">{door}</link>', hinge]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("fetch")
+
+
+@pytest.mark.parametrize("bars", [(HIGH, LOW), (LOW, HIGH)])
+def test_a_bar_within_reach_is_held_if_another_bar_is_out_of_reach(
+    tmp_path: Path, robot: Robot, bars: tuple[float, float]
+) -> None:
+    scene = furniture_room(tmp_path, wardrobe(*bars))
+    task = make_task(scene, "open", "cupboard", None, "60deg")
+    config = by_samples(PipelineConfig())
+    answer = plan_base_placement(scene, robot, task, config=config)
+    assert answer.plan.status == "solved", answer.plan.candidates
+    motion = answer.plan.motion
+    assert motion is not None
+    assert motion.Ts_world_tool[0, 2, 3] < 1.2
+
+
+def test_without_a_bar_within_reach_the_answer_is_no(tmp_path: Path, robot: Robot) -> None:
+    scene = furniture_room(tmp_path, wardrobe(HIGH, HIGH - 0.25))
+    task = make_task(scene, "open", "cupboard", None, "60deg")
+    answer = plan_base_placement(scene, robot, task, config=by_samples(PipelineConfig()))
+    assert answer.plan.status == "infeasible"
+
+
+def test_a_public_dishwasher_is_opened_by_its_next_handle(tmp_path: Path) -> None:
+    scene = load_scene(optional.there(DATA / "bestman/Asset/Scene/Scene/Kitchen_1.json"))
+    task = make_task(scene, "open", "elementC", "dishwasher_door")
+    answer = plan_base_placement(scene, load_robot("mobile_panda"), task, clock=time.process_time)
+    assert answer.plan.status == "solved", answer.plan.candidates
+    write_plan(answer.plan, tmp_path / "plan.json")
+    check_independently(tmp_path / "plan.json")
