@@ -52,7 +52,7 @@ class Sliding(NamedTuple):
     """Edge of the cells, and of the finer samples of the floor [m]."""
     middle: I1
     """Index of the middle row of cells, and of samples."""
-    count: I1
+    rows: I1
     """Number of rows of cells, and of samples."""
 
 
@@ -85,7 +85,7 @@ def _tool_from(base, T, R, p):
 def _row(slide, sliding, k):
     """Return the row of cells or samples in which a slide ends; -1 outside."""
     row = int(np.floor(slide / sliding.cell[k] + 0.5)) + sliding.middle[k]
-    return row if 0 <= row < sliding.count[k] else -1
+    return row if 0 <= row < sliding.rows[k] else -1
 
 
 @kernel
@@ -148,8 +148,8 @@ def rate_nodes(
                 for k in range(lead):
                     row, fine = _row(q[k], sliding, 0), _row(q[k], sliding, 1)
                     inside &= row >= 0 and fine >= 0
-                    node += row * (sliding.count[0] if k == 0 else 1)
-                    spot += fine * (sliding.count[1] if k == 0 else 1)
+                    node += row * (sliding.rows[0] if k == 0 else 1)
+                    spot += fine * (sliding.rows[1] if k == 0 else 1)
                     x, y = sliding.directions[k, 0] * q[k], sliding.directions[k, 1] * q[k]
                     here[0] += c * x - s * y
                     here[1] += s * x + c * y

@@ -26,6 +26,7 @@ from momapos.model.scene.joint_resistance import stays_in_place
 from momapos.model.urdf.joint_opening import opening_of
 from momapos.planning.arm_motion.hand_clearance import arm_spheres, hand_hits_along
 from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.handle_records import Handle
 from momapos.planning.grasps.motion_record import TaskMotion
 from momapos.planning.grasps.task_motions import task_motion, with_other_handle
 from momapos.planning.grasps.turning_grasps import FULL_DOF
@@ -122,7 +123,7 @@ class Lattice:
         assert motion is not None
         assert task.joint is not None
         values = motion.object_q[motion.waypoint_steps[1:]]
-        sets, passed = [], []
+        sets, passed = [], list[Handle]()
         while motion is not None:
             sets += [] if motion.refusal else [_grasp_set(robot, motion, config, 0)]
             passed += motion.grasps.handles

@@ -173,15 +173,15 @@ class Reach:
         if not now.any():
             return now
         if stays and use.stops:
-            return now | (free & drivable)
-        if stays:
-            now = now | (now.any(0)[None] & free) if not use.moves else now
+            return np.asarray(now | (free & drivable))
+        if stays and not use.moves:
+            now = np.asarray(now | (now.any(0)[None] & free))
         moved = levels >= use.moving_level
         while True:
             more = now if use.rigid else now | (self._turned(now) & free)
             if use.moves:
                 more = more | (_stepped(more & moved, self.neighbors, use) & moved)
-            if (more == now).all():
+            if np.array_equal(more, now):
                 return now
             now = more
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -131,7 +130,13 @@ def report(
         _, place, item, joint = opening
         if place not in scenes:
             scenes[place] = load_scene(shared() / "bestman" / place, cache=cache)
-        row = {"robot": name, "scene": place, "task": f"{item}/{joint}", "shares": {}, "why": ""}
+        row: Row = {
+            "robot": name,
+            "scene": place,
+            "task": f"{item}/{joint}",
+            "shares": {},
+            "why": "",
+        }
         row |= {"kind": kind_of(scenes[place], item, joint)}
         given = answers.get(opening, {})
         try:
@@ -243,4 +248,4 @@ def _counts(rows: list[Row]) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -124,7 +124,7 @@ def measure(
         task = make_task(scene, "open", "object", joint)
         begun = time.process_time()
         plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
-        row |= {"status": answer.plan.status, "seconds": time.process_time() - begun}
+        row |= {"status": plan.status, "seconds": time.process_time() - begun}
     except MomaposError as error:
         return {**row, "status": "refused", "reason": str(error)}
     row["feasible_to"] = plan.feasible_to
@@ -155,6 +155,7 @@ def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str,
             return {**row, "family": family}
     informative = [reason for reason in answer.plan.candidates.rejections if reason not in OBVIOUS]
     row |= {"status": answer.plan.status, "reason": ", ".join(informative[:2]), "to": task.to}
+    assert answer.query is not None
     farthest = with_max_opening(replace(answer, query=replace(answer.query, config=CONFIG))).plan
     return {**row, "slides": slides(scene, task), "feasible_to": farthest.feasible_to}
 

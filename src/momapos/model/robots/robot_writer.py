@@ -87,9 +87,10 @@ def _derive_expanded(
     except (RobotError, UrdfError) as error:  # the URDF is not written
         off = f"; {near.name} leaves parts out by default: {expanded.off}" if expanded.off else ""
         raise type(error)(str(error).replace(str(urdf), str(near)) + off) from error
-    off = (f"xacro: {near.name} leaves parts out by default: {expanded.off}",)
-    notes = (*expanded.notes, *derived.assumptions, *(off if expanded.off else ()))
-    return replace(derived, assumptions=notes)
+    notes = [*expanded.notes, *derived.assumptions]
+    if expanded.off:
+        notes.append(f"xacro: {near.name} leaves parts out by default: {expanded.off}")
+    return replace(derived, assumptions=tuple(notes))
 
 
 def _refuse_existing(path: Path) -> None:
