@@ -127,6 +127,7 @@ def test_within_the_tolerance_the_door_also_opens_with_two_grasps(
     assert len(missed) <= 1, missed  # the tolerance is found from samples
 
 
+@pytest.mark.slow
 def test_base_poses_without_a_quick_way_between_the_grasps_are_tried_again(
     kitchen: Scene, robot: Robot, reach: ReachMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
