@@ -46,7 +46,7 @@ def test_a_process_that_opens_plans_does_not_collect_models(tmp_path: Path) -> N
 
     def models() -> int:
         gc.collect()
-        return sum(isinstance(one, Articulated) for one in gc.get_objects())
+        return sum(type(one) is Articulated for one in gc.get_objects())
 
     open_plan(path, None, None, "to read", allow_assumed=False)
     before = models()
