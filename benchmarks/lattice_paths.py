@@ -175,7 +175,7 @@ class Reach:
         if stays and use.stops:
             return np.asarray(now | (free & drivable))
         if stays and not use.moves:
-            now = np.asarray(now | (now.any(0)[None] & free))
+            now = np.asarray(now | (np.any(now, axis=0, keepdims=True) & free))
         moved = levels >= use.moving_level
         while True:
             more = now if use.rigid else now | (self._turned(now) & free)
