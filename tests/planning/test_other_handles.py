@@ -15,8 +15,9 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.max_opening_plan import by_samples
+from momapos.planning.tolerance import with_tolerance
 
 HEIGHT = 3.0
 HIGH, LOW = 2.8, 0.9
@@ -58,6 +59,12 @@ def test_a_bar_within_reach_is_held_if_another_bar_is_out_of_reach(
     motion = answer.plan.motion
     assert motion is not None
     assert motion.Ts_world_tool[0, 2, 3] < 1.2
+    tolerance = with_tolerance(answer).plan.tolerance
+    assert tolerance is not None
+    assert tolerance.radius > 0.0
+    assert answer.plan.base_pose is not None
+    there = check_base_pose(scene, robot, task, answer.plan.base_pose, how_far=False)
+    assert there.motion is not None
 
 
 def test_without_a_bar_within_reach_the_answer_is_no(tmp_path: Path, robot: Robot) -> None:

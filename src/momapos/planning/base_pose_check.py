@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ from momapos.planning.placement import (
 from .max_opening import from_the_top
 from .max_opening_plan import values_short_of
 from .narrower_hands import narrower_hands
+from .other_handles import with_other_handles_only
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
 from .result import PlacementResult, plan_of
@@ -201,6 +203,13 @@ class BasePoseChecks:
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> Attempt:
         """Return the motion at a base pose x [m], y [m], yaw [rad], or why there is none."""
+        attempt = self._with_first_handle(base)
+        if attempt.motion is None and self._others is not None:
+            other = self._others(base)
+            return attempt if other.motion is None else other
+        return attempt
+
+    def _with_first_handle(self, base: Float[np.ndarray, "3"]) -> Attempt:
         attempt = self.with_one_grasp(base)
         # More grasps do not help a base that collides.
         if attempt.motion is not None or attempt.outcome in BASE_OUTCOMES.values():
@@ -211,6 +220,12 @@ class BasePoseChecks:
             if again.motion is not None:
                 return again
         return attempt
+
+    @cached_property
+    def _others(self) -> BasePoseChecks | None:
+        """The checks with the other handles; None if the hand is free at none of them."""
+        other = with_other_handles_only(self.query, self.prepared)
+        return None if other is None else BasePoseChecks(other)
 
     def with_one_grasp(
         self, base: Float[np.ndarray, "3"], *, out_of_time: Callable[[], bool] = lambda: False

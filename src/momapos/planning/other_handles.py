@@ -13,7 +13,7 @@ from momapos.planning.grasps import TaskMotion, with_other_handle
 
 from .query import PlacementQuery
 from .result import PlacementResult
-from .task_setup import prepare
+from .task_setup import PreparedTask, prepare
 from .time_limit import cut_short, with_note
 
 if TYPE_CHECKING:
@@ -34,19 +34,29 @@ def with_next_handle(
         answer: Its infeasible answer, with every object modeled.
         plan: Answers a question.
     """
-    prepared = answer.prepared
-    if prepared.blocked:
-        return answer
-    used = prepared.motion.grasps.handles
-    other = replace(query, keep_grasps=partial(_on_others, used, query))
-    if not _has_other(query, other, prepared.motion):
+    other = with_other_handles_only(query, answer.prepared)
+    if other is None:
         return answer
     found = plan(other)
     if found.plan.feasible:
-        return replace(found, query=query)
+        return found
     if found.plan.status != "timeout":
         return answer
     return with_note(answer, cut_short("the search with another handle"))
+
+
+def with_other_handles_only(query: PlacementQuery, prepared: PreparedTask) -> PlacementQuery | None:
+    """Return the question for the handles after one; None if the hand is free at none of them.
+
+    Args:
+        query: The question.
+        prepared: Its task, for that handle.
+    """
+    if prepared.blocked:
+        return None
+    used = prepared.motion.grasps.handles
+    other = replace(query, keep_grasps=partial(_on_others, used, query))
+    return other if _has_other(query, other, prepared.motion) else None
 
 
 def _on_others(
