@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,3 +76,26 @@ def test_the_command_names_the_passage(tmp_path: Path, capsys: pytest.CaptureFix
     assert main([*words, "--start=0,-3.2,0"]) == 3
     printed = capsys.readouterr().out
     assert "infeasible  no way to drive there: 50 cm between" in printed
+
+
+@pytest.mark.parametrize(("name", "width"), [("ranger_rm63", 0.5), ("tiago", 0.54)])
+def test_arms_are_checked_at_few_of_the_base_poses_that_are_cut_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, width: float
+) -> None:
+    """A disc inside the base passes the doorway, but the robot with its arm at home does not."""
+    checked: list[int] = []
+    screen = Feasibility.screen
+
+    def spied(self: Feasibility, bases: np.ndarray, *rest: Any) -> Any:
+        checked.append(len(bases))
+        return screen(self, bases, *rest)
+
+    monkeypatch.setattr(Feasibility, "screen", spied)
+    scene, robot = room(tmp_path, width), load_robot(name)
+    task, start = make_task(scene, "open", "cabinet", "hinge"), np.array([0.0, -3.2, 0.0])
+    config = PipelineConfig(place=PlaceConfig(rounds=1, grid=False))
+    plan = plan_base_placement(scene, robot, task, Everywhere(), start=start, config=config).plan
+    assert plan.status == "infeasible"
+    assert plan.candidates.rejections["no base path with the arm at home"] > 100
+    # More than 6,000 checks of one or several poses if the search improves each.
+    assert sum(checked) < 2000

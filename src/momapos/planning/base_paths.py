@@ -18,6 +18,7 @@ from momapos.planning.navigation import (
     Passage,
     ReachableFloor,
     gaps,
+    lead_straight,
     leads_straight,
     plan_path,
     with_object_moved,
@@ -103,6 +104,29 @@ class BasePaths:
         """Return the path to a base pose that was checked, if there is one."""
         return None if base is None else self._paths.get(base.tobytes())
 
+    def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Return whether a path may lead to a base pose; planned only after one had none."""
+        if not self._cut_off:
+            return True
+        with self.query.watch.stage("path"):
+            return not self.known_blocked(base[None]).any() and self._plan(base) is not None
+
+    def known_blocked(self, bases: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return which base poses are next to one without a path."""
+        blocked = np.zeros(len(bases), bool)
+        for other in self._cut_off:
+            blocked[~blocked] = lead_straight(self.query.nav_map, bases[~blocked], other)
+        return blocked
+
+    def _plan(self, base: Float[np.ndarray, "3"]) -> BasePath | None:
+        """Plan the path to a base pose, once."""
+        key = base.tobytes()
+        if key not in self._paths:
+            self._paths[key] = plan_path(self.query.nav_map, self.start, base)
+            if self._paths[key] is None:
+                self._cut_off.append(base)
+        return self._paths[key]
+
     def drivable(self, check: AttemptPose) -> AttemptPose:
         """Extend a check by the path to the base pose and the query's final check."""
 
@@ -118,9 +142,8 @@ class BasePaths:
                 return found
             base = base if found.base is None else found.base
             with self.query.watch.stage("path"):
-                path = self._paths[base.tobytes()] = plan_path(nav_map, self.start, base)
+                path = self._plan(base)
             if path is None:
-                self._cut_off.append(base)
                 return Attempt(None, no_way)
             final = self.query.final_check
             moved = found.motion.base

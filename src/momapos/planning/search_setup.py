@@ -190,6 +190,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         keep_poses=None if query.keep_poses is None else query.kept,
         own_cost=None if query.pose_cost is None else query.own_cost,
         home_is_free=partial(_home_is_free, query) if moves else None,
+        approach=drives,
         departure=OnwardPaths(drives) if moves and _checks_departure(config.place) else None,
         region=query.region,
         rules=(passage,) if robust is None else (passage, robust.rule(prepared.geometry)),

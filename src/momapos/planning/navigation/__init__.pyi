@@ -14,6 +14,7 @@ from .footprint_map import NavigationMap as NavigationMap
 from .footprint_map import build_navigation_map as build_navigation_map
 from .footprint_map import with_object_moved as with_object_moved
 from .global_path import BasePath as BasePath
+from .global_path import lead_straight as lead_straight
 from .global_path import leads_straight as leads_straight
 from .global_path import plan_path as plan_path
 from .localization import NoiseConfig as NoiseConfig

@@ -132,6 +132,25 @@ def leads_straight(
     return _direct(nav_map, np.stack([start, goal]), DEFAULT_CONFIG) is not None
 
 
+def lead_straight(
+    nav_map: NavigationMap, starts: Float[np.ndarray, "n 3"], goal: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, " n"]:
+    """Return from which of many poses a path of one leg leads to another, see `leads_straight`.
+
+    Poses that are closer to obstacles than paths keep count as if none did.
+    """
+    ends = np.vstack([starts, goal])
+    needs = np.minimum(0.5 * gaps(ends, nav_map.prisms, nav_map.planning_obstacles), MIN_GAP)
+    out = np.zeros(len(starts), bool)
+    rows = np.flatnonzero(needs[:-1] == MIN_GAP)
+    if needs[-1] > 0.0 and len(rows):
+        model = path_model(nav_map, DEFAULT_CONFIG, float(needs[-1]))
+        goals = np.repeat(np.asarray(goal, float)[None], len(rows), axis=0)
+        cost, _ = connections(ends[rows], goals, model)
+        out[rows] = np.isfinite(cost)
+    return out
+
+
 def _direct(
     nav_map: NavigationMap, nodes: Float[np.ndarray, "2 3"], config: PathConfig
 ) -> _Planner | None:

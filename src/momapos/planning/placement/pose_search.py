@@ -25,6 +25,7 @@ from .shortlist import (
     Candidate,
     ClearPoses,
     Shortlist,
+    can_approach,
     clear_poses,
     complete,
     cull,
@@ -286,6 +287,8 @@ def _check_samples(
             for i, path in waiting.choose(left.poses, last=last).items()
             if not is_dominated(problem, left.poses[i], found)
         ]
+        while chosen and not can_approach(problem, chosen[0]):
+            chosen.pop(0)
         if not chosen:
             continue
         better, others = cheaper_poses(problem, score, waiting, rng, found, chosen[0])

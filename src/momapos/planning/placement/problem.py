@@ -50,6 +50,18 @@ AttemptPose: TypeAlias = (
 """Complete the arm path found at a base pose, or else one in another grasp mode, best first."""
 
 
+class ApproachCheck(Protocol):
+    """Checks that the robot can drive to a base pose, once it could not drive to another."""
+
+    def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Plan a path to a base pose (x [m], y [m], yaw [rad]) unless all poses so far had one."""
+        ...
+
+    def known_blocked(self, bases: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return which base poses earlier results show to have no path."""
+        ...
+
+
 class DepartureCheck(Protocol):
     """Checks that the robot can drive on from a base pose after the task."""
 
@@ -191,6 +203,9 @@ class Problem:
     """A further cost of base poses [m]; None for none."""
     home_is_free: PoseMask | None = None
     """Whether the arm can return home after the task; such base poses come first. None: always."""
+    approach: ApproachCheck | None = None
+    """Whether the robot can drive to base poses. `attempt` checks that, too; this saves checks of
+    the arm. None: not checked."""
     departure: DepartureCheck | None = None
     """Whether the robot can drive on after the task; other base poses are fallbacks. None: not
     checked."""

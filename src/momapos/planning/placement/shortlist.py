@@ -26,6 +26,7 @@ BASE_OUTCOMES = {
     BaseStatus.BEYOND_ARM: PoseOutcome(PoseStatus.BEYOND_ARM),
 }
 NOT_TRIED = PoseOutcome(PoseStatus.NOT_TRIED)
+CUT_OFF = PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
 
 
 @dataclass(eq=False)
@@ -165,6 +166,9 @@ def screen(
     found: Search,
 ) -> dict[int, ArmPathResult]:
     """Return the arm paths at some poses of a shortlist by index; record all outcomes."""
+    block = _approachable(problem, left, block)
+    if not len(block):
+        return {}
     screened = problem.screen(left.poses[block], left.scores[block], most)
     if screened is None:
         found.timed_out = found.motion is None
@@ -173,6 +177,26 @@ def screen(
     left.tried[left.row[block]] = True
     left.outcomes[left.row[block]] = [one.outcome for one in screened]
     return {i: one for i, one in zip(block.tolist(), screened, strict=True) if one.q is not None}
+
+
+def _approachable(
+    problem: Problem, left: Shortlist, block: Int[np.ndarray, " b"]
+) -> Int[np.ndarray, " c"]:
+    """Return the poses that are not known to be cut off; record the others' outcome."""
+    if problem.approach is None:
+        return block
+    blocked = problem.approach.known_blocked(left.poses[block])
+    left.outcomes[left.row[block[blocked]]] = CUT_OFF
+    left.tried[left.row[block[blocked]]] = True
+    return block[~blocked]
+
+
+def can_approach(problem: Problem, one: Candidate) -> bool:
+    """Return whether a path may lead to a base pose; record its outcome if none does."""
+    if problem.approach is None or problem.approach(one.pose):
+        return True
+    one.left.outcomes[one.left.row[one.index]] = CUT_OFF
+    return False
 
 
 def is_dominated(problem: Problem, pose: Float[np.ndarray, "3"], found: Search) -> bool:
