@@ -103,6 +103,7 @@ def draw(curves: dict[str, dict[int, float]], path: Path) -> None:
             ax.annotate(f"{took:.0f}", (size, took), (0, 13), textcoords="offset points",
                         fontsize=17, ha="center", color="#0072b2")  # fmt: skip
         ax.set_title(LABELS[name], fontsize=22)
+        ax.margins(x=0.1)
         ax.set_xticks(sizes, [f"{size:,}" for size in sizes], fontsize=17)
         ax.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS], fontsize=17)
         ax.minorticks_off()

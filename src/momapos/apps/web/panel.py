@@ -133,7 +133,7 @@ class Panel:
             key: gui.add_checkbox(label, key in INITIAL_LAYERS) for key, label in LAYERS.items()
         }
         self.dark = gui.add_checkbox("Dark page", False)
-        self.plain = gui.add_checkbox("Plain light", False, hint="No shadows: about twice the "
+        self.plain = gui.add_checkbox("Plain light", False, hint="No shadows: four times the "
                                       "frame rate without a graphics card")  # fmt: skip
         self.height = gui.add_slider("Reachability height [m]", min=0.0, max=2.0, step=0.05,
                                      initial_value=0.9)  # fmt: skip
