@@ -40,7 +40,7 @@ from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach
 from momapos.verification.plan_check import verify_files
-from moving_lattice import Opening, farthest, kind_of, read_answers, read_rows
+from moving_lattice import Opening, Row, farthest, kind_of, read_answers, read_rows
 from placement import SCENES, machine, shared
 
 LIBRARY = (
@@ -112,7 +112,7 @@ class Asker:
         name, place, item, joint = opening
         (robot, reach), scene = self.robots[name], self.scenes[place]
         kind = kind_of(scene, item, joint)
-        row = {"robot": name, "scene": place, "task": f"{item}/{joint}", "kind": kind}
+        row: Row = {"robot": name, "scene": place, "task": f"{item}/{joint}", "kind": kind}
         try:
             row |= farthest(robot, scene, item, joint, reach)
         except MomaposError as error:
