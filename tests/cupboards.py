@@ -292,3 +292,21 @@ def oven_door(folder: Path, gap: float, low: float = 0.15) -> list[str]:
     ends, at = ("body", "door"), (-0.262, 0.0, low)
     hinge = joint("hinge", "revolute", ends, at, (0, -1, 0), (0, 1.6))
     return [carcass(), f'<link name="door">{mesh}</link>', hinge]
+
+
+def wardrobe(*bars: float, height: float = 3.0) -> list[str]:
+    """Return a tall door with upright bars at some heights, the first one first in the file [m]."""
+    shapes = [("", (0.02, 0.59, height - 0.02), (0.0, 0.295, 0.0))]
+    shapes += [
+        (f"handle_{k}", (0.02, 0.02, 0.16), (-0.05, 0.53, z - height / 2))
+        for k, z in enumerate(bars)
+    ]
+    door = "".join(
+        f'<collision name="{name}"><origin xyz="{x} {y} {z}"/><geometry><box size="{a} {b} {c}"/>'
+        "</geometry></collision>"
+        for name, (a, b, c), (x, y, z) in shapes
+    )
+    hinge = joint(
+        "hinge", "revolute", ("body", "door"), (-0.262, -0.295, height / 2), (0, 0, 1), (0, 1.6)
+    )
+    return [carcass(height=height), f'<link name="door">{door}</link>', hinge]

@@ -5,41 +5,29 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests import optional
-from tests.cupboards import carcass, furniture_room, joint
+from tests.cupboards import furniture_room, wardrobe
 from tests.real import DATA, check_independently
 
+from momapos.apps.web.probe import Probe
+from momapos.core.stopwatch import Stopwatch
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_pose_check import plan_at_pose
+from momapos.planning.base_use import plan_moving
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.max_opening_plan import by_samples
-from momapos.planning.tolerance import with_tolerance
+from momapos.planning.query import PlacementQuery
+from momapos.planning.reachability.map_store import load_reach
+from momapos.planning.tolerance import tolerance_at, with_tolerance
 
-HEIGHT = 3.0
 HIGH, LOW = 2.8, 0.9
 """Heights of bars above the floor, out of reach and within it [m]."""
-
-
-def wardrobe(*bars: float) -> list[str]:
-    """Return a tall door with upright bars at some heights, the first one first in the file."""
-    shapes = [("", (0.02, 0.59, HEIGHT - 0.02), (0.0, 0.295, 0.0))]
-    shapes += [
-        (f"handle_{k}", (0.02, 0.02, 0.16), (-0.05, 0.53, z - HEIGHT / 2))
-        for k, z in enumerate(bars)
-    ]
-    door = "".join(
-        f'<collision name="{name}"><origin xyz="{x} {y} {z}"/><geometry><box size="{a} {b} {c}"/>'
-        "</geometry></collision>"
-        for name, (a, b, c), (x, y, z) in shapes
-    )
-    hinge = joint(
-        "hinge", "revolute", ("body", "door"), (-0.262, -0.295, HEIGHT / 2), (0, 0, 1), (0, 1.6)
-    )
-    return [carcass(height=HEIGHT), f'<link name="door">{door}</link>', hinge]
 
 
 @pytest.fixture(scope="module")
@@ -54,17 +42,42 @@ def test_a_bar_within_reach_is_held_if_another_bar_is_out_of_reach(
     scene = furniture_room(tmp_path, wardrobe(*bars))
     task = make_task(scene, "open", "cupboard", None, "60deg")
     config = by_samples(PipelineConfig())
-    answer = plan_base_placement(scene, robot, task, config=config)
+    answer = plan_base_placement(scene, robot, task, config=config, clock=time.process_time)
     assert answer.plan.status == "solved", answer.plan.candidates
     motion = answer.plan.motion
     assert motion is not None
     assert motion.Ts_world_tool[0, 2, 3] < 1.2
-    tolerance = with_tolerance(answer).plan.tolerance
+    tolerance = with_tolerance(answer, samples=10, clock=time.process_time).plan.tolerance
     assert tolerance is not None
     assert tolerance.radius > 0.0
-    assert answer.plan.base_pose is not None
-    there = check_base_pose(scene, robot, task, answer.plan.base_pose, how_far=False)
+    base = answer.plan.base_pose
+    assert base is not None
+    query = PlacementQuery(
+        scene, robot, task, load_reach(robot), watch=Stopwatch(time.process_time)
+    )
+    there = check_base_pose(scene, robot, task, base, how_far=False)
     assert there.motion is not None
+    assert tolerance_at(query, base, samples=10).radius > 0.0
+    at_pose = plan_at_pose(query, base)
+    grasps = at_pose.prepared.motion
+    held = np.abs(grasps.Ts_world_tool[:, grasps.grasp_step, 2, 3] - LOW)
+    assert held.max() < 0.5, "the answer describes the handle out of reach"
+    shown = Probe(scene, robot, task, query.reach).at(np.array(base), time.process_time)
+    assert shown.feasible
+
+
+def test_a_moving_base_opens_a_door_by_the_bar_within_reach(tmp_path: Path, robot: Robot) -> None:
+    scene = furniture_room(tmp_path, wardrobe(HIGH, LOW))
+    task = make_task(scene, "open", "cupboard", None, "60deg")
+    query = PlacementQuery(
+        scene, robot, task, load_reach(robot), watch=Stopwatch(time.process_time)
+    )
+    answer = plan_moving(query)
+    assert answer.plan.status == "solved", answer.plan.candidates
+    motion = answer.plan.motion
+    assert motion is not None
+    assert motion.base is not None
+    assert motion.Ts_world_tool[0, 2, 3] < 1.2
 
 
 def test_without_a_bar_within_reach_the_answer_is_no(tmp_path: Path, robot: Robot) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import Stopwatch, finite_array
-from momapos.model.records import Attempt, PoseOutcome, PoseStatus
+from momapos.model.records import Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.planning.arm_motion import Feasibility
 from momapos.planning.navigation import TravelLengths, plan_path
 from momapos.planning.placement import (
@@ -34,6 +34,10 @@ from .task_setup import PreparedTask, cost_map, prepare, start_pose
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+_SAME_FOR_ALL_HANDLES = (BASE_OUTCOMES[BaseStatus.BLOCKED], BASE_OUTCOMES[BaseStatus.OFF_FLOOR])
+"""Outcomes of a base pose that no other handle changes."""
+_SAME_GRASP = 1e-3
+"""Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
 MAX_VALUES_IN_TURN = 100
 """Number of values that are tried one by one at a pose; if there are more, in larger steps [-]."""
 
@@ -135,6 +139,7 @@ class _Look:
     """The outcome at a base pose, for one value of the joint."""
 
     prepared: PreparedTask
+    """The task with the handle that the motion holds; without one, with the first handle."""
     attempt: Attempt
 
 
@@ -185,8 +190,28 @@ def _farthest(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look | No
 
 def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
     """Check a base pose for the value of the task."""
-    checks = BasePoseChecks(query)
-    return _Look(checks.prepared, checks(base))
+    return _with_any_handle(BasePoseChecks(query), lambda one: one.with_this_handle(base))
+
+
+def _with_any_handle(
+    checks: BasePoseChecks, attempt_with: Callable[[BasePoseChecks], Attempt]
+) -> _Look:
+    """Check a base pose with a part's handles in turn; else give the first reason.
+
+    Args:
+        checks: The checks with the first handle.
+        attempt_with: Checks the base pose with the handle of the given checks.
+    """
+    first: _Look | None = None
+    for one in checks.by_handle():
+        look = _Look(one.prepared, attempt_with(one))
+        if look.attempt.motion is not None:
+            return look
+        first = first or look
+        if look.attempt.outcome in _SAME_FOR_ALL_HANDLES:
+            break
+    assert first is not None
+    return first
 
 
 class BasePoseChecks:
@@ -203,14 +228,47 @@ class BasePoseChecks:
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> Attempt:
         """Return the motion at a base pose x [m], y [m], yaw [rad], or why there is none."""
-        attempt = self._with_first_handle(base)
-        if attempt.motion is None and self._others is not None:
-            other = self._others(base)
-            return attempt if other.motion is None else other
-        return attempt
+        return _with_any_handle(self, lambda one: one.with_this_handle(base)).attempt
 
-    def _with_first_handle(self, base: Float[np.ndarray, "3"]) -> Attempt:
-        attempt = self.with_one_grasp(base)
+    def with_one_grasp(
+        self, base: Float[np.ndarray, "3"], *, out_of_time: Callable[[], bool] = lambda: False
+    ) -> Attempt:
+        """Return the motion with one grasp of any handle at a base pose, or why there is none.
+
+        Args:
+            base: x [m], y [m], yaw [rad].
+            out_of_time: Returns whether to stop and return the outcome so far.
+        """
+        return _with_any_handle(self, lambda one: one._with_one_grasp(base, out_of_time)).attempt
+
+    def by_handle(self) -> Iterator[BasePoseChecks]:
+        """Yield these checks, then those with each further handle in which the hand is free."""
+        one: BasePoseChecks | None = self
+        while one is not None:
+            yield one
+            one = one._next
+
+    def holding(self, motion: Motion) -> BasePoseChecks:
+        """Return the checks with the handle that a motion holds first."""
+        away: list[float] = []
+        every: list[BasePoseChecks] = []
+        for one in self.by_handle():
+            grasps = one.prepared.motion.Ts_world_tool[:, one.prepared.motion.grasp_step]
+            away.append(float(np.abs(grasps - motion.Ts_world_tool[0]).sum((1, 2)).min()))
+            every.append(one)
+            if away[-1] < _SAME_GRASP:
+                break
+        return every[int(np.argmin(away))]
+
+    @cached_property
+    def _next(self) -> BasePoseChecks | None:
+        """The checks with the handles after this one; None if the hand is free at none of them."""
+        other = with_other_handles_only(self.query, self.prepared)
+        return None if other is None else BasePoseChecks(other)
+
+    def with_this_handle(self, base: Float[np.ndarray, "3"]) -> Attempt:
+        """Return the motion at a base pose with the first handle only, or why there is none."""
+        attempt = self._with_one_grasp(base, lambda: False)
         # More grasps do not help a base that collides.
         if attempt.motion is not None or attempt.outcome in BASE_OUTCOMES.values():
             return attempt
@@ -221,21 +279,9 @@ class BasePoseChecks:
                 return again
         return attempt
 
-    @cached_property
-    def _others(self) -> BasePoseChecks | None:
-        """The checks with the other handles; None if the hand is free at none of them."""
-        other = with_other_handles_only(self.query, self.prepared)
-        return None if other is None else BasePoseChecks(other)
-
-    def with_one_grasp(
-        self, base: Float[np.ndarray, "3"], *, out_of_time: Callable[[], bool] = lambda: False
+    def _with_one_grasp(
+        self, base: Float[np.ndarray, "3"], out_of_time: Callable[[], bool]
     ) -> Attempt:
-        """Return the motion with one grasp at a base pose, or why there is none.
-
-        Args:
-            base: x [m], y [m], yaw [rad].
-            out_of_time: Returns whether to stop and return the outcome so far.
-        """
         prepared = self.prepared
         if prepared.infeasible_reason:
             outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)

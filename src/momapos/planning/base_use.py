@@ -10,6 +10,7 @@ from momapos.model.records import PlacementPlan
 from momapos.planning.grasps import task_motion
 
 from .moving_base import search_moving
+from .other_handles import with_next_handle
 from .query import PlacementQuery
 from .result import PlacementResult
 from .search_setup import prepare_search
@@ -53,7 +54,15 @@ def _reached(stops: int, answer: PlacementResult) -> str:
 
 
 def plan_moving(query: PlacementQuery) -> PlacementResult:
-    """Answer the query with a base that moves while the hand holds the part."""
+    """Answer the query with a base that moves while the hand holds the part, by any handle."""
+    answer = _moving_with_first_handle(query)
+    if answer.plan.status == "infeasible":
+        return with_next_handle(query, answer, plan_moving)
+    return answer
+
+
+def _moving_with_first_handle(query: PlacementQuery) -> PlacementResult:
+    """Answer the query with a moving base and the first handle in which the hand is free."""
     scene, watch = query.scene, query.watch
     with watch.stage("model"):
         motion = task_motion(scene, query.robot, query.task, query.config.motion)

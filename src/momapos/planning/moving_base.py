@@ -27,7 +27,6 @@ from momapos.planning.placement import (
     GraspModeScorer,
     GraspModeScores,
     PlaceConfig,
-    PoseRule,
     Problem,
     Search,
     search,
@@ -200,9 +199,7 @@ def _problem(setup: SearchSetup, way: MovingBase) -> Problem:
         Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, begin]),
         sweep=motion.moving.at(int(motion.value[0])),
     )
-    rules: list[PoseRule] = [setup.passage]
-    if way.shift is not None:
-        rules.append(BasePoseRule(way.keeps, PoseOutcome(PoseStatus.BASE_PATH_BLOCKED)))
+    path = BasePoseRule(way.keeps, PoseOutcome(PoseStatus.BASE_PATH_BLOCKED))
     starts = None if way.arm is None else ShortArmStarts(setup.query.robot, motion)
     check = replace(setup.feasible, motion=motion, find=way.find)
     return replace(
@@ -214,6 +211,7 @@ def _problem(setup: SearchSetup, way: MovingBase) -> Problem:
         infeasible_reason=setup.passage.no_way(geometry) or (starts.no_way if starts else ""),
         home_is_free=None,
         departure=None,
-        rules=tuple(rules),
+        rules=(setup.passage,),
+        path_rules=() if way.shift is None else (path,),
         fit=starts,
     )

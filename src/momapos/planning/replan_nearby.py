@@ -50,7 +50,8 @@ class NearbyReplanner:
     ) -> NearbyReplanner:
         """Build a replanner around a base pose with a motion."""
         config = replace(query.config, planner=brief_config(query.config.planner))
-        return cls(BasePoseChecks(replace(query, config=config)), [_Known(base, motion)])
+        checks = BasePoseChecks(replace(query, config=config)).holding(motion)
+        return cls(checks, [_Known(base, motion)])
 
     def failure(self, poses: Float[np.ndarray, "n 3"], depth: Depth) -> int | None:
         """Return the index of a pose without a motion; None if all poses have one.

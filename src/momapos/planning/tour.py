@@ -296,14 +296,15 @@ class _Planner:
 
     def _may_serve(self, k: int, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return at which poses the base is free for a task and the map reaches a grasp mode."""
-        prepared = self._checks_of(k).prepared
-        geometry = replace(prepared.geometry, clearance=self.query.config.place.clearance)
-        may = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
-        rows = np.flatnonzero(may)
-        reached = np.zeros(len(rows), bool)
-        for score in prepared.mode_scorers:
-            reached |= score(self.query.reach, poses[rows]).scores.max(1, initial=0.0) > 0
-        may[rows] = reached
+        may = np.zeros(len(poses), bool)
+        for checks in self._checks_of(k).by_handle():
+            prepared, left = checks.prepared, np.flatnonzero(~may)
+            geometry = replace(prepared.geometry, clearance=self.query.config.place.clearance)
+            rows = left[base_pose_status(geometry, poses[left])[0] == BaseStatus.CLEAR]
+            for score in prepared.mode_scorers:
+                reached = score(self.query.reach, poses[rows]).scores.max(1, initial=0.0) > 0
+                may[rows[reached]] = True
+                rows = rows[~reached]
         return may
 
     def _checks_of(self, k: int) -> BasePoseChecks:

@@ -11,17 +11,20 @@ from jaxtyping import Bool, Float, Int
 
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
 from momapos.model.records.plans import ArmPathResult, Attempt, Motion
+from momapos.model.records.protocols import ReachScorer
 from momapos.planning.placement.area import PlacementGeometry, clears_sweep
 from momapos.planning.placement.config import Method, PlaceConfig
-from momapos.planning.placement.grasp_scores import grasp_mode_scorers
+from momapos.planning.placement.grasp_scores import GraspModeScores, grasp_mode_scorers
 from momapos.planning.placement.pose_search import search
 from momapos.planning.placement.problem import Problem, Search
+from momapos.planning.placement.region import BasePoseRule
 from rooms import Everywhere
 
 MOTION = Motion(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros(1), np.eye(4)[None])
 FEASIBLE, NO_APPROACH = PoseOutcome(PoseStatus.FEASIBLE), PoseOutcome(PoseStatus.NO_APPROACH)
 FOUND = ArmPathResult(0, np.zeros((1, 6)), PoseOutcome(PoseStatus.PATH_FOUND))
 MISSED = ArmPathResult(-1, None, PoseOutcome(PoseStatus.NO_GRASP_IN_REACH))
+NO_PATH = PoseOutcome(PoseStatus.BASE_PATH_BLOCKED)
 Works = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
 START = np.array([0.0, -2.5, np.pi / 2])
 
@@ -63,6 +66,8 @@ def find(
     seed: int = 0,
     home_is_free: Works | None = None,
     departure: FakeDeparture | None = None,
+    reached: Works | None = None,
+    path_rule: Works | None = None,
     **changes: int | float,
 ) -> Search:
     def screen(
@@ -82,10 +87,17 @@ def find(
     def length(places: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
         return np.linalg.norm(places[:, :2] - START[:2], axis=1)
 
+    def score(_: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> GraspModeScores:
+        assert reached is not None
+        return GraspModeScores(reached(poses)[:, None].astype(np.float32), 1)
+
     scorers = grasp_mode_scorers(geometry.Ts_world_tool, np.zeros((0, 1), int))
+    scorers = scorers if reached is None else (score,)
+    rule = BasePoseRule(lambda poses, _: (path_rule or always)(poses), NO_PATH)
     problem = Problem(
         geometry, Everywhere(), Everywhere(), scorers, length, attempt, screen, START,
         lambda: False, home_is_free=home_is_free, departure=departure,
+        path_rules=() if path_rule is None else (rule,),
     )  # fmt: skip
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
@@ -273,3 +285,26 @@ def test_where_nothing_works_every_pose_has_a_reason(
         rejections = found.candidates().rejections
         assert sum(rejections.values()) == found.candidates().sampled
         assert rejections[str(reason)] == found.checked
+
+
+@pytest.mark.parametrize("method", ["ours", "exhaustive"])
+def test_slow_rules_are_asked_only_about_poses_from_which_a_grasp_is_within_reach(
+    geometry: PlacementGeometry, method: Method
+) -> None:
+    asked: list[np.ndarray] = []
+
+    def path_rule(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        asked.append(poses)
+        return poses[:, 1] < 0.0
+
+    found = find(
+        geometry, never, never, method=method, reached=left, path_rule=path_rule, count=64, rounds=1
+    )
+    every, outcomes = np.concatenate(found.poses), np.concatenate(found.outcomes)
+    assert left(np.concatenate(asked)).all()
+    status = np.array([one.status for one in outcomes])
+    blocked = every[status == PoseStatus.BASE_PATH_BLOCKED]
+    assert len(blocked)
+    assert (left(blocked) & (blocked[:, 1] >= 0.0)).all()
+    assert not left(every[status == PoseStatus.OUT_OF_REACH]).any()
+    assert found.checked == (outcomes == MISSED.outcome).sum() > 0

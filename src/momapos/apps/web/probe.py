@@ -133,7 +133,8 @@ class Probe:
                 watch=Stopwatch(lambda: 0.0),
             )  # fmt: skip
             checks = BasePoseChecks(query)
-            _ = checks.prepared.infeasible_reason  # computed now, not at the first check
+            for one in checks.by_handle():
+                _ = one.prepared.infeasible_reason  # computed now, not at the first check
             self._ready[value] = checks
         return self._ready[value]
 

@@ -213,7 +213,10 @@ def _check_in_order(
 ) -> None:
     """Check base poses until one works; all grasp modes at one before the next."""
     clear = cull(problem, poses, found)
-    modes = [clear.reached(score(problem.reach, clear.poses)) for score in problem.mode_scorers]
+    modes = [
+        clear.reached(score(problem.reach, clear.poses), problem.path_rules)
+        for score in problem.mode_scorers
+    ]
     for row in clear.row:
         for left in modes:
             which = np.flatnonzero(left.row == row)

@@ -213,5 +213,7 @@ class Problem:
     """Where the base may stand."""
     rules: tuple[PoseRule, ...] = ()
     """Further conditions on base poses."""
+    path_rules: tuple[PoseRule, ...] = ()
+    """Slower ones, asked only about base poses from which a grasp mode is within reach."""
     fit: FitPoses | None = None
     """Moves base poses to feasible ones nearby, for arms of few joints."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -57,12 +58,26 @@ class Shortlist:
         self.poses, self.row = self.poses[which], self.row[which]
         self.travel = self.travel[which]
 
-    def reached(self, modes: GraspModeScores) -> Shortlist:
-        """Return the poses from which some grasp mode is within reach."""
+    def reached(self, modes: GraspModeScores, also: Sequence[PoseRule]) -> Shortlist:
+        """Return the poses from which some grasp mode is within reach and that keep further rules.
+
+        Args:
+            modes: Scores of the grasp modes.
+            also: The rules.
+        """
         which = modes.scores.max(1, initial=0.0) > 0
-        beyond = self.row[~which]
-        self.outcomes[beyond[~self.tried[beyond]]] = PoseOutcome(PoseStatus.OUT_OF_REACH)
-        return replace(self, mode_scores=modes).only(which)
+        left = replace(self, mode_scores=modes)._without(
+            ~which, PoseOutcome(PoseStatus.OUT_OF_REACH)
+        )
+        for rule in also:
+            left = left._without(~rule.keeps(left.poses, left.travel), rule.otherwise)
+        return left
+
+    def _without(self, which: Bool[np.ndarray, " n"], because: PoseOutcome) -> Shortlist:
+        """Return the other poses; record why unless an earlier grasp mode came farther."""
+        rows = self.row[which]
+        self.outcomes[rows[~self.tried[rows]]] = because
+        return self.only(~which)
 
     def only(self, which: Bool[np.ndarray, " n"]) -> Shortlist:
         """Return a subset that shares the outcomes of the round."""
@@ -138,7 +153,8 @@ class ClearPoses:
         """Return the poses from which a scored grasp mode is within reach."""
         scores = score(problem.grid_reach if on_grid else problem.reach, self.poses.poses)
         own = self.own
-        return self.poses.reached(scores if own is None else scores.of_mode(own[self.poses.row]))
+        modes = scores if own is None else scores.of_mode(own[self.poses.row])
+        return self.poses.reached(modes, problem.path_rules)
 
 
 def clear_poses(
