@@ -8,31 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from contextlib import suppress
-from functools import wraps
+from functools import partial, wraps
 from typing import Any, ParamSpec, TypeVar
-from weakref import WeakKeyDictionary
+from weakref import ref
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 MAX_RESULTS = 512
-"""Number of results of a function in one object, and number of other objects with results in it;
-an object has fewer parts and links [-]."""
+"""Number of results of a function in one object, by default; a robot has some for each part that it
+moves [-]."""
 _ATTRIBUTE = "_results"
-_OBJECT = object()
-"""Stands in a key for an argument that is compared by identity."""
-_ABSENT = object()
+_by_identity = object.__hash__
+_Known = dict[tuple[Hashable, ...], tuple[Any, tuple["ref[Any]", ...]]]
+"""Results by key, each with references to the other objects that it belongs to."""
 
 
 class _Results:
     """The results that an object owns. They stay behind when it is copied or pickled."""
 
-    __slots__ = ("of_function", "owner")
+    __slots__ = ("__weakref__", "of_function", "owner")
 
     def __init__(self, owner: int = 0) -> None:
         self.owner = owner
         """The `id` of the object. A copy of the object has the same attributes, but another id."""
-        self.of_function: dict[Hashable, Any] = {}
+        self.of_function: dict[Callable[..., Any], _Known] = {}
 
     def __reduce__(self) -> tuple[type[_Results], tuple[()]]:
         return _Results, ()
@@ -50,8 +50,7 @@ def owner_cache(
     results, and so do objects made by `dataclasses.replace`.
 
     Args:
-        size: Number of results in one object, and number of other objects with results in it; the
-            oldest is dropped first.
+        size: Number of results in one object; the oldest is dropped first.
         owner: Returns the object that owns the result of a first argument that is compared by
             value; by default that is the argument itself.
     """
@@ -59,51 +58,62 @@ def owner_cache(
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         @wraps(function)
         def wrapper(*args: P.args, **named: P.kwargs) -> T:
-            first, key = args[0], args[1:]
+            first: Any = args[0]
+            key: list[Any] = []
+            others: list[Any] = []
             if owner is not None:
-                first, key = owner(first), args
-            attributes = vars(first)
-            results = attributes.get(_ATTRIBUTE)
-            if results is None:
-                results = attributes.setdefault(_ATTRIBUTE, _Results(id(first)))
-            if results.owner != id(first):
-                results = attributes[_ATTRIBUTE] = _Results(id(first))
-            if named:
-                key = (*key, *named.items())
-            others = [arg for arg in key if _is_object(type(arg))]
-            if others:
-                key = tuple(_OBJECT if _is_object(type(arg)) else arg for arg in key)
-            level = _next(results.of_function, (function, len(others)), others)
-            for k, other in enumerate(others, 1):
-                level = _next(level, other, others[k:], size)
-            found = level.get(key, _ABSENT)
-            if found is _ABSENT:
-                found = level.setdefault(key, function(*args, **named))
-                _limit(level, size)
-            return found
+                key.append(first)
+                first = owner(first)
+            for arg in (*args[1:], *named.items()) if named else args[1:]:
+                kind = type(arg)
+                if kind.__hash__ is _by_identity and kind.__weakrefoffset__:
+                    others.append(arg)
+                    arg = id(arg)
+                key.append(arg)
+            results = first.__dict__.get(_ATTRIBUTE)
+            if results is None or results.owner != id(first):
+                results = _begin(first)
+            known = results.of_function.get(function)
+            if known is None:
+                known = results.of_function.setdefault(function, {})
+            at = tuple(key)
+            found = known.get(at)
+            if found is not None and (not others or _belongs(found[1], others)):
+                return found[0]
+            value = function(*args, **named)
+            forget = partial(_forget, ref(results), function, at)
+            new = value, tuple(ref(one, forget) for one in others)
+            found = known.setdefault(at, new)  # another thread may have been faster
+            if not _belongs(found[1], others):
+                found = known[at] = new
+            while len(known) > size:
+                with suppress(KeyError, StopIteration, RuntimeError):  # another thread changes it
+                    del known[next(iter(known))]
+            return found[0]
 
         return wrapper
 
     return decorate
 
 
-def _is_object(kind: type) -> bool:
-    """Check whether values of a type are compared by identity, and can be held weakly."""
-    return kind.__hash__ is object.__hash__ and kind.__weakrefoffset__ != 0
-
-
-def _next(level: Any, key: Any, others: list[Any], size: int | None = None) -> Any:
-    """Return the results for a key, or for the objects that follow it; made on first use."""
-    found = level.get(key)
-    if found is None:
-        found = level.setdefault(key, WeakKeyDictionary() if others else {})
-        if size is not None:
-            _limit(level, size)
+def _begin(owner: object) -> _Results:
+    """Return the results of an object that has none of its own yet."""
+    attributes, new = vars(owner), _Results(id(owner))
+    found: _Results = attributes.setdefault(_ATTRIBUTE, new)
+    if found.owner != id(owner):  # of the object that this one is a copy of
+        found = attributes[_ATTRIBUTE] = new
     return found
 
 
-def _limit(level: Any, size: int) -> None:
-    """Drop the oldest entries beyond a number."""
-    while len(level) > size:
-        with suppress(KeyError, StopIteration, RuntimeError):  # another thread has changed it
-            del level[next(iter(level))]
+def _belongs(references: tuple[ref[Any], ...], others: list[Any]) -> bool:
+    """Check whether a result belongs to these objects, not to earlier ones with the same `id`."""
+    return [one() for one in references] == others
+
+
+def _forget(
+    owned: ref[_Results], function: Callable[..., Any], key: tuple[Hashable, ...], _dead: object
+) -> None:
+    """Drop a result, because one of the objects that it belongs to no longer exists."""
+    results = owned()
+    if results is not None:
+        results.of_function[function].pop(key, None)
