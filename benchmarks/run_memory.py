@@ -112,7 +112,7 @@ def answering(new: list[str], folder: Path, *, simulate: bool) -> Callable[[int]
         room = new_scene(own / "scene") if "scenes" in new else scene
         arm = new_robot(own / "robot") if "robots" in new else robot
         plan = plan_base_placement(room, arm, make_task(room, *TASK), reach).plan
-        assert plan.feasible, plan.reason
+        assert plan.feasible, plan.status
         file = folder / "plan.json"
         write_plan(plan, file)
         assert verify_files(file).valid

@@ -53,7 +53,7 @@ def answered(scene: Scene, robot: Robot) -> PlacementPlan:
     """Plan a task, check the plan, and execute it in physics."""
     reach = Everywhere()
     plan = plan_base_placement(scene, robot, TASK, reach).plan
-    assert plan.feasible, plan.reason
+    assert plan.feasible, plan.status
     assert plan.base_pose is not None
     assert plan.motion is not None
     assert PlanVerifier(scene, robot, plan.task).check(plan.base_pose, plan.motion).valid
