@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import Stopwatch
+from momapos.core import Stopwatch, owner_cache
 from momapos.core.geometry import inscribed_radius
 from momapos.model.collision import CollisionWorld, build_world
 from momapos.model.records import Motion, Task
@@ -291,7 +291,7 @@ def start_pose(
     return pose
 
 
-@lru_cache(maxsize=32)
+@owner_cache(8)
 def _roomy_start(scene: Scene, nav_map: NavigationMap) -> Float[np.ndarray, "3"]:
     """Return a free place in front of the furniture."""
     return roomy_place(scene, nav_map, in_front_of_parts(scene))

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.compiled import F1, F2, F3, F4, I1, entry
 from momapos.core.geometry import apply, invert
 from momapos.model.urdf import Articulated, Geometry, Hull, StaticElement
@@ -108,14 +109,14 @@ class Shapes:
         )
 
 
-@lru_cache(maxsize=512)
+@owner_cache()
 def prepared(model: Articulated) -> tuple[LinkBodies, Shapes]:
     """Return the bodies and shapes of a model, cached for all tasks."""
     bodies = bodies_of(model)
     return bodies, shapes_of(model, bodies)
 
 
-@lru_cache(maxsize=512)
+@owner_cache()
 def prepared_static(model: Articulated) -> tuple[LinkBodies, Shapes, Int[np.ndarray, " k"]]:
     """Return the shapes of furniture that stands still, cached for all tasks.
 

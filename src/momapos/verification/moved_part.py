@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from momapos.core import TaskError
+from momapos.core import TaskError, owner_cache
 from momapos.core.geometry import invert
 from momapos.model.records import Task
 from momapos.model.scene import Scene, SceneObject, latch_to_turn
@@ -187,19 +186,14 @@ def static_shapes(item: SceneObject) -> Shapes:
     return _standing(item)[0]
 
 
-_STANDING: WeakKeyDictionary[SceneObject, tuple[Shapes, Int[np.ndarray, " k"]]] = (
-    WeakKeyDictionary()
-)
-"""See `_standing`; most objects of a scene are the same in all its versions and for all tasks."""
-
-
+@owner_cache()
 def _standing(item: SceneObject) -> tuple[Shapes, Int[np.ndarray, " k"]]:
-    """Return an object's shapes in world coordinates and their elements, kept with the object."""
-    found = _STANDING.get(item)
-    if found is None:
-        bodies, shapes, element = prepared_static(item.model)
-        found = _STANDING[item] = (_in_world(item, bodies, shapes), element)
-    return found
+    """Return an object's shapes in world coordinates and their elements, cached.
+
+    Most objects of a scene are the same in all its versions and for all tasks.
+    """
+    bodies, shapes, element = prepared_static(item.model)
+    return _in_world(item, bodies, shapes), element
 
 
 def _in_world(item: SceneObject, bodies: LinkBodies, shapes: Shapes) -> Shapes:

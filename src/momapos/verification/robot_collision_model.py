@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from momapos.core import RobotError, unknown_name
+from momapos.core import RobotError, owner_cache, unknown_name
 from momapos.core.geometry import invert, pose_planar
 from momapos.model.urdf import Articulated
 
@@ -97,7 +96,7 @@ def robot_collision_model(robot: RobotDescription) -> RobotCollisionModel:
     )
 
 
-@lru_cache(maxsize=8)
+@owner_cache(8)
 def _robot_collision_model(
     model: Articulated,
     base_link: str,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import GRAVITY
+from momapos.core import GRAVITY, owner_cache
 from momapos.core.geometry import pose_planar
 from momapos.model.robots import support_outline
 from momapos.model.urdf import Articulated
@@ -112,7 +111,7 @@ def _cross(
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-@lru_cache(maxsize=8)
+@owner_cache(8)
 def robot_efforts(
     model: Articulated, bodies: LinkBodies, base_link: str, arm_joints: tuple[str, ...]
 ) -> RobotEfforts:

@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.core import FileFormatError, InputError
+from momapos.core import FileFormatError, InputError, owner_cache
 
 from .loading import print_warnings
 
@@ -240,7 +240,7 @@ def _library_robot(name: str, arm: str | None) -> Robot:
     return load_robot(name, arm=arm, cache=user_cache())
 
 
-@lru_cache(maxsize=MAX_SHARED)
+@owner_cache(MAX_SHARED)
 def _opened(robot: Robot, rest: tuple[tuple[str, float], ...]) -> Robot:
     from momapos.model.robots import opened_as
 

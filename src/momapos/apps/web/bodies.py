@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import UrdfError
+from momapos.core import UrdfError, owner_cache
 from momapos.core.geometry import apply
 from momapos.model.scene import SceneObject
 from momapos.model.urdf import Articulated, Geometry, Hull, mesh_triangles
@@ -64,7 +63,7 @@ def _hull_surface(hull: Hull) -> Surface:
     return Surface(hull.vertices, hull.faces)
 
 
-@lru_cache(maxsize=1024)
+@owner_cache()
 def link_surfaces(model: Articulated, *, collision: bool = False) -> tuple[LinkSurfaces, ...]:
     """Return the surfaces of a model's links, without links that have no shapes.
 

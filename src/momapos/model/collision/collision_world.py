@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.compiled import B1, F1, F2, F3, I1, LANES, entry, kernel
 from momapos.model.kinematics import (
     Chain,
@@ -125,7 +126,7 @@ def build_world(
     return CollisionWorld(static, cylinder, tuple(labels), moving, grasped, clearance, *buckets)
 
 
-@lru_cache(maxsize=8)
+@owner_cache(8)
 def _buckets(static: Boxes, reach: float) -> tuple[np.ndarray, ...]:
     """Sort static boxes into buckets for spheres of up to a radius [m], cached: all motions in one
     version of a scene share them.
@@ -294,7 +295,7 @@ def _state_hits(
     return out
 
 
-@lru_cache(maxsize=8)
+@owner_cache(8)
 def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
     """Return the arguments of an arm's collision check."""
     return CollisionArrays(spheres.arrays, world.arrays, world.clearance)

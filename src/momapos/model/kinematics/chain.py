@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -112,6 +112,14 @@ class Chain:
         """Return half the range of each joint [rad] or [m]."""
         return np.abs(self.ratio) * (self.upper - self.lower)[self.dof] / 2
 
+    @cached_property
+    def arrays(self) -> ChainArrays:
+        """Return the chain as an argument of kernels; see `chain_arrays`."""
+        return ChainArrays(
+            self.h, self.d, self.slides, self.dof, self.ratio, self.tool_offset,
+            self.tool_rotation,
+        )  # fmt: skip
+
     def joint_values(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch m"]:
         """Convert values of the degrees of freedom to values of all joints."""
         return np.asarray(q, float)[..., self.dof] * self.ratio + self.offset
@@ -140,13 +148,9 @@ class Segments:
     """Mimic joints that follow the chain but do not carry the tool, such as a head's."""
 
 
-@lru_cache(maxsize=64)
 def chain_arrays(chain: Chain) -> ChainArrays:
     """Return the chain as an argument of kernels, whose types are checked once for each record."""
-    return ChainArrays(
-        chain.h, chain.d, chain.slides, chain.dof, chain.ratio, chain.tool_offset,
-        chain.tool_rotation,
-    )  # fmt: skip
+    return chain.arrays
 
 
 def chain_limits(chain: Chain) -> JointLimits:

@@ -7,11 +7,11 @@ with the nearest tool poses; see `ik_model`.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.compiled import F3, entry, kernel
 
 from .chain import Chain, chain_arrays, chain_limits
@@ -266,7 +266,7 @@ def _solve_all(poses: F3, arm: ArmArrays) -> tuple[np.ndarray, np.ndarray]:
     return out[:, :most], counts
 
 
-@lru_cache(maxsize=64)
+@owner_cache()
 def arm_arrays(chain: Chain, ik: IkModel) -> ArmArrays:
     """Return an arm as an argument of kernels."""
     return ArmArrays(chain_arrays(chain), chain_limits(chain), ik_arrays(ik))

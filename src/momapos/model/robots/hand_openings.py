@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.model.collision import reposed
 from momapos.model.kinematics import build_chain
 
@@ -29,7 +29,7 @@ SAME_VALUE = 1e-4
 """Difference below which finger joints count as at the same value [rad] or [m]."""
 
 
-@lru_cache(maxsize=64)
+@owner_cache()
 def opened_to(robot: Robot, width: float) -> Robot | None:
     """Return a robot whose hand is open to a width; None if it cannot be.
 
@@ -83,7 +83,7 @@ def _finger_joints(robot: Robot) -> tuple[str, ...]:
     )
 
 
-@lru_cache(maxsize=64)
+@owner_cache()
 def _closing(
     robot: Robot,
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "m n"], Float[np.ndarray, " m"]]:

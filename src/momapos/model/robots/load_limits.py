@@ -7,11 +7,11 @@ margin below the effort limits is for them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import apply, edge_normals
 from momapos.model.kinematics import (
     BASE,
@@ -111,7 +111,7 @@ def robot_loads(robot: Robot) -> RobotLoads:
     return _robot_loads(robot)
 
 
-@lru_cache(maxsize=64)
+@owner_cache()
 def _robot_loads(robot: Robot) -> RobotLoads:
     chain, notes = robot.chain, []
     arrays, why = load_arrays(robot.model, robot.base_link, chain, robot.segments)

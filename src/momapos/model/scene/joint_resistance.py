@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import GRAVITY
+from momapos.core import GRAVITY, owner_cache
 from momapos.model.records import JointResistance
 from momapos.model.urdf import Articulated, Hull, opening_of
 
@@ -20,8 +19,6 @@ from .scene_object import SceneObject
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-_PARTS = 1024
-"""Number of parts whose masses and resistances are cached [-]."""
 _STEP = 1e-5
 """Difference of joint values for the derivative of a height [rad] or [m]."""
 
@@ -122,7 +119,7 @@ def stays_in_place(
     return np.abs(weight_at(item, joint, values, config)) < friction
 
 
-@lru_cache(maxsize=_PARTS)
+@owner_cache()
 def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) -> JointResistance:
     """Return the resistance of a joint with assumed values where the scene gives none.
 
@@ -168,7 +165,7 @@ def _whole(word: str, text: str) -> list[int]:
     return [found.start() for found in re.finditer(pattern, text)]
 
 
-@lru_cache(maxsize=_PARTS)
+@owner_cache()
 def part_masses(
     model: Articulated,
     links: Sequence[str],

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import SceneError, as_path, finite_array, finite_number
+from momapos.core import SceneError, as_path, finite_array, finite_number, owner_cache
 from momapos.core.geometry import apply, pose, pose_planar, upright_frame
 from momapos.model.records import Confidence, Hypothesis, JointResistance, Latch
 from momapos.model.urdf import (
@@ -37,8 +37,8 @@ MAX_MASS = 1e5
 """Maximum mass of an object [kg]; excludes mistaken units."""
 SAME_VALUE = 1e-6
 """Joint values that differ by less count as the same [rad] or [m]."""
-MAX_POSED_MODELS = 128
-"""Number of models at other rest values that are cached [-]."""
+MAX_POSED_MODELS = 16
+"""Number of other rest values at which a model is cached [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +309,7 @@ class SceneObject:
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
 
-@lru_cache(maxsize=MAX_POSED_MODELS)
+@owner_cache(MAX_POSED_MODELS)
 def _posed(model: Articulated, values: tuple[tuple[str, float], ...]) -> Articulated:
     return model.changed(held={**model.held, **dict(values)})
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import ParseError
@@ -50,11 +49,8 @@ def up_axis(path: Path, data: bytes) -> str:
 
     The format's default is Y_UP, but URDF tools write files without it whose z is up.
     """
-    return _up_axis(data) if path.suffix.lower() == ".dae" else "Z_UP"
-
-
-@lru_cache(maxsize=256)
-def _up_axis(data: bytes) -> str:
+    if path.suffix.lower() != ".dae":
+        return "Z_UP"
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import iterparse
 

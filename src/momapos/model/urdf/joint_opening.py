@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import apply, invert
 
 from .articulated import Articulated
@@ -22,7 +22,6 @@ MIN_FREE_SIDE = 0.05
 """A part without limits opens to the side on which it protrudes more by at least this [m]."""
 TRIAL_ANGLE, TRIAL_TRAVEL = np.pi / 4, 0.2
 """Motion to either side for that comparison: a door is in front or inside [rad], [m]."""
-_MAX_CACHED = 4096
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class JointOpening:
         return 1.0 if self.wide >= self.closed else -1.0
 
 
-@lru_cache(maxsize=_MAX_CACHED)
+@owner_cache()
 def opening_of(model: Articulated, joint: str) -> JointOpening:
     """Return at which value a part is closed, and toward which limit it opens.
 

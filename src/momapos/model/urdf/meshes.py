@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +25,7 @@ import numpy as np
 from momapos.core import UrdfError, fork_safe_lock, read_bytes_bounded
 
 from .collada import meters_per_unit
+from .recent_points import RecentPoints
 from .urdf_records import Mesh
 
 if TYPE_CHECKING:
@@ -51,13 +51,15 @@ def mesh_points(path: Path | Mesh) -> Float[np.ndarray, "n 3"]:
     if isinstance(path, Mesh):
         return path.vertices
     try:
-        return _points(path, os.stat(path).st_mtime_ns)
+        return _recent.get(path, os.stat(path).st_mtime_ns, _points)
     except OSError as error:
         raise UrdfError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-@lru_cache(maxsize=4096)
-def _points(path: Path, _stamp: int) -> Float[np.ndarray, "n 3"]:
+_recent = RecentPoints()
+
+
+def _points(path: Path) -> Float[np.ndarray, "n 3"]:
     points = _vertices(path, mesh_bytes(path))
     if len(points) == 0:
         raise UrdfError(f"{path}: the mesh is empty")

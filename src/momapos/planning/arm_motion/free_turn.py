@@ -9,11 +9,11 @@ grasp, but only from base poses on a curve: samples are moved to that curve.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import wrap_angle
 from momapos.model.collision import FREE, CollisionWorld
 from momapos.model.kinematics import build_ik, fit_bases, promising_bases, with_tool_turn
@@ -41,6 +41,9 @@ FEWEST_STARTS, MOST_STARTS, STARTS = 12, 96, 1000
 [-]. Of modes that turn about a bar, 1 in 30 of them meets; the many modes of drawers are alike."""
 _GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 """Its multiples modulo 1 are spread evenly, for any count [-]."""
+_MAX_ARMS, _MAX_FITS = 64, 1024
+"""Number of arms with a turning hand that are cached for a robot, and of modes for an arm [-]; a
+question about a drawer has some hundred modes."""
 _DIGITS = 6
 """Decimals to which axes and angles are rounded [-]."""
 
@@ -101,7 +104,7 @@ def fitted_bases(
     return poses, found
 
 
-@lru_cache(maxsize=16)
+@owner_cache(16)
 def _feasible_modes(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " w"]:
     """Return the grasp modes by which an arm of few joints follows a motion from somewhere.
 
@@ -123,7 +126,7 @@ def _is_feasible(robot: Robot, motion: TaskMotion, mode: int, count: int) -> boo
     return _meets(arm, (np.round(Ts, _DIGITS) + 0.0).tobytes(), count)
 
 
-@lru_cache(maxsize=4096)
+@owner_cache(_MAX_FITS)
 def _meets(arm: ArmModel, poses: bytes, count: int) -> bool:
     """Return whether base poses reach tool poses (4, 4, 4), given as their bytes."""
     Ts = np.frombuffer(poses).reshape(-1, 4, 4)
@@ -186,7 +189,7 @@ def _rounded(values: np.ndarray) -> tuple[float, ...]:
     return tuple((np.round(values, _DIGITS) + 0.0).tolist())
 
 
-@lru_cache(maxsize=64)
+@owner_cache(_MAX_ARMS)
 def _arm_about(robot: Robot, axis: tuple[float, ...], ends: tuple[float, ...]) -> TurningArm:
     slack = np.where(robot.chain.prismatic, 0.0, LIMIT_SLACK)
     wider = replace(robot.chain, lower=robot.chain.lower - slack, upper=robot.chain.upper + slack)

@@ -8,11 +8,11 @@ fingers fit between a bar and a carcass. The arm's kernels then skip the hand.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.compiled import B1, F1, F2, F3, I1, entry, kernel
 from momapos.core.geometry import invert
 from momapos.model.collision import (
@@ -241,7 +241,7 @@ def _hand_hits(
     return out
 
 
-@lru_cache(maxsize=64)
+@owner_cache()
 def arm_spheres(robot: Robot) -> Spheres:
     """Return the robot's spheres for checks that skip the hand, except against the robot itself."""
     spheres = robot.spheres.by_hulls
@@ -249,7 +249,7 @@ def arm_spheres(robot: Robot) -> Spheres:
     return replace(spheres, gripper=np.where(known, KNOWN, spheres.gripper))
 
 
-@lru_cache(maxsize=64)
+@owner_cache()
 def _hand_arrays(robot: Robot) -> HandArrays:
     """Return the gripper and all other links that the arm's last joint moves."""
     spheres = robot.spheres

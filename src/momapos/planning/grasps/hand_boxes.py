@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import invert
 from momapos.model.robots import Grip, Robot, facing_pose, finger_links, squared, tips_of
 from momapos.model.urdf import Boxes
@@ -155,7 +155,7 @@ def empty_handed(robot: Robot) -> str:
     )
 
 
-@lru_cache(maxsize=64)
+@owner_cache()
 def hand_of(robot: Robot) -> Hand:
     """Build the model of a robot's gripper.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import apply, invert
 from momapos.model.urdf import Articulated, Geometry, Joint
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 HANDLE_WORD = "handle"
-_MODELS = 1024
-"""Number of parts whose geometry is cached [-]."""
 PANEL_SHARE = 0.25
 """Elements whose face has this share of the widest one's area belong to the panel [-]."""
 MIN_PROTRUSION = 0.008
@@ -85,13 +83,18 @@ class CarriedPart:
         return {name: T_carrier_root @ poses[name] for name in links}
 
 
+def model_of(part: CarriedPart) -> Articulated:
+    """Return the model of a part, in which everything about the part is cached."""
+    return part.model
+
+
 def parts_moved_by(model: Articulated, joint: str) -> tuple[CarriedPart, ...]:
     """Return what a joint moves in the frame of each carrier, that of the joint's child first."""
     carriers = dict.fromkeys([model.joint(joint).child, *model.rigid_groups(joint).values()])
     return tuple(CarriedPart(model, joint, carrier) for carrier in carriers)
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def rigid_links(part: CarriedPart) -> tuple[str, ...]:
     """Return the carrier of a part, the links fixed to it, and the handles jointed to it."""
     model, links = part.model, {part.carrier}
@@ -111,7 +114,7 @@ def is_handle_joint(model: Articulated, joint: Joint) -> bool:
     return _size_of_links(model, joint.name)[1] < MAX_HANDLE_BREADTH
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache()
 def _size_of_links(model: Articulated, joint: str) -> tuple[float, float, float]:
     """Return the extents of what a joint moves, the largest first; infinite without a shape [m]."""
     points = [
@@ -130,7 +133,7 @@ def named_shapes(part: CarriedPart) -> list[tuple[str, Geometry]]:
     return part.model.shapes_named(HANDLE_WORD, rigid_links(part))
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def part_elements(part: CarriedPart) -> tuple[Element, ...]:
     """Return the collision elements of all links that a joint moves."""
     T_link = part.poses(part.moved)
@@ -141,7 +144,7 @@ def part_elements(part: CarriedPart) -> tuple[Element, ...]:
     )
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def part_pieces(part: CarriedPart) -> tuple[Element, ...]:
     """Return the same, with non-convex meshes split into convex pieces."""
     return tuple(piece for whole in part_elements(part) for piece in _pieces_of(part, whole))
@@ -152,7 +155,7 @@ def in_pieces(part: CarriedPart, elements: list[Element]) -> list[Element]:
     return [piece for whole in elements for piece in _pieces_of(part, whole)]
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def _pieces_of(part: CarriedPart, whole: Element) -> tuple[Element, ...]:
     if whole.index is None or len(pieces := part.model.pieces(whole.link, whole.index)) < 2:
         return (whole,)
@@ -160,7 +163,7 @@ def _pieces_of(part: CarriedPart, whole: Element) -> tuple[Element, ...]:
     return tuple(Element(whole.link, whole.name, convex_of(p, T), whole.index) for p in pieces)
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def visual_elements(part: CarriedPart) -> tuple[Element, ...]:
     """Return the convex hulls of the visuals of the links that move rigidly with the carrier."""
     model, links = part.model, rigid_links(part)
@@ -172,7 +175,7 @@ def visual_elements(part: CarriedPart) -> tuple[Element, ...]:
     )
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def named_elements(part: CarriedPart) -> tuple[Element, ...]:
     """Return the elements named "handle"; for a visual, its collision elements if there are any."""
     model, links = part.model, rigid_links(part)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import TaskError
+from momapos.core import TaskError, owner_cache
 from momapos.core.geometry import apply
 from momapos.model.scene import SceneObject
 from momapos.model.urdf import Articulated, fit_box, opening_of, opens_both_ways
@@ -28,6 +27,7 @@ from .handle_shapes import (
     front_along,
     in_pieces,
     longest_name,
+    model_of,
     named_elements,
     named_shapes,
     own_elements,
@@ -43,8 +43,6 @@ from .part_motion import lever_arms, motion_direction, part_path
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_MODELS = 1024
-"""Number of parts whose handles are cached [-]."""
 KNOB_ELONGATION = 1.5
 """A handle less elongated than this is a knob, which can be approached at any roll [-]."""
 MAX_STRIPS = 4
@@ -73,7 +71,7 @@ def opening_direction(
     return apply(T_world_part, middle[None])[0], T_world_part[:3, :3] @ direction
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache()
 def _opening(
     model: Articulated, joint: str
 ) -> tuple[CarriedPart, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -117,7 +115,7 @@ def find_handle(model: Articulated, joint: str, sign: float, latch: str | None =
     return handle
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache()
 def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, ...]:
     """Find the handles of the part that a joint moves, the most probable first.
 
@@ -180,7 +178,7 @@ def handles_in_turn(
     yield from (h for h in found if h.edge)
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def handles_by_hulls(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     """Find the geometry named "handle" and the elements that protrude from the panel."""
     own, named = own_elements(part), named_elements(part)
@@ -213,7 +211,7 @@ def _face_area(element: Element) -> float:
     return float(np.prod(np.sort(np.ptp(element.convex.vertices, axis=0))[1:]))
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def _as_handle(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     """Return a part as its own handle; empty without geometry."""
     own = list(own_elements(part))
@@ -267,7 +265,7 @@ def _side_faces(
     return [s * axis for axis in axes for s in (1.0, -1.0)], in_plane
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def handles_by_pieces(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     """Find protrusions and strips among the convex pieces of the meshes."""
     whole = part_elements(part)

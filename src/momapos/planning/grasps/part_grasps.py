@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import rotation_about, rotation_of
 from momapos.model.robots import Grip, Robot
 from momapos.model.urdf import Articulated
@@ -50,8 +50,6 @@ STEEP_TURNS = {75.0: {60.0, 90.0}, -75.0: {-60.0, -90.0}}
 Behind a bar near a panel a finger has most room if it leans: at 72 to 80 degrees for 43 mm."""
 HOOK_SHARE = 0.8
 """Share of the pull along the closing axis above which a grasp is a hook [-]."""
-_PARTS = 512
-"""Number of parts whose grasps are cached [-]."""
 
 
 class Family(StrEnum):
@@ -163,7 +161,7 @@ def _points(handle: Handle) -> Float[np.ndarray, " p"]:
     return np.array(HANDLE_POINTS) * usable
 
 
-@lru_cache(maxsize=_PARTS)
+@owner_cache()
 def grasps_of(
     robot: Robot, model: Articulated, joint: str, sign: float, handle: Handle, config: GraspConfig
 ) -> PartGrasps:
@@ -188,7 +186,7 @@ def grasps_of(
     return _touching(robot, hand, model, joint, sign, handle, config)
 
 
-@lru_cache(maxsize=_PARTS)
+@owner_cache()
 def push_grasps(
     robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
 ) -> tuple[Handle, PartGrasps] | None:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import apply
 from momapos.model.scene import SceneObject
 from momapos.model.urdf import opening_of
 
-from .handle_shapes import CarriedPart
+from .handle_shapes import CarriedPart, model_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_MODELS = 1024
-"""Number of parts whose motion is cached [-]."""
 _SAMPLES = 7
 """Joint values at which the motion of a link that follows is evaluated, without the closed part,
 where some linkages are singular [-]."""
@@ -56,7 +54,7 @@ def velocities(
     return np.asarray(np.cross(turn[:, None], points) + slide[:, None])
 
 
-@lru_cache(maxsize=_MODELS)
+@owner_cache(owner=model_of)
 def _usual_twists(
     part: CarriedPart,
 ) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import GRAVITY
+from momapos.core import GRAVITY, owner_cache
 from momapos.core.geometry import invert
 from momapos.model.robots import Grip, Robot
 from momapos.model.scene import SceneObject, object_mass
@@ -38,8 +37,6 @@ PAD_INSET = 0.015
 """Minimum distance of the pads' middle from the ends of the object [m]."""
 MIN_CONTACT_SHARE = 0.25
 """Minimum contact area of a grasp, as a share of the largest one [-]."""
-_OBJECTS = 512
-"""Number of objects whose grasps are cached [-]."""
 _DIGITS = 9
 DOWN = np.array([[0.0, 0.0, -1.0]])
 ALL_DIRECTIONS = np.array(
@@ -91,7 +88,7 @@ def select_object_grasps(
     )
 
 
-@lru_cache(maxsize=_OBJECTS)
+@owner_cache()
 def _holding(
     robot: Robot,
     model: Articulated,

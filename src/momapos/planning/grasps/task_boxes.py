@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import invert
 from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import Boxes, MovingBoxes
@@ -17,8 +17,8 @@ from .handle_records import Handle
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-_SCENES = 8
-"""Number of scenes whose static boxes are cached; one question has a few versions [-]."""
+_PARTS = 8
+"""Number of parts of a scene for which the static boxes are cached; a question has a few [-]."""
 Body: TypeAlias = "tuple[Float[np.ndarray, 'v 4 4'], Mapping[str, Float[np.ndarray, '4 4']]]"
 """A rigid body that moves: its world pose at each value, and the poses of its links in it."""
 
@@ -100,7 +100,7 @@ def scene_boxes(scene: Scene) -> Boxes:
     return static_boxes(scene, None, frozenset())[0]
 
 
-@lru_cache(maxsize=_SCENES)
+@owner_cache(_PARTS)
 def static_boxes(
     scene: Scene, target: SceneObject | None, moved: frozenset[str]
 ) -> tuple[Boxes, tuple[str, ...]]:

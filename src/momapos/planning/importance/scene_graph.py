@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import SceneError, unknown_name
+from momapos.core import SceneError, owner_cache, unknown_name
 from momapos.model.scene import Scene, upright_boxes
 from momapos.model.urdf import Boxes
 
@@ -145,7 +145,7 @@ class SceneGraph:
         return outline_gaps(self.upright, target)
 
 
-@lru_cache(maxsize=16)
+@owner_cache(4)
 def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
     """Build the scene graph from the geometry of the objects at their joint values.
 

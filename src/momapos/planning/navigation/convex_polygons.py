@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.compiled import F1, F2, I1, entry, kernel
 from momapos.core.geometry import (
     all_inside,
@@ -172,7 +173,7 @@ def pack(
     )
 
 
-@lru_cache(maxsize=8)
+@owner_cache()
 def prisms_of(robot: Robot) -> RobotPrisms:
     """Enclose a robot in prisms, cut at the heights that minimize their volume.
 

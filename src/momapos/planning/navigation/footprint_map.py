@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import SceneError
+from momapos.core import SceneError, owner_cache
 from momapos.core.geometry import contains
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
@@ -95,13 +95,17 @@ class NavigationMap:
         return self.gap > 0.0
 
 
-@lru_cache(maxsize=8)
 def build_navigation_map(scene: Scene, robot: Robot) -> NavigationMap:
-    """Build the navigation map of a robot with its arm at home.
+    """Build the navigation map of a robot with its arm at home, cached.
 
     Raises:
         SceneError: The scene is too large for a map.
     """
+    return _navigation_map(robot, scene)
+
+
+@owner_cache(8)  # one takes about 1 MB; a question has a few versions of its scene
+def _navigation_map(robot: Robot, scene: Scene) -> NavigationMap:
     prisms = prisms_of(robot)
     obstacles = obstacles_of(scene, prisms)
     return navigation_map_of(robot, prisms, obstacles, scene.floor_polygon)

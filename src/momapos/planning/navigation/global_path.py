@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import wrap_angle
 
 from .car_connection import shortest_lengths
@@ -303,7 +303,7 @@ def _lattice(nav_map: NavigationMap) -> Lattice:
     return Lattice(nav_map.origin, CELL, HEADINGS, lattice_moves(nav_map.robot), MAX_GAP)
 
 
-@lru_cache(maxsize=8)
+@owner_cache()
 def _standable(nav_map: NavigationMap) -> Bool[np.ndarray, "rows columns"]:
     """Find the cells in which the base fits with some heading."""
     return standable(nav_map.inside, _lattice(nav_map), path_model(nav_map, DEFAULT_CONFIG))

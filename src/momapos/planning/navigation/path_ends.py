@@ -7,12 +7,12 @@ obstacles are too close for that, they lead through its exits (`lattice_connecti
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import refuse_below
+from momapos.core import owner_cache, refuse_below
 from momapos.core.geometry import wrap_angle
 
 from .car_connection import shortest_lengths
@@ -238,7 +238,7 @@ def path_end(
     return _path_end(nav_map, config, (x, y, yaw), is_goal, float(needed))
 
 
-@lru_cache(maxsize=8)
+@owner_cache(8)
 def _path_end(
     nav_map: NavigationMap,
     config: PathConfig,

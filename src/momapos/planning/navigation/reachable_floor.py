@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import inscribed_radius
 
 from .convex_polygons import ConvexPolygons, RobotPrisms
@@ -149,7 +149,7 @@ class _Reached:
     reached: Bool[np.ndarray, "rows columns"]
 
 
-@lru_cache(maxsize=4)
+@owner_cache(4)
 def _reached(nav_map: NavigationMap, start: tuple[float, float]) -> _Reached:
     from scipy import ndimage
 

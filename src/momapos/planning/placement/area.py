@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import all_inside, local_points, place_points
 from momapos.model.collision import FREE, base_hits
 from momapos.model.robots import Robot
@@ -81,7 +82,7 @@ class PlacementGeometry:
         return float(chain.half_travel[:first][along].sum())
 
 
-@lru_cache(maxsize=16)
+@owner_cache()
 def arm_radius(geometry: PlacementGeometry) -> Float[np.ndarray, " w"]:
     """Return the horizontal reach Delta_r at each waypoint's height; NaN if it is out of reach [m].
 
