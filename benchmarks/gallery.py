@@ -169,7 +169,7 @@ ITEMS = (
          on_the_floor(candidates=True), away=3.4, above=55.0),
     Item("opening", ("view kitchen_small --robot segway_ur5e",),
          on_the_floor(opening=True), above=50.0),
-    Item("graph", ("view kitchen_small --robot segway_ur5e",), relations, away=5.2, aside=1.2),
+    Item("graph", ("view kitchen_small --robot segway_ur5e",), relations, away=4.2, aside=1.0),
     Item("compare", ("view kitchen_small --robot segway_ur5e",), side_by_side,
          away=6.4, aside=2.2, above=30.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
