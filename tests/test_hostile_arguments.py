@@ -231,8 +231,8 @@ def test_functions_that_change_their_arguments_do_not_change_the_answer(
     [
         (lambda n, g: np.full((n, g), NAN), r"scores in \[0, 1\]"),
         (lambda n, g: np.full((n, g), 1.5), r"scores in \[0, 1\]"),
-        (lambda n, g: np.ones(n), "an array of shape"),
-        (lambda n, g: None, "an array of shape"),
+        (lambda n, _: np.ones(n), "an array of shape"),
+        (lambda *_: None, "an array of shape"),
         (lambda n, g: [["a"] * g] * n, "an array of shape"),
     ],
 )

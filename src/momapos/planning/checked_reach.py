@@ -9,7 +9,6 @@ import numpy as np
 
 from momapos.core import InputError
 from momapos.model.records import ReachScorer
-
 from momapos.planning.reachability import ArmLength, ReachMap
 
 if TYPE_CHECKING:
