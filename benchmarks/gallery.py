@@ -142,8 +142,12 @@ def in_the_middle(page: Page) -> None:
 def relations(page: Page) -> None:
     """Show the importance of objects and their relations, which furniture would hide."""
     planned("open", "fridge/door_hinge", "segway_ur5e", importance=True)(page)
-    page.panel.furniture.value = False
-    page.room.set_visible(False)
+    scene = page.room.scene
+    assert scene is not None
+    furniture = {item.name for item in scene.objects if item.category != "wall"}
+    for name, nodes in page.room._nodes.items():
+        for node in nodes:
+            node.visible = name not in furniture
     page.robot.remove()
 
 
@@ -169,7 +173,7 @@ ITEMS = (
          on_the_floor(candidates=True), away=3.4, above=55.0),
     Item("opening", ("view kitchen_small --robot segway_ur5e",),
          on_the_floor(opening=True), above=50.0),
-    Item("graph", ("view kitchen_small --robot segway_ur5e",), relations, away=5.2, aside=1.2),
+    Item("graph", ("view kitchen_small --robot segway_ur5e",), relations, away=4.6, aside=1.1),
     Item("compare", ("view kitchen_small --robot segway_ur5e",), side_by_side,
          away=6.4, aside=2.2, above=30.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",

@@ -176,6 +176,7 @@ if __name__ == "__main__":
     figure = Figure(figsize=(19.2, 6.8), dpi=100, layout="constrained")
     above, *images = figure.subplots(1, 1 + len(frames), width_ratios=[1.15] + [1.0] * len(frames))
     count = draw_above(above, result)
+    figure.get_layout_engine().set(h_pad=0.15)  # type: ignore[union-attr]  # a title is cut else
     above.set_title("from above", fontsize=22)
     for axes, frame in zip(images, frames, strict=True):
         draw_image(axes, frame, result)

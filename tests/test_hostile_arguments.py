@@ -201,3 +201,45 @@ def test_keep_poses_keeps_what_it_returns_true_for(given: dict[str, Any]) -> Non
     assert plan.base_pose is None or plan.base_pose[0] < 0.6
     with pytest.raises(momapos.MomaposError, match="keep_poses must return"):
         momapos.plan_base_placement(**parts, keep_poses=lambda poses: poses[:, 0])
+
+
+def test_functions_that_change_their_arguments_do_not_change_the_answer(
+    given: dict[str, Any],
+) -> None:
+    parts = {key: given[key] for key in ("scene", "robot", "task", "config")}
+
+    def zeroed(poses: np.ndarray) -> np.ndarray:
+        poses[:] = 0.0
+        return np.zeros(len(poses))
+
+    class Zeroed:
+        def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
+            bases[:], Ts_world_tool[:] = 0.0, 0.0
+            return np.ones((len(bases), len(Ts_world_tool)))
+
+    plain = momapos.plan_base_placement(**parts, reach=given["reach"]).plan
+    for name, value in (
+        ("pose_cost", zeroed), ("keep_poses", lambda poses: zeroed(poses) == 0.0)
+    ):  # fmt: skip
+        found = momapos.plan_base_placement(**parts, reach=given["reach"], **{name: value}).plan
+        assert found.base_pose == plain.base_pose
+    assert momapos.plan_base_placement(**parts, reach=Zeroed()).plan.feasible
+
+
+@pytest.mark.parametrize(
+    ("scores", "match"),
+    [
+        (lambda n, g: np.full((n, g), NAN), r"scores in \[0, 1\]"),
+        (lambda n, g: np.full((n, g), 1.5), r"scores in \[0, 1\]"),
+        (lambda n, _: np.ones(n), "an array of shape"),
+        (lambda *_: None, "an array of shape"),
+        (lambda n, g: [["a"] * g] * n, "an array of shape"),
+    ],
+)
+def test_wrong_scores_of_a_reach_scorer_are_refused(
+    given: dict[str, Any], scores: Callable[[int, int], Any], match: str
+) -> None:
+    parts = {key: given[key] for key in ("scene", "robot", "task", "config")}
+    wrong = SimpleNamespace(min_score=lambda bases, Ts: scores(len(bases), len(Ts)))
+    with unchecked(), pytest.raises(momapos.MomaposError, match=match):
+        momapos.plan_base_placement(**parts, reach=wrong)

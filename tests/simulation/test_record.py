@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,6 +81,35 @@ def test_a_motion_with_lists_of_different_lengths_is_refused(tmp_path: Path) -> 
     (tmp_path / "run.json").write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match="invalid run record"):
         read_run(tmp_path / "run.json")
+
+
+@pytest.mark.parametrize(
+    ("member", "value"),
+    [
+        ("times", [0.0, 1e9]), ("bases", [[0, 0, 0], [1e300, 0, 0]]), ("part", [0.0, -1e9]),
+        ("joints", {"lift": [0.0, 1e300]}), ("forces", [[0, 0, 0], [0, 1e300, 0]]),
+        ("poses", [[0, 0, 0, 1, 0, 0, 0], [0, 0, 0, 1, 1, 0, 0]]),
+    ],
+)  # fmt: skip
+def test_a_motion_with_impossible_numbers_is_not_read(
+    member: str, value: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.json"
+    motion = RunMotion((0.0, 0.1), ("drive", "drive"), ((0.0, 0.0, 0.1), (0.1, 0.0, 0.1)))
+    write_run(replace(RECORD, motion=motion), path)
+    data = json.loads(path.read_text())
+    data["motion"][member] = value
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="of a motion must"):
+        read_run(path)
+
+
+def test_a_record_with_impossible_results_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    for changed in (replace(DONE, wall=1e300), replace(DONE, resistance={"mass": -1e300})):
+        write_run(replace(RECORD, execution=changed), path)
+        with pytest.raises(FileFormatError, match="numbers must be at most 1e\\+09"):
+            read_run(path)
 
 
 def test_failed_attempts_round_trip_and_a_record_without_them_is_read(

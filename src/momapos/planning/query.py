@@ -35,6 +35,7 @@ from momapos.planning.navigation import (
 from momapos.planning.placement import OURS, PoseCost, PoseMask
 from momapos.planning.reachability import load_reach
 
+from .checked_reach import checked_reach
 from .config import PipelineConfig
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ class PlacementQuery:
         expect("task", self.task, Task, "make_task makes one")
         if not hasattr(self.reach, "min_score"):
             raise InputError("reach must be a reachability map; load_reach_map reads one")
+        object.__setattr__(self, "reach", checked_reach(self.reach))
         expect("config", self.config, PipelineConfig, "set its stages, as place=PlaceConfig()")
         expect("region", self.region, BaseRegion)
         for name in ("keep_poses", "keep_grasps", "final_check", "pose_cost"):
@@ -176,7 +178,7 @@ class PlacementQuery:
             InputError: It returns anything but one bool per pose.
         """
         assert self.keep_poses is not None
-        mask = np.asarray(self.keep_poses(poses))
+        mask = np.asarray(self.keep_poses(poses.copy()))
         if mask.shape != (len(poses),) or mask.dtype != bool:
             raise InputError(
                 f"keep_poses must return {len(poses)} bools, one per base pose, not an array of "
@@ -191,7 +193,7 @@ class PlacementQuery:
             InputError: It returns anything but one number of at least 0 per pose.
         """
         assert self.pose_cost is not None
-        cost = np.asarray(self.pose_cost(poses))
+        cost = np.asarray(self.pose_cost(poses.copy()))
         if cost.shape != (len(poses),) or cost.dtype.kind not in "fiu":
             raise InputError(
                 f"pose_cost must return {len(poses)} numbers, one per base pose, not an array of "

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 
 Triple = tuple[float, float, float]
 DRIVE = "drive"
 """Stage in which the base drives."""
 DIGITS = 4
 """Decimal digits of recorded lengths and angles [-]."""
+MAX_SECONDS = 3600.0
+"""Longest motion; at 10 samples a second, a longer one hardly fits into a file [s]."""
+MAX_COORDINATE = 1e4
+"""Largest joint value and coordinate [rad] or [m]."""
+MAX_UNIT_ERROR = 0.01
+"""Largest error of the length of a rounded unit quaternion [-]."""
+MAX_FORCE = 1e6
+"""Largest component of a force [N]."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,30 @@ class RunMotion:
             raise ValueError("the times of a motion must not decrease")
         if any(len(pose) != 7 for pose in self.poses):
             raise ValueError("each pose of a motion must have 7 numbers")
+
+    def check_numbers(self) -> None:
+        """Check that all numbers of a file are of a possible size.
+
+        Raises:
+            ValueError: One is not; the message names its kind.
+        """
+        values = (self.part, *self.joints.values(), *self.latch.values(), *self.bases, *self.poses)
+        for name, most, numbers in (
+            ("times [s]", MAX_SECONDS, iter(self.times)),
+            ("values and poses [rad], [m]", MAX_COORDINATE, chain.from_iterable(values)),
+            ("forces [N]", MAX_FORCE, chain.from_iterable(self.forces)),
+        ):
+            _check_range(name, most, numbers)
+        if any(abs(math.hypot(*pose[3:]) - 1.0) > MAX_UNIT_ERROR for pose in self.poses):
+            raise ValueError("each pose of a motion must end with a unit quaternion")
+
+
+def _check_range(name: str, most: float, numbers: Iterable[float]) -> None:
+    for number in numbers:
+        if not abs(number) <= most:
+            raise ValueError(
+                f"the {name} of a motion must be finite and at most {most:g}, not {number:g}"
+            )
 
 
 def rounded(values: Sequence[float], digits: int = DIGITS) -> tuple[float, ...]:

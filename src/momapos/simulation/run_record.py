@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "momapos-run", 1
 MAX_BYTES = 10_000_000
+MAX_NUMBER = 1e9
+"""Largest result of a run in a file, in its unit."""
 Pose = tuple[float, float, float]
 
 
@@ -304,6 +306,25 @@ def read_run(path: Path) -> RunRecord:
                 f'{path}: not a {FORMAT} file of version {VERSION}; it has "format": '
                 f'{head.format!r:.60}, "version": {head.version!r:.60}'
             )
-        return msgspec.json.decode(content, type=RunRecord)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        record = msgspec.json.decode(content, type=RunRecord)
+        _check_numbers(record)
+        return record
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise FileFormatError(f"{path}: invalid run record: {error}") from error
+
+
+def _check_numbers(record: RunRecord) -> None:
+    """Check that all numbers of a record are of a possible size.
+
+    Raises:
+        ValueError: One is not.
+    """
+    if record.motion is not None:
+        record.motion.check_numbers()
+    left = [msgspec.to_builtins(replace(record, motion=None))]
+    while left:
+        value = left.pop()
+        if isinstance(value, dict | list | tuple):
+            left.extend(value.values() if isinstance(value, dict) else value)
+        elif isinstance(value, float) and not abs(value) <= MAX_NUMBER:
+            raise ValueError(f"numbers must be at most {MAX_NUMBER:g}, not {value:g}")

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +29,19 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(name in shown for name in COMMANDS)
+
+
+def test_names_are_printed_where_the_terminal_lacks_their_letters(tmp_path: Path) -> None:
+    item = {"name": "Kühlschrank ✓", "pose": {"xyz": [0, 0, 0.5]}, "box": [1, 1, 1]}
+    room = {"format": "momapos-scene", "version": 1, "objects": [item]}
+    (tmp_path / "room.json").write_text(json.dumps(room))
+    for encoding, shown in (("ascii", b"K\\xfchlschrank \\u2713"), ("latin-1", b"K\xfchl")):
+        done = subprocess.run(
+            [sys.executable, "-m", "momapos", "scene", "show", tmp_path / "room.json"],
+            capture_output=True, env={**os.environ, "PYTHONIOENCODING": encoding},
+        )  # fmt: skip
+        assert done.returncode == 0
+        assert shown in done.stdout
 
 
 GROUPS = {name: group for name, (_, group) in COMMANDS.items() if isinstance(group, dict)}

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import gc
+import json
 import shutil
 from pathlib import Path
 
 import pytest
 from tests.rooms import Everywhere
 
-from momapos.apps.cli.plan_sources import open_plan
+from momapos.apps.cli.plan_sources import file_format, open_plan
+from momapos.apps.cli.view_sources import kind_of, scenes_in
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_file
@@ -31,6 +33,28 @@ def a_plan(robot: str | Path, folder: Path) -> Path:
     path = folder / "plan.json"
     write_plan(found.plan, path)
     return path
+
+
+LATE = {"a": ["x" * 50] * 20}
+"""What pushes the other members of a file away from its beginning."""
+
+
+@pytest.mark.parametrize("name", ["scene", "plan", "run", "tour"])
+def test_a_file_is_known_by_its_format_wherever_it_stands(name: str, tmp_path: Path) -> None:
+    path, kinds = tmp_path / "file.json", {"run": "run", "plan": "plan", "tour": "plan"}
+    for content in (
+        {**LATE, "format": f"momapos-{name}"}, {"format": f"momapos-{name}", **LATE},
+    ):  # fmt: skip
+        for mark in ("", "\ufeff"):
+            path.write_text(mark + json.dumps(content))
+            assert file_format(path) == f"momapos-{name}"
+            assert kind_of(str(path)) == kinds.get(name, "scene")
+            assert scenes_in(tmp_path) == (("file.json",) if name == "scene" else ())
+    path.write_text(json.dumps({"format": f"momapos-{name}", **LATE})[:-5])
+    assert file_format(path) == f"momapos-{name}"
+    for content in ("", "[1]", "{", json.dumps({"format": 3, **LATE}), json.dumps(LATE)):
+        path.write_text(content)
+        assert file_format(path) == ""
 
 
 def test_plans_share_the_kitchens_and_robots_of_the_package(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -85,20 +87,87 @@ complete -C "momapos place open kitchen_small fridge --robot fet"
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_a_shell_completes_the_name_of_a_robot(shell: str, tmp_path: Path) -> None:
+    assert "fetch" in completed(shell, SHELLS[shell], tmp_path).split()
+
+
+def completed(shell: str, text: str, folder: Path) -> str:
+    """Run a script in a shell, in a folder, and return what it prints."""
     if which(shell) is None:
         skip(shell)
-    program = tmp_path / "momapos"
+    program = folder / "momapos"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{START}" "$@"\n')
     program.chmod(0o755)
-    script = tmp_path / "complete"
-    script.write_text(SHELLS[shell])
+    script = folder / "complete"
+    script.write_text(text)
     path = {
-        "PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": ":".join(sys.path),
-        "HOME": str(tmp_path),
+        "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": ":".join(sys.path),
+        "HOME": str(folder),
     }  # fmt: skip
-    done = subprocess.run([shell, str(script)], capture_output=True, text=True, env=path)
-    assert "fetch" in done.stdout.split()
+    done = subprocess.run(
+        [shell, str(script)], capture_output=True, text=True, env=path, cwd=folder
+    )
     assert done.stderr == ""
+    return done.stdout
+
+
+HOSTILE = ("$(touch run)", "`touch run`", "${HOME}", "~", "it's", "a b", "x;touch run", "*")
+OF_ROOM = {
+    "bash": """
+eval "$(momapos --tyro-print-completion bash)"
+COMP_WORDS=(momapos place pick room.json ""); COMP_CWORD=4
+_momapos_names momapos "" room.json; printf '%s\n' "${COMPREPLY[@]}"
+""",
+    "zsh": """
+eval "$(momapos --tyro-print-completion zsh)"
+compadd() { print -rl -- ${(P)2}; }
+_describe() { :; }
+_files() { :; }
+words=(momapos place pick room.json ""); CURRENT=5
+_momapos_names
+""",
+    "fish": """
+momapos --tyro-print-completion fish | source
+complete -C "momapos place pick room.json "
+""",
+}
+
+
+@pytest.mark.parametrize("shell", OF_ROOM)
+def test_no_shell_expands_the_name_of_an_object(shell: str, tmp_path: Path) -> None:
+    objects = [{"name": name} for name in (*HOSTILE, "two\nlines", "\x1b[31mred")]
+    room = {"format": "momapos-scene", "objects": objects}
+    (tmp_path / "room.json").write_text(json.dumps(room))
+    lines = completed(shell, OF_ROOM[shell], tmp_path).splitlines()
+    assert not (tmp_path / "run").exists()
+    if shell == "bash":  # it inserts the words as they are
+        lines = [word for line in lines for word in shlex.split(line)]
+    assert set(HOSTILE) <= set(lines)
+    assert not any(line == "lines" or "\x1b" in line for line in lines)
+
+
+def test_bash_inserts_the_only_name_that_fits(tmp_path: Path) -> None:
+    script = """
+eval "$(momapos --tyro-print-completion bash)"
+COMP_WORDS=(momapos place open kitchen_small micro); COMP_CWORD=4
+_momapos_names momapos micro kitchen_small
+for word in "${COMPREPLY[@]}"; do echo "<$word>"; done
+"""
+    words = completed("bash", script, tmp_path).split()
+    assert words == ["<microwave>", "<microwave/door_hinge>"]
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_scripts_are_the_same_each_time_and_offer_no_none(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--tyro-print-completion", shell]) == 0
+    script = capsys.readouterr().out
+    choices = re.findall(r"choices\\?': \[([^]]*)\]", script)
+    assert len(choices) > 10
+    assert all(words.split(", ") == sorted(words.split(", ")) for words in choices)
+    assert not any("None" in words for words in choices)
+    (specification,) = re.findall(r"^COMPLETION_SPEC = .*$", script, re.MULTILINE)
+    assert "\\n" not in specification  # a description of two lines would be two words
 
 
 @pytest.mark.parametrize(("variable", "colored"), [("1", False), ("", True)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,20 @@ def test_a_table_of_a_run_has_each_time_of_its_record_once(
         assert values == pytest.approx([0.1 * k for k in kept])
         # From 0.3 s to 0.4 s it moves by 0.1.
         assert float(rows[-1][f"{name}_velocity"]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("to", ["csv", "mcap", "npz"])
+def test_a_run_beyond_the_limits_of_a_joint_is_refused(
+    run_file: Path, to: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = json.loads(run_file.read_text())
+    name = next(iter(data["motion"]["joints"]))
+    data["motion"]["joints"][name][2] = 9.5
+    run_file.write_text(json.dumps(data))
+    out = tmp_path / "out"
+    assert main(["export", str(run_file), "--to", to, "--out", str(out)]) == 2
+    assert f"moves {name!r} to 9.5; its limits are" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_a_recording_of_a_run_has_the_motion_of_base_arm_and_door(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import shutil
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,11 +19,13 @@ from momapos.apps.bench.bench_records import Row, to_plain
 from momapos.apps.cli.main import main
 from momapos.apps.schemas.generate import SCHEMAS, schema_of
 from momapos.apps.schemas.tables import field_list
+from momapos.core.errors import InputError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.plan_files.tour_format import TourFile, TourStep, tour_to_dict
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot_keys import EACH, ROBOT_KEYS
 from momapos.model.robots.robot_names import library_file, library_names
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_keys import SCENE_KEYS, Named
@@ -187,6 +190,54 @@ def test_files_without_a_required_member_or_with_a_wrong_type_do_not_match(
         for changed in (without, {**good, member: 1.5}, {**good, member: [None]}):
             with pytest.raises(jsonschema.ValidationError):
                 check(name, changed)
+
+
+WRONG: list[tuple[tuple[str | int, ...], Any]] = [
+    (("floor", 0, 0), 1e5), (("walls",), [{"from": [0, 0], "to": [1, 0], "thickness": 0.0}]),
+    (("areas",), {"a": [[0, 0], [1, 0]]}), (("start", "yaw"), 1e5),
+    (("objects", 0, "urdf"), None), (("objects", 0, "mass"), None), (("objects", 0, "mass"), 2e5),
+    (("objects", 0, "pose", "xyz", 2), 1e5), (("objects", 0, "confidence"), {"object": 0.5}),
+    (("objects", 0, "resistance"), {"door_hinge": {"friction": -1.0}}),
+    (("objects", 0, "resistance"), {"door_hinge": {"fricton": 1.0}}),
+    (("objects", 0, "hypotheses"), {"door_hinge": []}),
+    (("objects", 0, "hypotheses"), {"door_hinge": [
+        {"kind": "hinge_left", "probability": 1, "point": [0, 0, 0], "axis": [0, 0, 1], "upper": 1}
+    ]}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("where", "value"), WRONG)
+def test_the_schema_of_scenes_refuses_what_the_reader_refuses(
+    where: tuple[str | int, ...], value: Any, tmp_path: Path
+) -> None:
+    scene: Any = json.loads((LIBRARY / "kitchen_small.json").read_text())
+    shutil.copytree(LIBRARY, tmp_path / "library")
+    scene["objects"] = [one for one in scene["objects"] if one["name"] == "fridge"]
+    check("scene", scene)
+    part = scene
+    for key in where[:-1]:
+        part = part[key]
+    part[where[-1]] = value
+    with pytest.raises(jsonschema.ValidationError):
+        check("scene", scene)
+    file = tmp_path / "library" / "wrong.json"
+    file.write_text(json.dumps(scene))
+    with pytest.raises(InputError):
+        load_scene(file)
+
+
+def test_the_members_of_a_robot_file_are_those_that_the_reader_knows() -> None:
+    made = schema_of("robot")
+    records = {name: set(part["properties"]) for name, part in made["$defs"].items()}
+    assert set(made["properties"]) == set(ROBOT_KEYS)
+    for key, record in (
+        ("base", "RobotBase"), ("tool", "RobotTool"), ("arms", "RobotArm"),
+        ("frames", "RobotFrame"), ("mount", "RobotMount"), ("coupled", "RobotCoupling"),
+        ("limits", "RobotLimits"),
+    ):  # fmt: skip
+        known = ROBOT_KEYS[key]
+        assert known is not None
+        assert records[record] == set(known.get(EACH) or known)
 
 
 def test_misspelled_members_of_files_that_people_write_do_not_match() -> None:

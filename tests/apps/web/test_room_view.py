@@ -11,7 +11,9 @@ import pytest
 import trimesh
 from viser import SceneApi
 
+from momapos.apps.web import colors
 from momapos.apps.web.bodies import Surface
+from momapos.apps.web.colors import rgb
 from momapos.apps.web.crowd import MAX_TRIANGLES, ColoredSurface, batched, object_hit
 from momapos.apps.web.room_view import RoomView
 from momapos.apps.web.serve import open_server
@@ -201,6 +203,23 @@ def test_an_open_door_stays_open_when_its_collision_shapes_are_drawn(room: RoomV
     room.show(KITCHEN, "oven")
     room.show(KITCHEN, "fridge")
     np.testing.assert_allclose(doors(), closed)
+
+
+@pytest.mark.parametrize("joint", ["door_hinge", "freezer_door_hinge"])
+def test_only_the_part_of_the_task_has_the_color_of_the_moving_part(
+    room: RoomView, joint: str
+) -> None:
+    fridge = KITCHEN.object("fridge")
+    room.show(KITCHEN, "fridge", joint)
+    bodies = {key[:-5]: node for key, node in room._links.items() if key.endswith("|body")}
+    colored = {link for link, node in bodies.items() if tuple(node.color) == rgb(colors.PART)}
+    assert colored == set(fridge.model.moved_by(joint)) & set(bodies)
+    assert colored
+    room.show(KITCHEN, "fridge")
+    every = {link for name in fridge.model.joints for link in fridge.model.moved_by(name)}
+    bodies = {key[:-5]: node for key, node in room._links.items() if key.endswith("|body")}
+    colored = {link for link, node in bodies.items() if tuple(node.color) == rgb(colors.PART)}
+    assert colored == every & set(bodies)
 
 
 def test_a_movable_object_can_be_active_after_a_drawer(room: RoomView) -> None:

@@ -64,11 +64,14 @@ def busy(title: str, limit: float | None = None) -> Iterator[None]:
         return
     done, began = threading.Event(), time.monotonic()
     most = "" if limit is None else f" of at most {limit:.0f}"
+    width = 0
 
     def show() -> None:
+        nonlocal width
         while not done.wait(1.0):
-            line = f"\r{title}: {time.monotonic() - began:.0f}{most} s"
-            print(line, end="", file=sys.stderr, flush=True)
+            line = f"{title}: {time.monotonic() - began:.0f}{most} s"
+            width = len(line)
+            print(f"\r{line}", end="", file=sys.stderr, flush=True)
 
     printer = threading.Thread(target=show, daemon=True)
     printer.start()
@@ -77,8 +80,8 @@ def busy(title: str, limit: float | None = None) -> Iterator[None]:
     finally:
         done.set()
         printer.join()
-        if time.monotonic() - began > 1.0:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+        if width:  # blanks, because some terminals know no command to erase a line
+            print(f"\r{' ' * width}\r", end="", file=sys.stderr, flush=True)
 
 
 def summary(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from momapos.core import InputError, MomaposError, check_outputs, temporary_folder
 
-from .plan_sources import open_run
+from .plan_sources import file_format, open_run
 
 if TYPE_CHECKING:
     from momapos.apps.export import Camera, Episode
@@ -21,8 +21,6 @@ SETS = {"lerobot": "_lerobot", "hdf5": ".hdf5"}
 MAX_SIZE = 2048
 """Largest width and height of an image [px]."""
 MAX_RUNS = 1_000_000
-_HEAD = 400
-"""Bytes at the beginning of a file that hold its format [-]."""
 
 
 def export_episodes(
@@ -88,7 +86,7 @@ def _runs(source: Path) -> list[Path]:
         return [source]
     found = sorted(
         path for path in source.glob("*.json")
-        if path.is_file() and not path.name.startswith(".") and _is_run(path)
+        if path.is_file() and not path.name.startswith(".") and file_format(path) == "momapos-run"
     )  # fmt: skip
     if not found or len(found) > MAX_RUNS:
         raise InputError(
@@ -96,11 +94,6 @@ def _runs(source: Path) -> list[Path]:
             f"{len(found)}"
         )
     return found
-
-
-def _is_run(path: Path) -> bool:
-    with path.open("rb") as file:
-        return b'"momapos-run"' in file.read(_HEAD)
 
 
 def _cameras(text: str) -> tuple[Camera, ...]:

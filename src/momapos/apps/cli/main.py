@@ -212,4 +212,6 @@ def _group(name: str, functions: dict[str, str]) -> str:
 
 def entry() -> None:
     """Console script."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names may have letters that a terminal lacks
+        sys.stdout.reconfigure(errors="backslashreplace")
     sys.exit(main())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,9 +30,12 @@ _SCRIPTS = {
     "bash": f"""
 _momapos_names() {{
   _tyro_momapos "$@"
-  local cur="${{COMP_WORDS[COMP_CWORD]}}"
-  COMPREPLY+=($(compgen -W "$(momapos {COMPLETE_NAMES} "${{COMP_WORDS[@]:1:COMP_CWORD-1}}" \
-2>/dev/null)" -- "$cur"))
+  local cur="${{COMP_WORDS[COMP_CWORD]}}" name word
+  [[ ${{#COMPREPLY[@]}} = 1 && -z ${{COMPREPLY[0]}} ]] && COMPREPLY=()  # tyro's for nothing
+  while IFS= read -r name; do
+    printf -v word %q "$name"
+    [[ -n $name && ( $name == "$cur"* || $word == "$cur"* ) ]] && COMPREPLY+=("$word")
+  done < <(momapos {COMPLETE_NAMES} "${{COMP_WORDS[@]:1:COMP_CWORD-1}}" 2>/dev/null)
 }}
 complete -o default -F _momapos_names momapos
 """,
@@ -41,6 +45,7 @@ _momapos_names() {{
   names=(${{(f)"$(momapos {COMPLETE_NAMES} ${{words[2,CURRENT-1]}} 2>/dev/null)"}})
   [[ -n "$names" ]] && compadd -a names
   _tyro_momapos "$@"
+  (( compstate[nmatches] )) || _files
 }}
 (( $+functions[compdef] )) || {{ autoload -Uz compinit; compinit; }}
 compdef _momapos_names momapos
@@ -48,12 +53,21 @@ compdef _momapos_names momapos
     "fish": f"""
 complete --command momapos --arguments "(momapos {COMPLETE_NAMES} (commandline -opc)[2..-1] \
 2>/dev/null)"
+complete --command momapos --force-files --condition \
+"not string match --quiet -- '-*' (commandline -ct)"
 """,
 }
-"""What follows tyro's script for each shell: names of scenes, robots, objects and suites."""
+"""What follows tyro's script for each shell: names of scenes, robots, objects and suites.
+
+Names come from files of others, so no shell may expand them; bash's `compgen -W` would.
+"""
 _ZSH_CALL = 'typeset -A opt_args\n_tyro_momapos "$@"'
 """End of tyro's script for zsh, which is the body of a completion function, not one to source."""
 SHELLS = tuple(_SCRIPTS)
+_SPECIFICATION = re.compile(r"^COMPLETION_SPEC = .*$", re.MULTILINE)
+"""What tyro's scripts complete, in one line."""
+_CHOICES = re.compile(r"(choices\\?': \[)([^]]*)\]")
+"""The choices of an option; fish's script escapes the quotes."""
 
 
 def completion_script(shell: str, of_tyro: str) -> str:
@@ -63,7 +77,18 @@ def completion_script(shell: str, of_tyro: str) -> str:
         shell: One of `SHELLS`.
         of_tyro: Tyro's script for this shell, which completes commands and options.
     """
-    return of_tyro.replace(_ZSH_CALL, "") + _SCRIPTS[shell]
+    cleaned = _SPECIFICATION.sub(lambda found: _clean(found[0]), of_tyro)
+    return cleaned.replace(_ZSH_CALL, "") + _SCRIPTS[shell]
+
+
+def _clean(specification: str) -> str:
+    """Leave out the choice None, order the choices, and put each description in one line."""
+
+    def ordered(found: re.Match[str]) -> str:
+        words = sorted(word for word in found[2].split(", ") if "None" not in word)
+        return f"{found[1]}{', '.join(words)}]"
+
+    return re.sub(r"\\{1,2}n", " ", _CHOICES.sub(ordered, specification))
 
 
 def names_for(words: Sequence[str]) -> list[str]:
@@ -114,7 +139,8 @@ def _objects(scene: str, *, parts: bool) -> list[str]:
         if path.stat().st_size > MAX_BYTES:
             return []
         entries = json.loads(path.read_text(encoding="utf-8-sig"))["objects"]
-        return [name for entry in entries for name in _entry_names(entry, path.parent, parts)]
+        names = [name for entry in entries for name in _entry_names(entry, path.parent, parts)]
+        return [name for name in names if name.isprintable()]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, MomaposError):
         return []  # the command itself says what is wrong with the file
 

@@ -29,6 +29,7 @@ from .options import (
     BaseArg,
     Flag,
     JointsArg,
+    MassArg,
     ObjectArg,
     OptionalFile,
     PoseArg,
@@ -160,7 +161,7 @@ def place_pick(
     target: ObjectArg,
     /,
     *,
-    mass: float | None = None,
+    mass: MassArg = None,
     options: Shared = DEFAULT,
 ) -> int:
     """Pick up a rigid object.
@@ -178,7 +179,7 @@ def place_place(
     target: ObjectArg,
     /,
     *,
-    mass: float | None = None,
+    mass: MassArg = None,
     options: Shared = DEFAULT,
 ) -> int:
     """Place the rigid object that the robot holds where it stands in the scene.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.core import FileFormatError, InputError, owner_cache
+from momapos.core import FileFormatError, InputError, MomaposError, open_regular, owner_cache
 
 from .loading import print_warnings
 
@@ -17,8 +18,30 @@ if TYPE_CHECKING:
     from momapos.model.scene import Scene
     from momapos.simulation import RunRecord
 
+_HEAD = 400
+"""Bytes at the beginning of a file that usually hold its format [-]."""
+_FORMAT = re.compile(rb'"format"\s*:\s*"(momapos-[a-z]+)"')
 MAX_SHARED = 16
 """Kitchens and robots of the package that plans opened by one process share [-]."""
+
+
+def file_format(path: Path, most: int = 20_000_000) -> str:
+    """Return the momapos format of a file by its beginning, or by its member "format".
+
+    Its beginning suffices for a file that is truncated, and for one that is larger than `most`
+    [bytes]; "" if the file has none.
+    """
+    try:
+        with open_regular(path) as file:
+            found = _FORMAT.search(file.read(_HEAD))
+        if found is not None or path.stat().st_size > most:
+            return "" if found is None else found[1].decode()
+        from momapos.model.plan_files import format_of
+
+        name = format_of(path)
+    except (OSError, ValueError, MomaposError):
+        return ""
+    return name if isinstance(name, str) and name.startswith("momapos-") else ""
 
 
 def check_plan_file(plan: Path) -> None:

@@ -77,7 +77,7 @@ def _write(opened: Opened | OpenedScan | None, static: Path) -> None:
     assert isinstance(opened, Opened), "a plan or a run"
     write_page(
         opened.scene, opened.robot, opened.plan, static, story=opened.story(),
-        active=opened.question.target.partition("/")[0], card=opened.card,
+        active=opened.question.target, card=opened.card,
     )  # fmt: skip
     print(f"{static}: {static.stat().st_size / 1e6:.1f} MB; open it in any browser")
 

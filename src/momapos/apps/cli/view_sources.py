@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from momapos.core import MomaposError, open_regular, temporary_folder
 
 from .loading import print_warnings
+from .plan_sources import file_format
 
 if TYPE_CHECKING:
     from momapos.apps.web import Opened, OpenedScan
@@ -19,30 +20,26 @@ if TYPE_CHECKING:
 Kind = Literal["scene", "plan", "run", "scan"]
 MAX_FILES = 500
 """Files of a folder that are looked at [-]."""
-SCENE = b'"momapos-scene"'
-_HEAD = 300
-"""Bytes at the beginning of a file that identify its format [-]."""
+MAX_SCENE = 2_000_000
+"""Size of a file of the folder whose format does not stand at its beginning [bytes]."""
+_KINDS: dict[str, Kind] = {"momapos-plan": "plan", "momapos-run": "run", "momapos-tour": "plan"}
 _SCANS = (b"ply", b"# .PCD", b"#ROSBAG", b"\x89MCAP0", b"SQLite format 3")
 """First bytes of point clouds and recordings."""
 
 
 def kind_of(source: str) -> Kind:
-    """Identify a source by its first bytes; its reader reports everything else."""
+    """Identify a source by its first bytes or its format; its reader reports everything else."""
     path = Path(source)
     try:
         if path.is_dir():
             return "scan"
         with open_regular(path) as file:
-            head = file.read(_HEAD)
+            head = file.read(max(map(len, _SCANS)))
     except (OSError, ValueError, MomaposError):  # a name, or a file that the scene reader refuses
         return "scene"
     if head.startswith(_SCANS):
         return "scan"
-    kinds: dict[bytes, Kind] = {
-        b'"momapos-plan"': "plan", b'"momapos-run"': "run",
-        b'"momapos-tour"': "plan",
-    }  # fmt: skip
-    return next((kind for word, kind in kinds.items() if word in head), "scene")
+    return _KINDS.get(file_format(path), "scene")
 
 
 def source_in(source: str) -> str:
@@ -55,10 +52,9 @@ def scenes_in(folder: Path) -> tuple[str, ...]:
     """Return the names of the scene files in a folder, which the page offers; no links."""
     found = []
     for path in sorted(folder.glob("*.json"))[:MAX_FILES]:
-        if path.is_file() and not path.is_symlink():
-            with path.open("rb") as file:
-                if SCENE in file.read(_HEAD):
-                    found.append(path.name)
+        usable = path.is_file() and not path.is_symlink()
+        if usable and file_format(path, MAX_SCENE) == "momapos-scene":
+            found.append(path.name)
     return tuple(found)
 
 

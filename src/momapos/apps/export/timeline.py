@@ -22,6 +22,10 @@ from .phases import Phase, PhaseKind, Samples, samples_of
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+LIMIT_SLACK = 0.2
+"""Distance beyond a joint limit that the soft limits of the physics engine may give way to a load
+[rad] or [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
@@ -125,7 +129,7 @@ def recorded_motion(record: RunRecord, robot: Robot) -> RunMotion:
     """Return the motion of a run.
 
     Raises:
-        InputError: The record has no motion, or belongs to another robot.
+        InputError: The record has no motion, belongs to another robot, or leaves its limits.
     """
     motion = record.motion
     if motion is None or len(motion.times) < 2:
@@ -135,4 +139,13 @@ def recorded_motion(record: RunRecord, robot: Robot) -> RunMotion:
     unknown = next((name for name in motion.joints if name not in robot.model.joints), None)
     if unknown is not None:
         raise InputError(f"the run record moves {unknown!r:.60}, which is no joint of {robot.name}")
+    for name, values in motion.joints.items():
+        joint = robot.model.joint(name)
+        low, high = joint.lower - LIMIT_SLACK, joint.upper + LIMIT_SLACK
+        beyond = next((value for value in values if not low <= value <= high), None)
+        if beyond is not None:
+            raise InputError(
+                f"the run record moves {name!r:.60} to {beyond:g}; its limits are {joint.lower:g} "
+                f"to {joint.upper:g}"
+            )
     return motion

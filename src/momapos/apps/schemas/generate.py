@@ -15,6 +15,8 @@ from .plan_words import WORDS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
+_NONZERO = ("seal_travel", "lever", "mass")
+"""Members of a resistance that are above 0."""
 _BASE: Schema = {
     "type": "array",
     "description": "Pose of the base at each state: x [m], y [m], yaw [rad].",
@@ -37,6 +39,11 @@ def _scene() -> Schema:
     made = _schema(SceneFile)
     entry = made["$defs"]["SceneEntry"]
     entry["oneOf"] = [{"required": ["urdf"]}, {"required": ["box"]}]
+    known = made["$defs"]["JointResistance"]
+    known["additionalProperties"] = False
+    for name, member in known["properties"].items():
+        if name != "balanced":
+            member["anyOf"][0] |= {"minimum": 1e-6 if name in _NONZERO else 0, "maximum": 1e5}
     return made
 
 

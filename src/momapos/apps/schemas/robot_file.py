@@ -9,7 +9,12 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from .scene_file import Pair, Positive, Triple
+from .scene_file import Triple
+
+Positive = Annotated[float, msgspec.Meta(gt=0, lt=1e6)]
+Corner = Annotated[float, msgspec.Meta(ge=-5, le=5)]
+Name = Annotated[str, msgspec.Meta(min_length=1)]
+Edge = Annotated[float, msgspec.Meta(gt=0, le=5)]
 
 
 class _Strict(msgspec.Struct, forbid_unknown_fields=True):
@@ -19,7 +24,9 @@ class _Strict(msgspec.Struct, forbid_unknown_fields=True):
 class RobotBase(_Strict):
     """The mobile base."""
 
-    footprint: Annotated[tuple[Pair, ...], msgspec.Meta(min_length=3)]
+    footprint: Annotated[
+        tuple[tuple[Corner, Corner], ...], msgspec.Meta(min_length=3, max_length=1000)
+    ]
     """Outline of everything that does not move with the arm, seen from above: x, y [m]."""
     drive: Literal["differential", "omni", "car"]
     min_turning_radius: Positive | None = None
@@ -51,7 +58,7 @@ class RobotTool(_Strict):
 class RobotFrame(_Strict):
     """A frame that the URDF lacks."""
 
-    parent: str
+    parent: Name
     """Link that carries it."""
     xyz: Triple = (0.0, 0.0, 0.0)
     """[m]"""
@@ -62,7 +69,7 @@ class RobotFrame(_Strict):
 class RobotMount(_Strict):
     """A base that carries the arm, for the URDF of an arm alone: a box or a URDF."""
 
-    box: Triple | None = None
+    box: tuple[Edge, Edge, Edge] | None = None
     """Length, width and height [m]."""
     urdf: str | None = None
     """URDF of the base."""
@@ -101,7 +108,7 @@ class RobotLimits(_Strict):
 class _ArmMembers(_Strict):
     """An arm with its gripper."""
 
-    tool_link: str | None = None
+    tool_link: Name | None = None
     """Link whose frame is the tool frame, between the fingertips."""
     arm_joints: list[str] | None = None
     """Joints from the base to the tool, in order."""
@@ -123,10 +130,10 @@ class RobotArm(_ArmMembers):
 class RobotFile(_ArmMembers, kw_only=True):
     """A mobile base with one arm, or with several in `arms`."""
 
-    name: str
-    urdf: str
+    name: Name
+    urdf: Name
     """Path of the URDF, relative to the robot file."""
-    base_link: str
+    base_link: Name
     """Link on the floor, x forward, z up."""
     base: RobotBase
     version: Literal[1] = 1

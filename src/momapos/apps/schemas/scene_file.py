@@ -6,15 +6,24 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from momapos.model.records import JointResistance
+from momapos.model.records import JointResistance, PartKind
 
+Coordinate = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
+Local = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
 Pair = tuple[float, float]
+Point = tuple[Coordinate, Coordinate]
 Triple = tuple[float, float, float]
+Position = tuple[Coordinate, Coordinate, Coordinate]
+LocalTriple = tuple[Local, Local, Local]
+Edge = Annotated[float, msgspec.Meta(gt=0, le=1e3)]
 Quaternion = tuple[float, float, float, float]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
-Outline = Annotated[tuple[Pair, ...], msgspec.Meta(min_length=3)]
+Outline = Annotated[tuple[Point, ...], msgspec.Meta(min_length=3, max_length=1000)]
+Unset = msgspec.UnsetType
+UNSET = msgspec.UNSET
+"""Default of a member that a file may leave out, and that is not null."""
 
 
 class _Strict(msgspec.Struct, forbid_unknown_fields=True):
@@ -24,7 +33,7 @@ class _Strict(msgspec.Struct, forbid_unknown_fields=True):
 class ScenePose(_Strict):
     """Pose of an object's frame in the world."""
 
-    xyz: Triple
+    xyz: Position
     """Position [m]."""
     wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
     """Unit quaternion [-]."""
@@ -33,24 +42,24 @@ class ScenePose(_Strict):
 class SceneStart(_Strict):
     """Initial pose of the robot's base on the floor."""
 
-    x: float
+    x: Coordinate
     """[m]"""
-    y: float
+    y: Coordinate
     """[m]"""
-    yaw: float
+    yaw: Coordinate
     """[rad]"""
 
 
 class SceneWall(_Strict):
     """A wall on the floor."""
 
-    start: Pair = msgspec.field(name="from")
+    start: Point = msgspec.field(name="from")
     """One end of its center line: x, y [m]."""
-    to: Pair
+    to: Point
     """The other end [m]."""
-    height: Positive = 2.5
+    height: Annotated[float, msgspec.Meta(ge=1e-3, le=100)] = 2.5
     """[m]"""
-    thickness: Positive = 0.1
+    thickness: Annotated[float, msgspec.Meta(ge=1e-3, le=10)] = 0.1
     """Half of it on either side of the center line [m]."""
 
 
@@ -68,24 +77,24 @@ class SceneLatch(_Strict):
 class SceneHypothesis(_Strict):
     """One way in which a part may move."""
 
-    kind: str
-    """Kind of the part, such as "hinge_left" or "drawer"."""
+    kind: PartKind
+    """Kind of the part, such as "door_left" (its hinge is at the left) or "drawer"."""
     probability: Share
     """[-]"""
-    point: Triple
+    point: LocalTriple
     """A point on the axis, in the object's frame [m]."""
-    axis: Triple
-    """Direction of the axis, in the object's frame [-]."""
-    upper: float
+    axis: LocalTriple
+    """Unit vector along the axis, in the object's frame [-]."""
+    upper: Annotated[float, msgspec.Meta(ge=0, le=1e3)]
     """How far it opens [rad] or [m]."""
 
 
 class SceneConfidence(_Strict):
     """How sure a scan is."""
 
-    object: Share | None = None
+    object: Share
     """That the object exists [-]."""
-    label: Share | None = None
+    label: Share
     """That its category is right [-]."""
     joints: dict[str, Share] = {}
     """That a joint is as modeled, by joint [-]."""
@@ -101,22 +110,24 @@ class SceneEntry(_Strict):
     pose: ScenePose
     category: str = ""
     """What it is, such as "fridge"."""
-    urdf: str | None = None
+    urdf: Name | Unset = UNSET
     """Path of its model, relative to the scene file and inside of its folder."""
     scale: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0
     """Factor on all lengths of the model [-]."""
-    box: Triple | None = None
+    box: tuple[Edge, Edge, Edge] | Unset = UNSET
     """Edge lengths of a rigid box about its frame [m]."""
     joints: dict[str, float] = {}
     """Joint values [rad] or [m]; others are zero, or at the nearest limit."""
     closed: dict[str, float] = {}
     """Values at which joints are closed [rad] or [m]; others are found from the geometry."""
-    mass: Positive | None = None
+    mass: Annotated[float, msgspec.Meta(gt=0, le=1e5)] | Unset = UNSET
     """Mass of a rigid object [kg]."""
     resistance: dict[str, JointResistance] = {}
     """What is known about seal, friction and weight, by joint."""
     latch: SceneLatch | None = None
-    hypotheses: dict[str, list[SceneHypothesis]] = {}
+    hypotheses: dict[
+        str, Annotated[list[SceneHypothesis], msgspec.Meta(min_length=1, max_length=16)]
+    ] = {}
     """Ways in which parts may move, the most probable first, by joint."""
     confidence: SceneConfidence | None = None
 

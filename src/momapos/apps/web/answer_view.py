@@ -120,7 +120,7 @@ class AnswerView:
         if room.scene is not None:
             with self._state.drawing:
                 collision = bool(self._state.panel.layers["collision"].value)
-                room.show(room.scene, room.active, collision=collision)
+                room.show(room.scene, room.active, room.joint, collision=collision)
 
 
 def start_of(scene: Scene, question: Question) -> Float[np.ndarray, "3"]:

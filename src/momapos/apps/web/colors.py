@@ -21,7 +21,7 @@ SPHERES = "#2bb3c0"
 """Collision spheres of the robot."""
 FREE = "#b9a6e6"
 """The free area; the opacity is the share of yaws."""
-IMPORTANCE = ("#d5d9dd", "#5a3a00")
+IMPORTANCE = ("#b4bdc6", "#5a3a00")
 """Importance from 0 to 1."""
 COMPARED = {"blue": "#0072b2", "brown": "#8c510a", "pink": "#cc79a7", "green": "#7fbc41"}
 """Robots of compared answers."""

@@ -136,7 +136,7 @@ class Compare:
     def _draw(self, one: ComparedAnswer) -> None:
         plan, robot = one.answer.plan, one.answer.prepared.robot
         if self._side_by_side:
-            one.room.show(one.scene, plan.task.object)
+            one.room.show(one.scene, plan.task.object, plan.task.joint)
         else:
             one.room.remove()
         if plan.motion is None or plan.base_pose is None:

@@ -259,7 +259,7 @@ def draw_importance(api: SceneApi, name: str, ranked: Importance) -> None:
     shades = pale + score[:, None] * (strong - pale)
     api.add_line_segments(
         f"{name}/boxes", edges.reshape(-1, 2, 3),
-        np.repeat(shades, 12, 0)[:, None].repeat(2, 1).astype(np.uint8), thickness=0.008,
+        np.repeat(shades, 12, 0)[:, None].repeat(2, 1).astype(np.uint8), thickness=0.014,
     )  # fmt: skip
     centers = graph.upright.center
     for index, kind in enumerate(KINDS):
@@ -268,7 +268,7 @@ def draw_importance(api: SceneApi, name: str, ranked: Importance) -> None:
             lines = np.stack([centers[graph.child[mine]], centers[graph.parent[mine]]], 1)
             look = plots.RELATIONS[kind]
             api.add_line_segments(
-                f"{name}/{kind}", lines, rgb(look.color), thickness=0.006 * look.width
+                f"{name}/{kind}", lines, rgb(look.color), thickness=0.012 * look.width
             )
 
 

@@ -33,10 +33,11 @@ WORDS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class ActiveRoom:
-    """A room, and the object that moves in it."""
+    """A room, and the object that moves in it, by its joint if it has one."""
 
     scene: Scene
     active: str
+    joint: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class Moment:
     def show(self, room: RoomView, robot: RobotView) -> None:
         """Draw this moment."""
         if self.room is not None:
-            room.show(self.room.scene, self.room.active)
+            room.show(self.room.scene, self.room.active, self.room.joint)
         robot.move(self.base, self.joints)
         robot.show_force(self.force)
         room.move(self.object_q)

@@ -82,6 +82,8 @@ class RoomView:
         self.scene: Scene | None = None
         self.active = ""
         """The object that may move."""
+        self.joint: str | None = None
+        """Its joint that the task moves; None for all of them."""
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the room."""
@@ -107,7 +109,7 @@ class RoomView:
         for name in [*self._nodes]:
             self._remove(name)
         self._batches.show(())
-        self.scene, self.active, self._links = None, "", {}
+        self.scene, self.active, self.joint, self._links = None, "", None, {}
         if self._root is not None:
             self._root.remove()
             self._root = None
@@ -132,16 +134,21 @@ class RoomView:
         else:
             self.carry(item.link_poses()[item.model.urdf.root])
 
-    def show(self, scene: Scene, active: str = "", *, collision: bool | None = None) -> None:
+    def show(
+        self, scene: Scene, active: str = "", joint: str | None = None,
+        *, collision: bool | None = None,
+    ) -> None:  # fmt: skip
         """Draw a scene in place of the last one; equal objects are not drawn again.
 
         Args:
             scene: The room.
             active: The object that may move; it gets another color.
+            joint: Its joint whose part gets the color of the moving part; None for all of them.
             collision: Whether to draw collision hulls in place of visuals; None for no change.
         """
         collision = self._collision if collision is None else collision
-        same_look, same_active = self._collision == collision, self.active == active
+        same_look = self._collision == collision
+        same_active = (self.active, self.joint) == (active, joint)
         if self.scene is scene and same_look and same_active:
             return
         alike = same_look and self.scene is not None and large(self.scene) == large(scene)
@@ -156,7 +163,7 @@ class RoomView:
         for name in [*self._nodes]:
             if name != _FLOOR and (name in changed or name not in names):
                 self._remove(name)
-        self.scene, self.active, self._collision = scene, active, collision
+        self.scene, self.active, self.joint, self._collision = scene, active, joint, collision
         self.mark(())
         if active in changed or not same_active:
             self._links = {}
@@ -245,7 +252,7 @@ class RoomView:
                 self._listen(node, item.name)
 
     def _draw_links(self, item: SceneObject, root: str) -> None:
-        poses, moving = item.link_poses(), _moving(item)
+        poses, moving = item.link_poses(), _moving(item, self.joint)
         color, dark = _colors(item, self._look, active=True)
         for k, link in enumerate(link_surfaces(item.model, collision=self._collision)):
             body = colors.PART if link.link in moving else color
@@ -295,8 +302,12 @@ def large(scene: Scene) -> bool:
     return len(scene.objects) > MAX_SEPARATE_OBJECTS
 
 
-def _moving(item: SceneObject) -> set[str]:
-    return {link for joint in item.model.joints for link in item.model.moved_by(joint)}
+def _moving(item: SceneObject, joint: str | None) -> set[str]:
+    """Return the links that a joint moves, or its leader; all that move for no joint."""
+    if joint is None:
+        return {link for name in item.model.joints for link in item.model.moved_by(name)}
+    mimic = item.joint(joint).mimic
+    return set(item.model.moved_by(joint if mimic is None else mimic.joint))
 
 
 def _colors(item: SceneObject, look: Look, *, active: bool) -> tuple[str, str]:

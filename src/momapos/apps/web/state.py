@@ -63,6 +63,11 @@ class Shown:
         """The object of the question; "" without a question."""
         return "" if self.question is None else self.question.target.partition("/")[0]
 
+    @property
+    def joint(self) -> str | None:
+        """The joint of the question; None without one."""
+        return None if self.question is None else self.question.target.partition("/")[2] or None
+
 
 @dataclass(frozen=True)
 class PageState:
@@ -89,7 +94,9 @@ class PageState:
         """Draw the room of the question, which differs from the one of a later task of a tour."""
         if self.shown.scene is not None:
             collision = bool(self.panel.layers["collision"].value)
-            self.room.show(self.shown.scene, self.shown.target, collision=collision)
+            self.room.show(
+                self.shown.scene, self.shown.target, self.shown.joint, collision=collision
+            )
 
     def arm_of(self, arms: RobotArms) -> Robot:
         """Return the arm that is drawn, which is the one of the last answer; else the first."""

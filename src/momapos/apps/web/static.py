@@ -67,7 +67,7 @@ def write_page(
         plan: The plan.
         path: An HTML file; its folder is created if needed.
         story: The motion to play; by default that of the plan.
-        active: The object that moves; by default that of the plan.
+        active: What moves, as "object" or "object/joint"; by default that of the plan.
         card: The answer in words; by default that of the plan.
 
     Raises:
@@ -94,7 +94,7 @@ def page_of(
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
         bases = np.array([story.at(story.duration).base])
-        target = target_text(plan.task) if active in (None, plan.task.object) else str(active)
+        target = active or target_text(plan.task)
         frame(server, scene, target, bases, close=CLOSE)
         lamps(server.scene, LIGHT, plain=large(scene))
         server.scene.configure_default_lights(enabled=False, cast_shadow=False)
@@ -103,7 +103,8 @@ def page_of(
         )
         server.scene.set_background_image(sky(LIGHT), format="png")
         room, robot_view = RoomView(server.scene), RobotView(server.scene)
-        room.show(scene, active or plan.task.object)
+        name, _, joint = target.partition("/")
+        room.show(scene, name, joint or None)
         robot_view.show(robot, story.at(0.0).base)
         robot_view.verdict("feasible")
         if plan.base_path is not None:

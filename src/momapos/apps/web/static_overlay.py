@@ -18,6 +18,9 @@ system-ui,sans-serif;background:#fffffff2;color:#1d2731;border-radius:.4em;box-s
 gap:2px;font:.75em system-ui,sans-serif}
 #mm-phases button{border:0;padding:0 .1em;overflow:hidden;font:inherit;line-height:1.1;
 background:#fffffff2;color:#5c6873;cursor:pointer;min-width:2px;border-radius:2px}
+#mm-now{position:fixed;left:95px;right:98px;bottom:calc(44px + 1.8em);z-index:5;text-align:center;
+font:600 .85em system-ui,sans-serif;color:#1d2731;text-shadow:0 0 3px #fff,0 0 3px #fff;
+pointer-events:none}
 #mm-phases button.on{background:#2a7ab8;color:#fff;font-weight:600}
 @media(max-width:700px){#mm-answer{font-size:.75em}}
 @media(max-height:420px){#mm-answer{display:none}}
@@ -29,13 +32,18 @@ function go(t){const box=time();if(!box)return;
 Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,"value").set.call(box,t.toFixed(2));
 box.dispatchEvent(new Event("input",{bubbles:true}));}
 phases.forEach(([name,begin,end])=>{const one=document.createElement("button");
-one.textContent=name.replace(" the "," ");one.title=name;
+one.dataset.name=name.replace(/^task (\\d+) of \\d+, [^:]*: /,"$1 ").replace(" the "," ");
+one.title=name;one.setAttribute("aria-label",name);
 one.style.flex=(end-begin)+" 1 0";
 one.onclick=()=>go(begin+.02);bar.appendChild(one);});
 const rest=document.createElement("i");
 rest.style.flex=bar.dataset.pause+" 1 0";bar.appendChild(rest);
+const fit=()=>phases.forEach((_,k)=>{const one=bar.children[k];one.textContent=one.dataset.name;
+if(one.scrollWidth>one.clientWidth||one.scrollHeight>one.clientHeight)one.textContent="";});
+fit();addEventListener("resize",fit);const now=document.getElementById("mm-now");
 setInterval(()=>{const box=time();if(!box)return;const t=parseFloat(box.value);
-phases.forEach(([,begin,end],k)=>bar.children[k].classList.toggle("on",t>=begin-.05&&t<end-.05));
+let shown="";phases.forEach(([name,begin,end],k)=>{const on=t>=begin-.05&&t<end-.05;
+bar.children[k].classList.toggle("on",on);if(on)shown=name;});now.textContent=shown;
 },100);})();
 </script>"""
 Phase = tuple[str, float, float]
@@ -74,7 +82,7 @@ def with_overlay(page: str, card: Card, found: Sequence[Phase], pause: float) ->
     overlay = (
         f'{STYLE}<details id="mm-answer" open><summary>{escape(summary)}</summary>'
         f"{content}</details>"
-        f'<div id="mm-phases" data-pause="{pause}"></div>{SCRIPT % rows}'
+        f'<div id="mm-now"></div><div id="mm-phases" data-pause="{pause}"></div>{SCRIPT % rows}'
     )
     begin, end = page.index("<title>"), page.index("</title>")
     head, body = page[:begin], page[end + len("</title>") :]

@@ -63,4 +63,5 @@ class TourStory:
         story, began = self.stories[k], float(self._ends[k]) - self.stories[k].duration
         moment, task = story.at(seconds - began), story.task
         phase = f"task {k + 1} of {last + 1}, {task.verb} {task.object}: {moment.phase}"
-        return replace(moment, phase=phase, room=ActiveRoom(self.scenes[k], task.object))
+        room = ActiveRoom(self.scenes[k], task.object, task.joint)
+        return replace(moment, phase=phase, room=room)

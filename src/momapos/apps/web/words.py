@@ -25,6 +25,8 @@ MAX_FINDINGS = 2
 """Findings on a scene that are listed, per kind [-]."""
 MAX_ROWS = 6
 """Rejection reasons, or collisions of an attempt, that are listed [-]."""
+MAX_TITLES = 3
+"""Tasks of a tour that its title names [-]."""
 STATUS = {
     "solved": "Solved", "assumed": "Assumed, not solved", "infeasible": "No feasible base pose",
     "timeout": "Out of time",
@@ -115,6 +117,8 @@ def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
     facts += [("base", plan.base_motion)] if plan.moves_base else []
     if plan.navigation_cost is not None:
         facts.append(("drive", f"{plan.navigation_cost:.2f} m"))
+    holds = () if plan.motion is None else plan.motion.holds
+    facts += [("grasp", hold.words) for hold in holds if hold.words]
     facts += [
         ("checked", "no collision along the whole motion"),
         *tolerance_facts(plan),
@@ -167,13 +171,15 @@ def run_card(record: RunRecord) -> Card:
 def tour_card(plans: Sequence[PlacementPlan]) -> Card:
     """List the tasks of a tour and their base poses."""
     driven = sum(plan.navigation_cost or 0.0 for plan in plans)
-    facts = []
+    facts = [("drive", f"{driven:.2f} m")]
     for number, plan in enumerate(plans, start=1):
         at = "" if plan.base_pose is None else f" from {pose_text(plan.base_pose)}"
         facts.append((f"{number}.", f"{plan.task.verb} {target_text(plan.task)}{at}"))
     picks = any(plan.task.verb == "pick" for plan in plans[:-1])
     notes = ("A picked object is drawn at its old place when the next task begins.",) * picks
-    title = f"{len(plans)} tasks, {driven:.2f} m driven"
+    tasks = [f"{plan.task.verb} {target_text(plan.task)}" for plan in plans]
+    more = [f"{len(tasks) - MAX_TITLES} more"] if len(tasks) > MAX_TITLES else []
+    title = f"{', then '.join([*tasks[:MAX_TITLES], *more])} with {plans[0].robot_name}"
     return Card("Solved", "good", title, tuple(facts), notes)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,8 +83,11 @@ class TomlTable:
         return float(value)
 
     def _numbers(self, key: str) -> Float[np.ndarray, "..."]:
+        given = self._take(key)
         try:
-            value = np.array(self._take(key), float)
+            if not _only_numbers(given):
+                raise ValueError(key)
+            value = np.array(given, float)
         except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{self.path}: {self.prefix}{key} must be numbers") from error
         if not np.isfinite(value).all():
@@ -104,6 +108,13 @@ class TomlTable:
 
     def unit(self, key: str) -> Float[np.ndarray, "3"]:
         value = self.vector(key)
-        if value.shape != (3,) or np.linalg.norm(value) < 1e-9:
+        if value.shape != (3,) or not 1e-9 < (length := math.hypot(*value)) < 1e9:
             raise RobotError(f"{self.path}: {self.prefix}{key} must be 3 numbers, not all 0")
-        return value / np.linalg.norm(value)
+        return value / length
+
+
+def _only_numbers(value: object) -> bool:
+    """Return whether a value is a number, or rows of numbers; texts and bools are none."""
+    if isinstance(value, list):
+        return all(map(_only_numbers, value))
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -31,6 +31,7 @@ from momapos.model.urdf import Articulated, Boxes
 from .base_table import read_footprint, read_turning_radius
 from .file_values import TomlTable
 from .gripper_guess import FINGER, HAND
+from .robot_keys import ignored_keys
 from .robot_names import find_robot, library_file
 from .robot_tables import (
     ANY,
@@ -107,7 +108,8 @@ class Robot:
     grip_force: float = ASSUMED_FORCE
     """Closing force of each finger, or pull of a suction cup [N]."""
     assumed: tuple[str, ...] = ()
-    """Assumptions about the gripper that the robot file leaves out, one line each."""
+    """Assumptions about what the robot file leaves out, and keys of it that are not known, one line
+    each."""
     arm: str = ""
     """Name of this arm; "" for a robot with one arm."""
     arms: tuple[str, ...] = ()
@@ -327,7 +329,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
         opening=tool.positive("opening", ASSUMED_OPENING),
         grips=grips,
         grip_force=tool.positive("force", ASSUMED_FORCE),
-        assumed=_assumed(tool, grips),
+        assumed=(*_assumed(tool, grips), *ignored_keys(table.data, path.name)),
         disabled=frozenset() if srdf is None else read_srdf(srdf),
         srdf=srdf,
         arm=chosen,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,7 +91,7 @@ class ObjectReader:
         wxyz = read_numbers(pose.get("wxyz", [1, 0, 0, 0]), 4, f"{self.where}: pose.wxyz")
         if np.abs(xyz).max() > MAX_DISTANCE:
             raise SceneError(f"{self.where}: pose.xyz is more than 10 km away")
-        length = float(np.linalg.norm(wxyz))
+        length = math.hypot(*wxyz)
         if not 0.9 < length < 1.1:
             raise SceneError(f"{self.where}: pose.wxyz has length {length:g}; it must be 1")
         return pose_wxyz(tuple(xyz), tuple(wxyz))
