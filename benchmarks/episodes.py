@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 ROBOT = "segway_ur5e"
@@ -79,6 +80,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=60.0, help="time for the runs")
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
+    if find_spec("pyarrow") is None:
+        parser.error("pyarrow is not installed, and the export needs it; pip install pyarrow")
     args.out.mkdir(parents=True)
     costs = make_runs(args.out, args.count, args.minutes, args.workers)
     wall, spent, memory = measured(

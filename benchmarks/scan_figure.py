@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Polygon
 
 from momapos.core.geometry.transforms import apply
@@ -173,10 +174,10 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         result = scan_to_scene(read_scan(args.folder), Path(folder) / "scene.json")
     frames = best_images(result)
-    figure = Figure(figsize=(19.2, 6.8), dpi=100, layout="constrained")
+    layout = ConstrainedLayoutEngine(h_pad=0.15)  # less would cut a title
+    figure = Figure(figsize=(19.2, 6.8), dpi=100, layout=layout)
     above, *images = figure.subplots(1, 1 + len(frames), width_ratios=[1.15] + [1.0] * len(frames))
     count = draw_above(above, result)
-    figure.get_layout_engine().set(h_pad=0.15)  # type: ignore[union-attr]  # a title is cut else
     above.set_title("from above", fontsize=22)
     for axes, frame in zip(images, frames, strict=True):
         draw_image(axes, frame, result)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from .area import StandingCodes
 
-BASE_OUTCOMES = {
+BASE_OUTCOMES: dict[BaseStatus, PoseOutcome] = {
     BaseStatus.BLOCKED: PoseOutcome(PoseStatus.BASE_BLOCKED),
     BaseStatus.OFF_FLOOR: PoseOutcome(PoseStatus.OFF_FLOOR),
     BaseStatus.BEYOND_ARM: PoseOutcome(PoseStatus.BEYOND_ARM),
