@@ -34,7 +34,7 @@ from .task_setup import PreparedTask, cost_map, prepare, start_pose
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_SAME_FOR_ALL_HANDLES = (BASE_OUTCOMES[BaseStatus.BLOCKED], BASE_OUTCOMES[BaseStatus.OFF_FLOOR])
+_SAME_FOR_ALL_HANDLES = (PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR)
 """Outcomes of a base pose that no other handle changes."""
 _SAME_GRASP = 1e-3
 """Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
@@ -208,7 +208,7 @@ def _with_any_handle(
         if look.attempt.motion is not None:
             return look
         first = first or look
-        if look.attempt.outcome in _SAME_FOR_ALL_HANDLES:
+        if look.attempt.outcome.status in _SAME_FOR_ALL_HANDLES:
             break
     assert first is not None
     return first
