@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from momapos.core import InputError, MomaposError, check_outputs, temporary_folder
 
+from .loading import print_warnings
 from .plan_sources import file_format, open_run
 
 if TYPE_CHECKING:
@@ -43,12 +44,20 @@ def export_episodes(
     from .console import progress
 
     rooms: dict[Path, Scene] = {}
+    without_arm = 0
     with progress(f"{len(runs)} runs") as report:
 
         def episodes() -> Iterator[tuple[str, Episode]]:
+            nonlocal without_arm
             for done, run in enumerate(runs):
-                yield str(run), _episode(run, scene_root, robot, chosen, pixels, rooms)
+                episode = _episode(run, scene_root, robot, chosen, pixels, rooms)
+                if episode is not None:
+                    yield str(run), episode
+                else:
+                    without_arm += 1
                 report((done + 1) / len(runs))
+            if without_arm == len(runs):
+                raise InputError(f"{source}: no run came so far that the arm moved")
 
         target.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(target.absolute().parent, target.name) as folder:
@@ -58,18 +67,24 @@ def export_episodes(
             else:
                 count = write_hdf5(episodes(), draft)
             draft.rename(target)
+    if without_arm:
+        ended = f"{source}: {without_arm} of {len(runs)} runs ended before the arm moved"
+        print_warnings([f"{ended}; they are left out"])
     print(f"{target}: {count} episodes")
 
 
 def _episode(
     run: Path, scene_root: Path | None, robot: str | None, cameras: tuple[Camera, ...],
     size: tuple[int, int], rooms: dict[Path, Scene],
-) -> Episode:  # fmt: skip
+) -> Episode | None:  # fmt: skip
+    """Return a run as an episode; None if it ended before the arm moved."""
     from momapos.apps.export import episode_of
 
     record, _, scene, machine = open_run(
         run, scene_root, robot, "to export", allow_assumed=True, read=rooms
     )
+    if record.motion is not None and record.motion.times and not record.motion.joints:
+        return None
     try:
         return episode_of(record, scene, machine, cameras, size)
     except MomaposError as error:
