@@ -52,7 +52,7 @@ def write(plan: PlacementPlan, folder: Path, name: str, shift: float = 0.0) -> R
     folder.mkdir(parents=True, exist_ok=True)
     write_plan(plan, folder / f"{name}.plan.json")
     count = len(STAGES)
-    joints = {name: tuple(0.1 * k + shift for k in range(count)) for name in plan.joints}
+    joints = {name: tuple(0.05 * k + shift for k in range(count)) for name in plan.joints}
     bases = tuple((0.1 * k, shift, 0.0) for k in (0, 1, 2, 2, 2, 2, 2))
     times = tuple(0.1 * k for k in range(count))
     motion = RunMotion(times, STAGES, bases, joints, DOOR)
@@ -100,7 +100,7 @@ def test_a_lerobot_set_holds_states_actions_and_indices(
         rows = table(out / file)
         assert set(rows) == set(info["features"])
         state = np.array(rows["observation.state"])
-        np.testing.assert_allclose(state[:, 0], 0.1 * np.arange(7) + 0.01 * number, atol=1e-6)
+        np.testing.assert_allclose(state[:, 0], 0.05 * np.arange(7) + 0.01 * number, atol=1e-6)
         np.testing.assert_allclose(
             state[:, len(joints)], [0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2], atol=1e-6
         )
@@ -242,3 +242,23 @@ def test_a_record_without_motion_is_refused_by_its_name(
     write_run(bare, tmp_path / "a.json")
     assert export(tmp_path / "a.json", "hdf5", tmp_path / "set.hdf5") == 2
     assert "a.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("stages", [("drive",), ("drive", "drive", "drive")])
+def test_runs_that_end_before_the_arm_moves_are_left_out(
+    runs: Path, plans: dict[str, PlacementPlan], tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], stages: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Such as those of a robot that stands off its base pose and finds no motion there."""
+    h5py, count = optional.module("h5py"), len(stages)
+    record = write(plans["segway_ur5e"], runs, "0")
+    drive = RunMotion(tuple(0.1 * k for k in range(count)), stages, ((0.0, 0.0, 0.0),) * count)
+    ended = with_files(record, runs / "0.json", runs / "0.plan.json")
+    write_run(replace(ended, motion=drive), runs / "0.json")
+    assert export(runs, "hdf5", tmp_path / "set.hdf5", "--cameras", "none") == 0
+    assert "1 of 3 runs ended before the arm moved" in capsys.readouterr().err
+    with h5py.File(tmp_path / "set.hdf5") as file:
+        assert sorted(file["data"]) == ["demo_0", "demo_1"]
+    assert export(runs / "0.json", "hdf5", tmp_path / "one.hdf5", "--cameras", "none") == 2
+    assert "no run came so far that the arm moved" in capsys.readouterr().err
+    assert not (tmp_path / "one.hdf5").exists()
