@@ -13,12 +13,22 @@ from typing import Any
 import numpy as np
 import pytest
 from door_case import make_case
+from tests.rooms import Everywhere
 
 from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.records.plans import Motion, PlacementPlan
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_names import LIBRARY
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.placement.config import PlaceConfig
 from momapos.verification.plan_check import verify_files
+
+QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1))
 
 
 @pytest.fixture
@@ -80,6 +90,24 @@ def test_files_not_next_to_the_plan_are_found_below_the_scene_root(tmp_path: Pat
     with pytest.raises(FileFormatError, match="scene_root"):
         verify_files(path)
     assert verify_files(path, tmp_path).valid
+
+
+def test_a_plan_with_built_in_files_is_verified_by_another_installation(tmp_path: Path) -> None:
+    kitchen, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    plan = plan_base_placement(kitchen, robot, task, Everywhere(), config=QUICK).plan
+    write_plan(plan, tmp_path / "plan.json")
+    data = json.loads((tmp_path / "plan.json").read_text())
+    here = str(LIBRARY.parents[2])
+    for other in ("/opt/env/lib/python3.13/site-packages/momapos", "/momapos/src/momapos"):
+        moved = json.dumps(data).replace(f'"{here}/', f'"{other}/')
+        assert here not in moved
+        (tmp_path / "moved.json").write_text(moved)
+        assert verify_files(tmp_path / "moved.json").valid
+    for wrong in ("model/scene/library/kitchen_9.json", "model/scene/library/../__init__.py"):
+        (tmp_path / "wrong.json").write_text(json.dumps({**data, "scene": f"/opt/momapos/{wrong}"}))
+        with pytest.raises(FileFormatError, match="does not exist"):
+            verify_files(tmp_path / "wrong.json")
 
 
 def test_a_failed_write_leaves_the_old_file(plan: PlacementPlan, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from momapos.core import Cache, FileFormatError, as_path, expect
 from momapos.model.plan_files import read_plan
@@ -15,6 +15,9 @@ from momapos.model.urdf import Articulated, read_urdf
 from .exact_check import PlanVerifier
 from .report import DEFAULT, Limits, Report, verdict
 from .trust_notes import trust_notes
+
+_PACKAGE = Path(__file__).parents[1]
+"""Folder of the package; built-in kitchens and robots are in `model/*/library`."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,7 @@ def _assumed(scene: Scene, plan: PlacementPlan) -> list[str]:
 
 
 def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path:
-    """Find a file that a plan names.
+    """Find a file that a plan names, also one of another installation of this package.
 
     Raises:
         FileFormatError: No folder contains it.
@@ -117,10 +120,24 @@ def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path
                 return folder / name
         except OSError as error:  # the name is too long, or the links form a cycle
             raise FileFormatError(f"{plan_path}: {key} {name!r:.80} cannot be looked up") from error
+    shipped = _shipped_file(name)
+    if shipped is not None:
+        return shipped
     looked = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
     raise FileFormatError(
         f"{plan_path}: {key} {name!r} does not exist (searched in {looked}); give scene_root"
     )
+
+
+def _shipped_file(name: str) -> Path | None:
+    """Return the built-in kitchen or robot file that a path of another installation means."""
+    parts = PurePosixPath(name).parts
+    for k in reversed(range(len(parts))):
+        tail = parts[k + 1 :]
+        is_library = tail[:1] == ("model",) and "library" in tail[1:3] and ".." not in tail
+        if parts[k] == _PACKAGE.name and is_library and _PACKAGE.joinpath(*tail).is_file():
+            return _PACKAGE.joinpath(*tail)
+    return None
 
 
 def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = None) -> Scene:
