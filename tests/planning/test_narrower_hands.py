@@ -29,6 +29,7 @@ from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import save_scene
 from momapos.planning import plan as plans
 from momapos.planning.base_pose_check import plan_at_pose
+from momapos.planning.base_use import plan_moving
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.narrower_hands import narrower_hands, with_narrower_hand
 from momapos.planning.query import PlacementQuery
@@ -118,6 +119,19 @@ def test_a_plan_for_a_less_probable_joint_counts(
     found = with_narrower_hand(query, refused, lambda _: assumed)
     assert refused.plan.status == "infeasible"
     assert found.plan.status == "assumed"
+
+
+@pytest.mark.parametrize("case", ["a bar in a niche", "a bar between posts"])
+def test_a_moving_base_holds_with_a_hand_that_is_less_open(
+    tmp_path: Path, robots: Callable[[str], Robot], case: str
+) -> None:
+    answer = plan_moving(query_of(tmp_path, case, robots))
+    assert answer.plan.status == "solved"
+    robot = answer.prepared.robot
+    assert robot.fully_open is not None
+    assert robot.opening < robot.fully_open.opening - 0.005
+    write_plan(answer.with_notes().plan, tmp_path / "plan.json")
+    assert verify_files(tmp_path / "plan.json").valid
 
 
 def test_verifiers_read_how_far_the_hand_is_open(solved: PlacementResult) -> None:

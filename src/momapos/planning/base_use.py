@@ -10,6 +10,7 @@ from momapos.model.records import PlacementPlan
 from momapos.planning.grasps import task_motion
 
 from .moving_base import search_moving
+from .narrower_hands import with_narrower_hand
 from .other_handles import with_next_handle
 from .query import PlacementQuery
 from .result import PlacementResult
@@ -55,9 +56,17 @@ def _reached(stops: int, answer: PlacementResult) -> str:
 
 def plan_moving(query: PlacementQuery) -> PlacementResult:
     """Answer the query with a base that moves while the hand holds the part, by any handle."""
+    answer = _moving_with_any_handle(query)
+    if answer.plan.status == "infeasible":
+        return with_narrower_hand(query, answer, _moving_with_any_handle)
+    return answer
+
+
+def _moving_with_any_handle(query: PlacementQuery) -> PlacementResult:
+    """Answer the query with a moving base and the part's handles in turn."""
     answer = _moving_with_first_handle(query)
     if answer.plan.status == "infeasible":
-        return with_next_handle(query, answer, plan_moving)
+        return with_next_handle(query, answer, _moving_with_any_handle)
     return answer
 
 
