@@ -44,6 +44,17 @@ def test_names_are_printed_where_the_terminal_lacks_their_letters(tmp_path: Path
         assert shown in done.stdout
 
 
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["robot", "list"]])
+def test_a_reader_that_closes_the_output_is_no_error(words: list[str]) -> None:
+    command = [sys.executable, "-m", "momapos", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        assert running.stderr.read() == b""
+        assert running.wait() == 0
+
+
 GROUPS = {name: group for name, (_, group) in COMMANDS.items() if isinstance(group, dict)}
 
 

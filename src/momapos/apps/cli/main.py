@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout, suppress
@@ -78,17 +79,8 @@ COMPLETE = f"""shell completion, in bash or zsh, and in fish:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
-    args = list(sys.argv[1:] if argv is None else argv)
-    if not args or args[0] in HELP:
-        print(_overview())
-        return 0 if args else 2
-    if args[0] == "--version":
-        from momapos import __version__
-
-        print(f"momapos {__version__}")
-        return 0
     try:
-        return _run(args)
+        return _run(list(sys.argv[1:] if argv is None else argv))
     except SystemExit as leaving:  # tyro exits on --help and on wrong arguments
         return leaving.code if isinstance(leaving.code, int) else 0 if leaving.code is None else 2
     except BrokenPipeError:
@@ -112,6 +104,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int:
+    if not args or args[0] in HELP:
+        print(_overview())
+        return 0 if args else 2
+    if args[0] == "--version":
+        from momapos import __version__
+
+        print(f"momapos {__version__}")
+        return 0
     from momapos.core import unknown_name
 
     name, rest = args[0], args[1:]
@@ -214,4 +214,9 @@ def entry() -> None:
     """Console script."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # names may have letters that a terminal lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    sys.exit(main())
+    status = main()
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader, such as head, has closed it; Python would say so at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(status)
