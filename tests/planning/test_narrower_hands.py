@@ -27,6 +27,7 @@ from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import save_scene
+from momapos.planning import any_grasp
 from momapos.planning import plan as plans
 from momapos.planning.base_pose_check import plan_at_pose
 from momapos.planning.base_use import plan_moving
@@ -97,7 +98,7 @@ def test_a_handle_without_room_is_held_by_a_hand_that_is_less_open(
 def test_an_open_hand_cannot_do_it(
     solved: PlacementResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plans, "with_narrower_hand", lambda _, answer, __: answer)
+    monkeypatch.setattr(any_grasp, "with_narrower_hand", lambda _, answer, __: answer)
     assert solved.query is not None
     whole = solved.prepared.robot.fully_open
     assert whole is not None
@@ -114,7 +115,7 @@ def test_a_plan_for_a_less_probable_joint_counts(
     query = replace(solved.query, robot=whole)
     assumed = replace(solved, plan=replace(solved.plan, status="assumed"))
     with monkeypatch.context() as patched:
-        patched.setattr(plans, "with_narrower_hand", lambda _, answer, __: answer)
+        patched.setattr(any_grasp, "with_narrower_hand", lambda _, answer, __: answer)
         refused = plans.plan_placement(query)
     found = with_narrower_hand(query, refused, lambda _: assumed)
     assert refused.plan.status == "infeasible"
@@ -220,7 +221,7 @@ def test_the_farthest_opening_is_that_of_any_hand(
 def test_a_task_that_an_open_hand_does_asks_for_no_other(
     tmp_path: Path, robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plans, "with_narrower_hand", None)
+    monkeypatch.setattr(any_grasp, "with_narrower_hand", None)
     parts = pull_out("tray", mimics=("",))
     scene, robot = furniture_room(tmp_path, parts), robots("fetch")
     task = make_task(scene, "open", "cupboard", "tray_slide")

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
 
 from momapos.model.records import PlacementPlan
 from momapos.planning.grasps import task_motion
 
+from .any_grasp import Answer, with_any_grasp
 from .moving_base import search_moving
-from .narrower_hands import with_narrower_hand
-from .other_handles import with_next_handle
 from .query import PlacementQuery
 from .result import PlacementResult
 from .search_setup import prepare_search
 from .several_stops import plan_stops
 from .time_limit import with_note
-
-Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 
 
 def with_other_use(
@@ -55,22 +50,11 @@ def _reached(stops: int, answer: PlacementResult) -> str:
 
 
 def plan_moving(query: PlacementQuery) -> PlacementResult:
-    """Answer the query with a base that moves while the hand holds the part, by any handle."""
-    answer = _moving_with_any_handle(query)
-    if answer.plan.status == "infeasible":
-        return with_narrower_hand(query, answer, _moving_with_any_handle)
-    return answer
+    """Answer the query with a base that moves while the hand holds the part."""
+    return with_any_grasp(query, _with_first_handle)
 
 
-def _moving_with_any_handle(query: PlacementQuery) -> PlacementResult:
-    """Answer the query with a moving base and the part's handles in turn."""
-    answer = _moving_with_first_handle(query)
-    if answer.plan.status == "infeasible":
-        return with_next_handle(query, answer, _moving_with_any_handle)
-    return answer
-
-
-def _moving_with_first_handle(query: PlacementQuery) -> PlacementResult:
+def _with_first_handle(query: PlacementQuery) -> PlacementResult:
     """Answer the query with a moving base and the first handle in which the hand is free."""
     scene, watch = query.scene, query.watch
     with watch.stage("model"):

@@ -14,10 +14,9 @@ from momapos.planning.grasps import TaskMotion, hand_path, task_motion
 from momapos.planning.importance import Selection, rank
 from momapos.planning.placement import OURS, search
 
+from .any_grasp import with_any_grasp
 from .base_use import with_other_use
 from .max_opening_plan import plan_max_opening
-from .narrower_hands import with_narrower_hand
-from .other_handles import with_next_handle
 from .query import PlacementQuery
 from .refine_model import initial_selection, refine_model
 from .result import PlacementResult
@@ -56,18 +55,7 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
 
 def _from_one_pose(query: PlacementQuery) -> PlacementResult:
     """Answer the query with a base that stands at one pose."""
-    answer = _with_any_handle(query)
-    if answer.plan.status == "infeasible":
-        return with_narrower_hand(query, answer, _with_any_handle)
-    return answer
-
-
-def _with_any_handle(query: PlacementQuery) -> PlacementResult:
-    """Answer the query with the part's handles in turn."""
-    answer = _with_first_handle(query)
-    if answer.plan.status == "infeasible":
-        return with_next_handle(query, answer, _with_any_handle)
-    return answer
+    return with_any_grasp(query, _with_first_handle)
 
 
 def _with_first_handle(query: PlacementQuery) -> PlacementResult:
