@@ -16,7 +16,7 @@ from momapos.core.owned_results import owner_cache
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class Owner:
     """An object that is compared by identity."""
 
     name: str
@@ -24,9 +24,9 @@ class Thing:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a thing, compared by value."""
+    """A part of an owner, compared by value."""
 
-    thing: Thing
+    owner: Owner
     name: str
 
 
@@ -38,55 +38,56 @@ class Result:
 
 
 @owner_cache()
-def about(thing: Thing, word: str = "", *, loud: bool = False) -> Result:
+def about(owner: Owner, word: str = "", *, loud: bool = False) -> Result:
     """Refer to the owner."""
-    return Result(thing, word, loud)
+    return Result(owner, word, loud)
 
 
 @owner_cache(3)
-def beside(thing: Thing, _other: Thing | None, number: int = 0) -> Result:
+def with_other(owner: Owner, _other: Owner | None, number: int = 0) -> Result:
     """Refer to the first of two objects."""
-    return Result(thing, number)
+    return Result(owner, number)
 
 
-@owner_cache(owner=lambda part: part.thing)
+@owner_cache(owner=lambda part: part.owner)
 def about_part(part: Part) -> Result:
     """Refer to a part, which is compared by value."""
     return Result(part)
 
 
 def test_equal_arguments_have_one_result() -> None:
-    thing, other = Thing("a"), Thing("b")
-    assert about(thing, "x") is about(thing, "x")
-    assert about(thing, loud=True) is about(thing, loud=True)
-    assert beside(thing, other, 1) is beside(thing, other, 1)
-    assert about_part(Part(thing, "door")) is about_part(Part(thing, "door"))
+    owner, other = Owner("a"), Owner("b")
+    assert about(owner, "x") is about(owner, "x")
+    assert about(owner, loud=True) is about(owner, loud=True)
+    assert with_other(owner, other, 1) is with_other(owner, other, 1)
+    assert about_part(Part(owner, "door")) is about_part(Part(owner, "door"))
 
 
 def test_other_arguments_have_other_results() -> None:
-    thing, other = Thing("a"), Thing("a")
-    assert about(thing).about == (thing, "", False)
+    owner, other = Owner("a"), Owner("a")
+    assert about(owner).about == (owner, "", False)
     found = [
-        about(thing), about(thing, "x"), about(thing, loud=True), about(other),
-        beside(thing, other), beside(thing, thing), beside(thing, None), beside(thing, other, 1),
-        beside(other, thing), about_part(Part(thing, "door")), about_part(Part(thing, "tray")),
+        about(owner), about(owner, "x"), about(owner, loud=True), about(other),
+        with_other(owner, other), with_other(owner, owner), with_other(owner, None),
+        with_other(owner, other, 1),
+        with_other(other, owner), about_part(Part(owner, "door")), about_part(Part(owner, "tray")),
         about_part(Part(other, "door")),
     ]  # fmt: skip
     assert len({id(one) for one in found}) == len(found)
 
 
 def test_results_disappear_with_their_owner_though_they_refer_to_it() -> None:
-    thing = Thing("a")
-    dead = [weakref.ref(x) for x in (thing, about(thing), about_part(Part(thing, "door")))]
-    del thing
+    owner = Owner("a")
+    dead = [weakref.ref(x) for x in (owner, about(owner), about_part(Part(owner, "door")))]
+    del owner
     gc.collect()
     assert [ref() for ref in dead] == [None] * 3
 
 
 def test_results_disappear_with_any_object_that_they_belong_to() -> None:
-    thing, other = Thing("a"), Thing("b")
-    result = weakref.ref(beside(thing, other))
-    other_way = weakref.ref(beside(other, thing))
+    owner, other = Owner("a"), Owner("b")
+    result = weakref.ref(with_other(owner, other))
+    other_way = weakref.ref(with_other(other, owner))
     del other
     gc.collect()
     assert result() is None
@@ -94,27 +95,27 @@ def test_results_disappear_with_any_object_that_they_belong_to() -> None:
 
 
 def test_an_object_has_at_most_as_many_results_as_it_may() -> None:
-    thing, others = Thing("a"), [Thing("b") for _ in range(10)]
-    alive = [weakref.ref(beside(thing, None, number)) for number in range(10)]
+    owner, others = Owner("a"), [Owner("b") for _ in range(10)]
+    alive = [weakref.ref(with_other(owner, None, number)) for number in range(10)]
     assert [ref() is not None for ref in alive] == [False] * 7 + [True] * 3
-    alive = [weakref.ref(beside(thing, other)) for other in others]
+    alive = [weakref.ref(with_other(owner, other)) for other in others]
     assert [ref() is not None for ref in alive] == [False] * 7 + [True] * 3
 
 
 @pytest.mark.parametrize("other", [copy.copy, copy.deepcopy, replace], ids=lambda f: f.__name__)
 def test_a_copy_has_results_of_its_own(other: object) -> None:
-    thing = Thing("a")
-    result = about(thing)
-    another = other(thing)  # type: ignore[operator]
+    owner = Owner("a")
+    result = about(owner)
+    another = other(owner)  # type: ignore[operator]
     assert about(another).about[0] is another
     assert about(another) is about(another)
-    assert about(thing) is result
+    assert about(owner) is result
 
 
 def test_pickles_contain_no_results() -> None:
-    thing = Thing("a")
-    about(thing, "a long word in the key and in the result")
-    data = pickle.dumps(thing)
+    owner = Owner("a")
+    about(owner, "a long word in the key and in the result")
+    data = pickle.dumps(owner)
     assert b"a long word" not in data
     again = pickle.loads(data)
     assert about(again).about[0] is again
@@ -124,11 +125,11 @@ def test_threads_that_ask_at_once_get_one_result() -> None:
     barrier = Barrier(4)
 
     @owner_cache()
-    def slow(_thing: Thing) -> Result:
+    def slow(_thing: Owner) -> Result:
         barrier.wait(10.0)
         return Result()
 
-    thing = Thing("a")
+    owner = Owner("a")
     with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda _: slow(thing), range(4)))
+        found = list(pool.map(lambda _: slow(owner), range(4)))
     assert len({id(one) for one in found}) == 1
