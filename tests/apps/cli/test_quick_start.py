@@ -106,6 +106,18 @@ def test_a_second_start_uses_the_cached_models(
     assert not heavy & {"trimesh", "yourdfpy", "matplotlib", "jaxtyping", "numba"}
 
 
+def test_a_second_answer_imports_numpy_and_no_other_large_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "fetch"]
+    kernels = default_cache_dir()
+    monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
+    assert main(words) == 0
+    for kernel in kernels.glob("kernel-*"):
+        shutil.copy(kernel, tmp_path)
+    assert after(words, 0, tmp_path) == {"numpy"}
+
+
 def test_the_planner_imports_numpy_and_no_other_large_package(tmp_path: Path) -> None:
     code = "import momapos.planning.plan, momapos.planning.baselines.by_method"
     assert imported(code, tmp_path)[0] == {"numpy"}

@@ -61,3 +61,20 @@ def test_a_filled_curve_contains_its_states_and_is_nearer_to_it() -> None:
     np.testing.assert_allclose(filled[:: (len(filled) - 1) // 6], circle, atol=1e-12)
     assert np.abs(np.diff(filled, axis=0)).max() < 0.022
     assert np.abs(np.linalg.norm(filled, axis=1) - 1.0).max() < 1e-3
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 12, 80])
+def test_a_filled_curve_is_the_not_a_knot_spline_of_scipy(count: int) -> None:
+    from scipy.interpolate import CubicSpline
+
+    states = np.random.default_rng(count).uniform(-3.0, 3.0, (count, 7))
+    filled = fill_curve(states, 0.1)
+    at = np.linspace(0.0, count - 1.0, len(filled))
+    np.testing.assert_allclose(filled, CubicSpline(np.arange(count), states)(at), atol=1e-12)
+
+
+def test_a_filled_curve_repeats_a_cubic() -> None:
+    t = np.arange(9.0)[:, None]
+    filled = fill_curve(t**3 - 5.0 * t**2, 7.0)
+    u = np.linspace(0.0, 8.0, len(filled))[:, None]
+    np.testing.assert_allclose(filled, u**3 - 5.0 * u**2, atol=1e-10)

@@ -35,16 +35,23 @@ def smooth_posture(arm: ArmModel, q: Float[np.ndarray, "d n"]) -> Float[np.ndarr
     """
     if arm.chain.size <= FULL_DOF or len(q) < 4:
         return None
-    from scipy.ndimage import gaussian_filter1d
-
     targets = arm.chain.tool_poses(q)
     for spread in SPREADS:
-        more = min(len(q) - 1, int(4 * spread))
-        # Reflected at its ends, the path keeps them.
-        padded = np.pad(q, ((more, more), (0, 0)), mode="reflect", reflect_type="odd")
-        near = gaussian_filter1d(padded, spread, axis=0)[more:-more]
-        found = follow(arm, np.clip(near, arm.chain.lower, arm.chain.upper), targets)
+        near = np.clip(_smoothed(q, spread), arm.chain.lower, arm.chain.upper)
+        found = follow(arm, near, targets)
         if found is not None:
             found[[0, -1]] = q[[0, -1]]
             return found
     return None
+
+
+def _smoothed(q: Float[np.ndarray, "d n"], spread: float) -> Float[np.ndarray, "d n"]:
+    """Filter states by a Gaussian that ends at four standard deviations (`spread`, in steps)."""
+    radius = int(4 * spread)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / spread) ** 2)
+    more = min(len(q) - 1, radius)
+    # Reflected at its ends, the path keeps them.
+    padded = np.pad(q, ((more, more), (0, 0)), mode="reflect", reflect_type="odd")
+    padded = np.pad(padded, ((radius - more,) * 2, (0, 0)), mode="symmetric")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, len(weights), axis=0)
+    return np.asarray(windows @ (weights / weights.sum()))

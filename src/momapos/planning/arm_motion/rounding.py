@@ -44,12 +44,40 @@ def fill_curve(states: Float[np.ndarray, "m n"], step: float) -> Float[np.ndarra
     pieces = int(np.ceil(largest / step - 1e-9))
     if len(states) < 3 or pieces < 2:
         return states
-    from scipy.interpolate import CubicSpline
+    slope = spline_slopes(states)
+    change, share = np.diff(states, axis=0)[:, None], np.arange(pieces)[None, :, None] / pieces
+    begin, end = (slope[part, None] for part in (slice(-1), slice(1, None)))
+    bend = begin + end - 2.0 * change
+    # The cubic of each step that has the values and slopes of its ends.
+    inside = begin + share * (change - begin - bend + share * bend)
+    filled = (states[:-1, None] + share * inside).reshape(-1, states.shape[1])
+    return np.concatenate([filled, states[-1:]])
 
-    last = len(states) - 1
-    return np.asarray(
-        CubicSpline(np.arange(last + 1), states)(np.arange(pieces * last + 1) / pieces)
-    )
+
+def spline_slopes(states: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "m n"]:
+    """Return the slopes of the not-a-knot cubic spline through evenly spaced values, at these.
+
+    The second derivative is continuous everywhere, and the third at the second value and at the
+    last but one. Through three values this is a parabola.
+
+    Source: de Boor, "A Practical Guide to Splines" (1978), chapter IV.
+
+    Args:
+        states: At least three values, one step apart.
+    """
+    change = np.diff(states, axis=0)
+    inner = 3.0 * (change[:-1] + change[1:])
+    first = 0.5 * (5.0 * change[0] + change[1])  # slope of the first value + 2 * of the second
+    last = 0.5 * (change[-2] + 5.0 * change[-1])
+    inner[0], inner[-1] = inner[0] - first, inner[-1] - last
+    size = len(inner)
+    if size == 1:
+        middle = 0.5 * (change[:1] + change[1:])
+    else:
+        matrix = 4.0 * np.eye(size) + np.eye(size, k=1) + np.eye(size, k=-1)
+        matrix[0, 0] = matrix[-1, -1] = 2.0
+        middle = np.asarray(np.linalg.solve(matrix, inner), float)
+    return np.concatenate([[first - 2.0 * middle[0]], middle, [last - 2.0 * middle[-1]]])
 
 
 def round_corners(
