@@ -90,9 +90,13 @@ def scan_to_scene(
 def rank_survey(seen: Survey, target: str, config: ImportanceConfig, seed: int = 0) -> Importance:
     """Rank all objects of a survey against the target, using only their boxes.
 
+    The path of the hand is not known yet, so `size` stands in for the scorer `reach`.
+
     Raises:
         UnknownNameError: No object has that name.
     """
+    if config.scorer in (None, "reach"):
+        config = replace(config, scorer="size")
     return rank(Scene("scan", tuple(map(_boxed, seen.detections))), target, config, seed=seed)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -16,14 +17,19 @@ from tests.planning.importance.things import box, room
 from tests.rooms import move_scene
 from tests.shapes import unchecked
 
+import momapos
+from momapos.apps.cli.main import main
 from momapos.core.errors import InputError, UnknownNameError
+from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.importance.config import GraphConfig, ImportanceConfig
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.importance.config import GraphConfig, ImportanceConfig, ScorerName
 from momapos.planning.importance.key_objects import Selection
 from momapos.planning.importance.ranking import rank
 from momapos.planning.importance.relations import KINDS
 from momapos.planning.importance.scorers import KNEE, MIN_SCORE, SCORERS, score_of_cosine, words
+from momapos.planning.keyword_forms import plan_base_placement
 
 WALKS = ImportanceConfig(scorer="deepwalk")
 PRINT = (
@@ -175,7 +181,7 @@ def test_a_thousand_objects_at_one_position_have_finite_scores(scorer: str) -> N
     assert found.names[0] == "b7"
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(1, 40), st.integers(0, 1000), st.sampled_from([0.0, 0.5, 1.0]))
 def test_no_random_scene_gives_a_nan(count: int, seed: int, k0: float) -> None:
     found = rank(crowd(count, seed), "b0", replace(WALKS, k0=k0, walks=2, epochs=1))
@@ -255,7 +261,34 @@ def test_an_object_matters_more_the_larger_and_the_nearer_to_the_hand_s_path_it_
     found = rank(scene, "target", ImportanceConfig(scorer="reach"), path=path)
     assert found.score("at") == 1.0
     assert found.score("near") > found.score("far") > found.score("small")
-    without = rank(scene, "target", ImportanceConfig(scorer="reach"))
-    as_size = rank(scene, "target", ImportanceConfig(scorer="size"))
-    assert without.names == as_size.names
-    np.testing.assert_array_equal(without.scores, as_size.scores)
+    middle = np.array([scene.object("target").box_proxy.T_world_object[:3, 3]])
+    assert rank(scene, "target").by_name == rank(scene, "target", path=middle).by_name
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "joint"),
+    [
+        ("kitchen_small", "fridge", None), ("kitchen_small", "fridge", "door_hinge"),
+        ("kitchen_small", "cabinet_right", "drawer_top_slide"), ("kitchen_small", "cup", None),
+        ("kitchen_island", "dishwasher", None),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("scorer", ["reach", "size"])
+def test_python_and_the_command_line_give_the_same_scores(
+    name: str, target: str, joint: str | None, scorer: ScorerName,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    words = ["rank", name, target if joint is None else f"{target}/{joint}", "--json"]
+    assert main([*words, "--scorer", scorer] if scorer != "reach" else words) == 0
+    printed = {one["name"]: one["score"] for one in json.loads(capsys.readouterr().out)["objects"]}
+    config = ImportanceConfig(scorer=scorer) if scorer != "reach" else None
+    assert momapos.rank(load_scene(name), target, config, joint=joint).by_name == printed
+
+
+def test_the_scores_of_the_planner_are_those_of_its_task() -> None:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    key = plan_base_placement(
+        scene, robot, make_task(scene, "open", "fridge/door_hinge")
+    ).plan.key_objects
+    assert key is not None
+    assert dict(key.scores) == rank(scene, "fridge", joint="door_hinge").by_name

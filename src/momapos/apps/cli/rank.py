@@ -69,17 +69,14 @@ def rank_objects(
     check_figure_path(plot)
     name, _, moved = target.partition("/")
     refuse_unknown_object(find_scene(scene), name)
-    from momapos.core import user_cache
-    from momapos.planning.grasps import hand_path
     from momapos.planning.importance import rank
 
     from .compile import RANK, WALKS, compile_once
 
-    loaded = load_scene_with_joints(scene, joint, user_cache())
-    path = hand_path(loaded, name, moved or None)
+    loaded = load_scene_with_joints(scene, joint)
     compile_once(RANK + WALKS if config.scorer == "deepwalk" else RANK)
     with busy(f"{loaded.name}: scoring {len(loaded.objects)} objects"):
-        result = rank(loaded, name, config, path=path, seed=seed)
+        result = rank(loaded, name, config, joint=moved or None, seed=seed)
     if plot is not None:
         from momapos.apps.plots import draw_importance
 

@@ -74,7 +74,7 @@ def _as_printed(query: PlacementQuery) -> PlacementResult:
     scene, task, config = query.scene, query.task, query.config
     placer = PaperPlacer(config.paper, query.watch)
     with query.watch.stage("importance"):
-        ranked = rank(scene, task.object, config.ranking, seed=query.seed)
+        ranked = rank(scene, task.object, config.ranking, joint=task.joint, seed=query.seed)
     with query.watch.stage("model"):
         boxed = scene.with_box_proxies({task.object})
         motion: TaskMotion = task_motion(boxed, query.robot, task, config.motion)

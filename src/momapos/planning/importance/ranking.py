@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.core import InputError, expect, finite_array, whole_number
 from momapos.model.scene import Scene
+from momapos.planning.grasps import hand_path
 
 from .config import ImportanceConfig
 from .scene_graph import SceneGraph, build_graph
@@ -101,6 +102,7 @@ def rank(
     target: str,
     config: ImportanceConfig | None = None,
     *,
+    joint: str | None = None,
     path: Float[np.ndarray, "k 3"] | None = None,
     seed: int = 0,
 ) -> Importance:
@@ -112,11 +114,13 @@ def rank(
         scene: The scene.
         target: Name of the task's object.
         config: How to score.
-        path: Positions of the hand, in the world frame [m]; used by the scorer `reach` only.
+        joint: The target's joint that the task moves; by default all with a handle.
+        path: Positions of the hand, in the world frame [m]; by default those at which it opens the
+            joint, or the middle of a target without one. Only the scorer `reach` uses them.
         seed: Same seed, same scores.
 
     Raises:
-        UnknownNameError: There is no such object; the message suggests the nearest name.
+        UnknownNameError: There is no such object or joint; the message suggests the nearest name.
         InputError: The seed is no integer from 0 to 2**32 - 1, or the target is a wall.
     """
     expect("scene", scene, Scene, "load_scene reads one")
@@ -131,6 +135,10 @@ def rank(
     graph = build_graph(scene.furniture, config.graph)
     chosen = graph.index(target)
     scorer = config.scorer or "reach"
+    if joint is not None:
+        scene.object(target).joint(joint)
+    if path is None and scorer == "reach":
+        path = hand_path(scene, target, joint)
     scores = SCORERS[scorer](graph, chosen, config, seed, path)
     # Rounded, because the last digits depend on the processor.
     scores = np.clip(np.round(scores, DIGITS), MIN_SCORE, 1.0)

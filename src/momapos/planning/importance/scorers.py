@@ -76,10 +76,9 @@ def reach(
     """Score by s / (s + d), where d is the 3D distance from a box to the hand's path [m].
 
     Which objects obstruct the task depends on the path of the handle, not on the target's position.
-    Without a path this is the scorer `size`.
     """
-    if path is None:
-        return size(graph, target, config, seed)
+    del target, config, seed
+    assert path is not None
     box = graph.upright
     local = np.einsum("nji,nkj->nki", box.rotation, path[None] - box.center[:, None])
     gaps = np.linalg.norm(np.maximum(np.abs(local) - box.half[:, None], 0.0), axis=-1).min(1)
