@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 from tests import optional, shapes  # noqa: F401, shapes before what it checks
 from tests.real import DATA
 
+from momapos.core.cache import default_cache_dir
 from momapos.model.robots.robot import Robot, load_robot
 
 pytest_plugins = ["pytester"]
+# On a busy machine any example may take long.
+settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy")
 ROBOTS = ("segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63")
 
 
@@ -48,7 +55,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile the kernels that are not cached yet, one worker from each end, before any test runs.
 
-    Else each worker would compile all of them.
+    Else each worker would compile all of them. What the tests cache about their own scenes and
+    robots then goes to a folder of this process, in which the user's cache is linked.
     """
     worker = getattr(session.config, "workerinput", None)
     if worker is not None:
@@ -58,6 +66,21 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         names = sorted(name for name in ENTRIES if name.startswith("momapos."))
         for name in names[:: -1 if worker["workerid"] == "gw1" else 1]:
             store.prepare([ENTRIES[name]], lambda *_: None)
+    folder, home = Path(tempfile.mkdtemp(prefix="momapos-tests-")), default_cache_dir()
+    for file in home.iterdir() if home.is_dir() else ():
+        (folder / file.name).symlink_to(file)
+    session.config.add_cleanup(lambda: _end_cache(folder, home))
+    os.environ["MOMAPOS_CACHE"] = str(folder)
+
+
+def _end_cache(folder: Path, home: Path) -> None:
+    """Keep what is expensive and does not depend on the tests' own files: kernels and maps."""
+    os.environ["MOMAPOS_CACHE"] = str(home)
+    home.mkdir(parents=True, exist_ok=True)
+    for file in folder.iterdir():
+        if not file.is_symlink() and file.name.startswith(("kernel-", "reach-")):
+            shutil.move(file, home / file.name)
+    shutil.rmtree(folder)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -58,7 +58,7 @@ def exact_overlap(a: np.ndarray, b: np.ndarray, T: np.ndarray) -> float:
     return -float(rest)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(seeds)
 def test_aligned_boxes_have_the_overlap_of_their_intervals(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -69,7 +69,7 @@ def test_aligned_boxes_have_the_overlap_of_their_intervals(seed: int) -> None:
     assert overlap(box(a), box(b), pose(shift)) == pytest.approx(expected, abs=2e-6)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds)
 def test_hulls_agree_with_the_hull_of_their_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -77,7 +77,7 @@ def test_hulls_agree_with_the_hull_of_their_differences(seed: int) -> None:
     assert overlap(a, b, T) == pytest.approx(exact_overlap(a[0], b[0], T), abs=5e-6)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds)
 def test_the_order_of_two_bodies_does_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def test_the_order_of_two_bodies_does_not_matter(seed: int) -> None:
     assert overlap(a, b, T) == pytest.approx(overlap(b, a, invert(T)), abs=1e-4)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds)
 def test_the_overlap_of_a_ball_and_a_cylinder_agrees_with_the_closed_form(seed: int) -> None:
     rng = np.random.default_rng(seed)

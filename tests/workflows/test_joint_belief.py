@@ -52,7 +52,7 @@ def guessed(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return room(tmp_path_factory.mktemp("beliefs") / "guessed", ALL)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     index=st.integers(0, 3), length=st.floats(0.15, 0.25), seed=st.integers(0, 1000),
     handle=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.05, 0.2)),

@@ -101,7 +101,7 @@ def test_the_solutions_for_a_pose_include_its_state(robot: Robot) -> None:
     assert np.median([misses(b, s) for b, s in zip(found, q, strict=True)]) < 1e-9
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(q=st.lists(st.floats(-TURN, TURN), min_size=6, max_size=6))
 def test_a_ur5e_has_solutions_in_every_state(
     robots: Callable[[str], Robot], q: list[float]
@@ -214,7 +214,7 @@ def test_values_of_a_long_rail_are_not_wrapped(robots: Callable[[str], Robot]) -
         assert np.isclose(branches[:, 0], state[0]).any()
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 @given(q=st.floats(-20, 20), lower=st.floats(-TURN, TURN), width=st.floats(0.0, 2 * TURN))
 def test_an_angle_is_shifted_into_its_limits_by_full_turns_or_rejected(
     q: float, lower: float, width: float

@@ -94,7 +94,7 @@ def test_a_saved_scene_round_trips(tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} == {"again.json", "room.json", "cupboard.urdf"}
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     xyz=st.tuples(*[st.floats(-50, 50)] * 3),
     rpy=st.tuples(*[st.floats(-4, 4)] * 3),

@@ -293,7 +293,7 @@ def test_a_folder_with_other_files_is_never_replaced(tmp_path: Path) -> None:
     axis=st.sampled_from([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]),
     turns=st.integers(0, 3),
 )
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_hits_match_coal(
     center: tuple[float, float, float],
     size: tuple[float, float, float],

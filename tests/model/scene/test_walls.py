@@ -108,7 +108,7 @@ def test_what_is_written_of_walls_is_what_is_read(kind: str, tmp_path: Path) -> 
     assert load_scene(tmp_path / "listed.json").walls == scene.walls
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     st.lists(st.tuples(*2 * [st.floats(-20, 20)]), min_size=2, max_size=2, unique=True),
     st.floats(0.01, 9), st.floats(0.01, 2),

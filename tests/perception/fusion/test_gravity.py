@@ -32,7 +32,7 @@ def moved(T: Float[np.ndarray, "4 4"]) -> tuple[Cloud, list[Frame]]:
     return cloud, frames
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10_000))
 def test_a_room_in_any_pose_is_aligned_upright_on_its_floor(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -63,7 +63,7 @@ def test_the_camera_may_be_held_on_its_side(turns: tuple[int, ...]) -> None:
     assert back[2, 3] == pytest.approx(0.0, abs=0.012)
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)  # 1 in 500 such walks is ambiguous
+@settings(max_examples=20, derandomize=True)  # 1 in 500 such walks is ambiguous
 @given(
     st.integers(0, 10_000), st.floats(0.2, 0.5), st.floats(0.2, 0.4), st.sampled_from([0.0, 0.5])
 )

@@ -55,7 +55,7 @@ def moved(cloud: Cloud, T: np.ndarray) -> Cloud:
     return Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(
     seed=st.integers(0, 100), quarter=st.integers(0, 3), yaw=st.floats(-0.03, 0.03),
     shift=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-0.02, 0.02)),

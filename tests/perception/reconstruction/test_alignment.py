@@ -25,7 +25,7 @@ def inside(area: Area, width: float, height: float) -> bool:
 
 
 @given(parts=any_parts(), grid=st.sampled_from([None, 12]))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_aligned_parts_lie_on_the_face_without_overlap(parts: list[Part], grid: int | None) -> None:
     aligned = align(face_of(*FACE), parts, grid)
     assert len(aligned) <= len(parts)
@@ -39,7 +39,7 @@ def test_aligned_parts_lie_on_the_face_without_overlap(parts: list[Part], grid: 
 
 @given(parts=any_parts())
 @example(parts=[Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.5, handle=(0.34, 0.0, 0.35, 0.002))])
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_every_handle_lies_on_its_part_and_can_be_grasped(parts: list[Part]) -> None:
     for part in align(face_of(*FACE), parts):
         if part.handle is not None:
@@ -51,7 +51,7 @@ def test_every_handle_lies_on_its_part_and_can_be_grasped(parts: list[Part]) -> 
 
 
 @given(front=fronts())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_parts_that_fit_move_by_less_than_a_seam(
     front: tuple[tuple[float, float, float], list[Part]],
 ) -> None:
@@ -98,7 +98,7 @@ def test_the_more_certain_of_duplicate_parts_remains() -> None:
 
 
 @given(front=fronts())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_on_the_grid_edges_are_whole_steps_and_at_most_half_a_step_off(
     front: tuple[tuple[float, float, float], list[Part]],
 ) -> None:

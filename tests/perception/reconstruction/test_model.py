@@ -95,7 +95,7 @@ def deepest(a: Boxes, b: Boxes) -> float:
 
 
 @given(front=fronts(), seed=st.none() | st.integers(0, 99), yaw=st.floats(-3, 3))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_every_part_of_a_random_front_opens_without_self_collision(
     front: tuple[tuple[float, float, float], list[Part]], seed: int | None, yaw: float
 ) -> None:
@@ -118,7 +118,7 @@ def test_every_part_of_a_random_front_opens_without_self_collision(
 
 
 @given(front=fronts(), yaw=st.floats(-3, 3))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_every_part_of_a_random_front_moves_out_of_it(
     front: tuple[tuple[float, float, float], list[Part]], yaw: float
 ) -> None:
@@ -137,7 +137,7 @@ def test_every_part_of_a_random_front_moves_out_of_it(
 
 
 @given(front=fronts(), yaw=st.floats(-3, 3))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_closed_model_fills_its_box_except_for_handles(
     front: tuple[tuple[float, float, float], list[Part]], yaw: float
 ) -> None:

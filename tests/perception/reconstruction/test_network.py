@@ -128,7 +128,7 @@ BOXES = hnp.arrays(float, (6, 2, 2), elements=st.floats(0, 1)).map(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(BOXES, hnp.arrays(float, 6, elements=st.floats(0, 1)), st.floats(0.2, 0.9))
 def test_kept_boxes_do_not_overlap(boxes: np.ndarray, scores: np.ndarray, limit: float) -> None:
     kept = decode.distinct(boxes, scores, limit, nested=True)
@@ -139,7 +139,7 @@ def test_kept_boxes_do_not_overlap(boxes: np.ndarray, scores: np.ndarray, limit:
 
 
 @given(st.floats(0.05, 0.4), st.floats(0.5, 0.95), st.integers(8, 200))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_ramp_resampled_is_the_same_ramp(low: float, high: float, length: int) -> None:
     ramp = (np.arange(length, dtype=np.float32) + 0.5) / length
     stack = np.tile(ramp[None, :, None], (length, 1, 1))

@@ -179,7 +179,7 @@ def rows() -> st.SearchStrategy[Any]:
 
 
 @given(rows(), st.integers(0, 2**32 - 1))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_parts_lie_on_the_grid_and_handles_on_their_parts(shown: Any, seed: int) -> None:
     rng = np.random.default_rng(seed)
     boxes = rng.uniform(0.0, 0.5, (6, 4))
@@ -195,7 +195,7 @@ def test_parts_lie_on_the_grid_and_handles_on_their_parts(shown: Any, seed: int)
 
 
 @given(rows())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_mirrored_front_has_mirrored_parts(shown: Any) -> None:
     """Marks of handles count from the hinge, so on doors they are their own mirror image."""
     assume(all(row[0] != "washer_door" for row in shown))  # it knows no other hinge side

@@ -137,7 +137,7 @@ def test_a_mesh_written_by_trimesh_keeps_the_order_of_its_vertices(tmp_path: Pat
         assert outward.min() > 0, "normals follow the triangles, and not the middle of the cloud"
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.binary(min_size=1, max_size=20), st.integers(1, 30)), max_size=20))
 def test_lzf_of_repeated_bytes_unpacks_to_them(runs: list[tuple[bytes, int]]) -> None:
     squeezed, plain = b"", b""
@@ -157,7 +157,7 @@ def test_lzf_of_repeated_bytes_unpacks_to_them(runs: list[tuple[bytes, int]]) ->
     assert out.tobytes() == plain
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.binary(max_size=200), st.integers(0, 300))
 def test_lzf_never_writes_beyond_its_end(data: bytes, size: int) -> None:
     guard = np.full(size + 64, 7, np.uint8)
@@ -288,7 +288,7 @@ def test_an_oversized_header_allocates_no_memory(tmp_path: Path, table: np.ndarr
         read_cloud(path)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @example(kind="pcd binary", at=255, byte=127)
 @given(kind=st.sampled_from(sorted(FILES)), at=st.integers(0, 400), byte=st.integers(0, 255))
 def test_a_damaged_cloud_is_read_or_refused_and_nothing_else(

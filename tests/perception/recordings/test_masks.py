@@ -303,7 +303,7 @@ def test_other_objects_saved_by_torch_are_refused(tmp_path: Path) -> None:
 
 @needs_torch
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(cut=st.integers(0, 200), byte=st.integers(0, 255), at=st.integers(0, 200))
 def test_a_damaged_program_is_read_or_refused_and_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, cut: int, byte: int, at: int

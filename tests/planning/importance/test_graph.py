@@ -133,7 +133,7 @@ def test_a_cup_on_a_counter_below_wall_cabinets_is_on_it_and_not_inside() -> Non
     assert hierarchy(scene) == {("cup", "on", "row")}
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.floats(-5, 5), st.floats(-5, 5), st.floats(-np.pi, np.pi), st.floats(0, 1.5)
 )  # fmt: skip
@@ -154,7 +154,7 @@ def test_only_the_nearest_within_reach_are_near() -> None:
     assert edges(room(*line), config) == {("b0", "near", "b1"), ("b1", "near", "b2")}
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000))
 def test_gaps_between_boxes_agree_with_points_sampled_on_their_outlines(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -172,7 +172,7 @@ def test_gaps_between_boxes_agree_with_points_sampled_on_their_outlines(seed: in
     assert gap >= sampled - 0.03
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-np.pi, np.pi))
 def test_turning_a_row_of_touching_cabinets_changes_no_neighbor(
     x: float, y: float, yaw: float

@@ -28,7 +28,7 @@ def triple(far: float = 2.0, size: float = 0.3) -> SceneGraph:
     )  # fmt: skip
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10_000), st.floats(0, 1))
 def test_probabilities_sum_to_one_over_undirected_edges(seed: int, k0: float) -> None:
     rng = np.random.default_rng(seed)

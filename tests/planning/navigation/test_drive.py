@@ -116,7 +116,7 @@ def test_moving_obstacles_that_are_not_discs_are_refused(
         go(build_navigation_map(room([]), robots("fetch")), moving=lambda _: wrong)
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 10_000),
     name=st.sampled_from(["segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63"]),
