@@ -20,7 +20,6 @@ import numpy as np
 
 from momapos.apps.bench.bench_records import SuiteTask
 from momapos.apps.bench.folder import read_folder
-from momapos.core.cache import user_cache
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene import Scene
@@ -50,12 +49,12 @@ def main() -> None:
     suite = read_folder(args.folder).suite
     tasks = [t for t in suite.tasks if t.robot == args.robot and t.group == "in fridge"]
     config = PipelineConfig(timeout=args.timeout, base=args.base)
-    robot = load_robot(args.robot, cache=user_cache())
+    robot = load_robot(args.robot)
     reach = load_reach(robot)
     counts, seconds = np.zeros(3, int), list[float]()
     tasks = tasks[:: args.every]
     for task in tasks:
-        scene = load_scene(args.folder / task.scene, cache=user_cache())
+        scene = load_scene(args.folder / task.scene)
         requests = _requests(task, close=args.close)
         query = PlacementQuery.of(
             scene, robot, make_task(scene, *requests[0]), reach, config=config,

@@ -30,7 +30,7 @@ from momapos.apps.web.cameras import FIELD, front_of, task_viewpoint
 from momapos.apps.web.page import Page
 from momapos.apps.web.saving import render
 from momapos.apps.web.serve import served
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 from momapos.core.geometry.planar import rotation
 
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
@@ -208,7 +208,7 @@ def image_of(item: Item, browser: Any) -> Image.Image:
     robot = options[1] if options else None
     with opened_source(source, robot) as opened, served(
         host="127.0.0.1", port=0, scenes=(source,), robots=ROBOTS,
-        scene=source, robot=robot or ROBOTS[0], cache=user_cache(), folder=Path.cwd(),
+        scene=source, robot=robot or ROBOTS[0], cache=USER_CACHE, folder=Path.cwd(),
         opened=opened,
     ) as (page, address):  # fmt: skip
         done(page)
@@ -233,7 +233,7 @@ def whole_page(browser: Any) -> Image.Image:
     """Return an image of the page with its controls and an answer."""
     with served(
         host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=ROBOTS[:1],
-        scene="kitchen_small", robot=ROBOTS[0], cache=user_cache(), folder=Path.cwd(),
+        scene="kitchen_small", robot=ROBOTS[0], cache=USER_CACHE, folder=Path.cwd(),
     ) as (page, address):  # fmt: skip
         done(page)
         page.place()

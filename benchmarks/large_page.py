@@ -28,7 +28,7 @@ from momapos.apps.web.opened import OpenedScan
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
 from momapos.apps.web.serve import served
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Scan
 from momapos.model.scene.model_copies import copied
@@ -158,7 +158,7 @@ def serving(objects: int, points: int) -> Iterator[tuple[Page, str]]:
         began, own = time.monotonic(), time.process_time()
         with served(
             host="127.0.0.1", port=0, scenes=("hall",), robots=("segway_ur5e",), scene="hall",
-            robot="segway_ur5e", cache=user_cache(), folder=Path(folder), opened=opened,
+            robot="segway_ur5e", cache=USER_CACHE, folder=Path(folder), opened=opened,
         ) as (page, address):  # fmt: skip
             page.work.wait(600.0)
             if page.shown.scene is None:

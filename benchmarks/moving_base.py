@@ -28,7 +28,7 @@ from typing import TypeAlias, get_args
 
 import numpy as np
 
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 from momapos.core.errors import MomaposError
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.plan_files.plan_format import write_plan
@@ -85,9 +85,9 @@ def report(
     folder: Path,
 ) -> None:
     """Answer openings with each use of the base, the others where a fixed base fails, and count."""
-    robot = load_robot(name, cache=user_cache())
+    robot = load_robot(name)
     reach = load_reach(robot)
-    bestman, cache = shared() / "bestman", user_cache()
+    bestman, cache = shared() / "bestman", USER_CACHE
     kitchens = {scene: load_scene(bestman / scene, cache=cache) for _, scene, _, _ in every}
     left = list(every)
     for use in uses:
@@ -128,11 +128,11 @@ def report(
 
 def report_moving(name: str, every: Sequence[Opening], folder: Path) -> None:
     """Open and close each part with a base that moves, and keep the plans."""
-    robot = load_robot(name, cache=user_cache())
+    robot = load_robot(name)
     reach = load_reach(robot)
     counts: Counter[str] = Counter()
     for number, (_, scene_name, item, joint) in enumerate(every):
-        scene = load_scene(shared() / "bestman" / scene_name, cache=user_cache())
+        scene = load_scene(shared() / "bestman" / scene_name)
         opens = make_task(scene, "open", item, joint)
         assert opens.to is not None
         ajar = scene.with_joint(item, joint, opens.to)
@@ -157,8 +157,8 @@ def report_moving(name: str, every: Sequence[Opening], folder: Path) -> None:
 
 def report_cost(name: str, every: Sequence[Opening], repeats: int) -> None:
     """Compare the processor time of `auto` and `fixed` where one base pose suffices."""
-    robot = load_robot(name, cache=user_cache())
-    reach, cache = load_reach(robot), user_cache()
+    robot = load_robot(name)
+    reach, cache = load_reach(robot), USER_CACHE
     ratios: list[float] = []
     spent = np.zeros(2)
     for _, scene_name, item, joint in every:

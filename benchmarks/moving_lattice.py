@@ -28,7 +28,7 @@ import numpy as np
 
 from lattice_nodes import Lattice
 from lattice_paths import Neighbors, Reach
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 from momapos.core.errors import MomaposError
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.records.protocols import ReachScorer
@@ -123,7 +123,7 @@ def report(
         known: Rows of an earlier run.
         skips: Whether openings that the planner solves need no lattice.
     """
-    robot, cache = load_robot(name, cache=user_cache()), user_cache()
+    robot, cache = load_robot(name), USER_CACHE
     reach = load_reach(robot)
     scenes: dict[str, Scene] = {}
     for opening in every:

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 from momapos.core.errors import MomaposError
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.plan_files.plan_format import write_plan
@@ -134,7 +134,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--seconds", type=float, default=1e9, help="after which nothing is asked")
     args = parser.parse_args()
-    until, cache = time.time() + args.seconds, user_cache()
+    until, cache = time.time() + args.seconds, USER_CACHE
     print(machine())
     (args.folder / "plans").mkdir(parents=True, exist_ok=True)
     log, rows = args.folder / "answers.log", args.folder / "rows.jsonl"

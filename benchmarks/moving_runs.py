@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from execution import SPREAD
-from momapos.core.cache import user_cache
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.protocols import ReachScorer
@@ -39,14 +38,14 @@ HARD = 150.0
 @cache
 def robot_of(name: str) -> tuple[Robot, ReachScorer]:
     """Return a robot of the library and its reachability map."""
-    robot = load_robot(name, cache=user_cache())
+    robot = load_robot(name)
     return robot, load_reach(robot)
 
 
 @cache
 def scene_at(path: Path) -> Scene:
     """Return the scene of a plan."""
-    return load_scene(path, cache=user_cache())
+    return load_scene(path)
 
 
 def execute(path: Path, seed: int) -> tuple[str, float]:

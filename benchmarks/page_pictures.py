@@ -31,7 +31,7 @@ from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
 from momapos.apps.web.scan_view import COARSE_POINTS
 from momapos.apps.web.serve import open_server, quiet, served
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 
 LOOKS = ("nothing", "cloud", "kitchen", "hall")
 SIZES = (0.001, 0.012, 0.024, 0.05)
@@ -213,7 +213,7 @@ def kitchen(watch: Watch) -> None:
     """Measure the demo kitchen in both lights."""
     with tempfile.TemporaryDirectory() as folder, served(
         host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=("segway_ur5e",),
-        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(), folder=Path(folder),
+        scene="kitchen_small", robot="segway_ur5e", cache=USER_CACHE, folder=Path(folder),
     ) as (page, address):  # fmt: skip
         page.work.wait(600.0)
         watch.open(address)

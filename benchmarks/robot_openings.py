@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from inverse import found_of
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 from momapos.core.errors import MomaposError
 from momapos.model.records.outcomes import PoseStatus
 from momapos.model.records.plans import PlacementPlan
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--arm", help="arm of a robot with several; the first by default")
     args = parser.parse_args()
     start, wall = time.process_time(), time.monotonic()
-    robot = load_robot(args.file, cache=user_cache(), arm=args.arm)
+    robot = load_robot(args.file, arm=args.arm)
     began, began_wall = time.process_time(), time.monotonic()
     reach = load_reach(robot)
     built, built_wall = time.process_time() - began, time.monotonic() - began_wall
@@ -62,7 +62,7 @@ def main() -> None:
     found |= {"built": built, "built_wall": built_wall, "holds": not empty_handed(robot)}
     rows, solved = [], []
     for name in args.scenes:
-        scene = scene_of(name, user_cache())
+        scene = scene_of(name, USER_CACHE)
         doors = openable(scene)
         for item, joint in doors[:: max(1, len(doors) // args.most)][: args.most]:
             row, plan = answered(robot, reach, name, item, joint, args.timeout)
@@ -98,7 +98,7 @@ def answered(
 ) -> tuple[dict[str, Any], PlacementPlan | None]:
     """Plan one opening; return the row with the processor time, and the plan."""
     row: dict[str, Any] = {"task": f"{Path(scene).stem} {item}/{joint}"}
-    room = scene_of(scene, user_cache())
+    room = scene_of(scene, USER_CACHE)
     began = time.process_time()
     try:
         task = make_task(room, "open", item, joint)
@@ -121,7 +121,7 @@ def by_grid(
     robot: Robot, reach: ReachScorer, scene: str, item: str, joint: str, timeout: float
 ) -> str:
     """Return the status of an opening from the whole grid of base poses."""
-    room = scene_of(scene, user_cache())
+    room = scene_of(scene, USER_CACHE)
     config = replace(CONFIG, timeout=timeout, place=PlaceConfig(method="exhaustive"))
     task = make_task(room, "open", item, joint)
     answer = plan_base_placement(room, robot, task, reach, config=config)

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from momapos.apps.bench.articulated import SETS, set_of
-from momapos.core.cache import default_cache_dir, user_cache
+from momapos.core.cache import USER_CACHE, default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot, load_robot
@@ -177,7 +177,7 @@ def cause_of(why: str, their_why: str, file: Path, root: Path) -> str:
     if why == "grasp slips: rotation in the moved part":
         return "the axis about which the hand may turn, which is any for the other program"
     name = json.loads(file.read_text())["scene"]
-    scene = read_scene(find_file("scene", name, [file.parent, root], file), root, user_cache())
+    scene = read_scene(find_file("scene", name, [file.parent, root], file), root, USER_CACHE)
     for item in scene.objects:
         for link, elements in item.model.static_elements.items():
             if f" in {item.name}/{link} by" in their_why:

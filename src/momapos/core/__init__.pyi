@@ -11,10 +11,10 @@ from .arguments import refuse_values_below as refuse_values_below
 from .arguments import shown as shown
 from .arguments import type_words as type_words
 from .arguments import whole_number as whole_number
+from .cache import USER_CACHE as USER_CACHE
 from .cache import Cache as Cache
 from .cache import content_key as content_key
 from .cache import default_cache_dir as default_cache_dir
-from .cache import user_cache as user_cache
 from .equality import compare_by_content as compare_by_content
 from .errors import FileFormatError as FileFormatError
 from .errors import InputError as InputError

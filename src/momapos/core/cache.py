@@ -59,8 +59,14 @@ def content_key(*parts: object) -> str:
 class Cache:
     """Checksummed entries in a folder."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path | None = None) -> None:
+        """Set the folder; None for the user's, looked up at each use."""
+        self._folder = folder
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder."""
+        return default_cache_dir() if self._folder is None else self._folder
 
     def path(self, key: str) -> Path:
         """Return the file of an entry.
@@ -97,9 +103,8 @@ class Cache:
         return path
 
 
-def user_cache() -> Cache:
-    """Return the cache in the default folder."""
-    return Cache(default_cache_dir())
+USER_CACHE = Cache()
+"""The cache in the user's folder; `load_scene` and `load_robot` use it unless given another."""
 
 
 def _digest(key: str, data: bytes) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from momapos.core import Cache, FileFormatError, as_path, expect
+from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect
 from momapos.model.plan_files import read_plan
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import read_srdf
@@ -41,7 +41,7 @@ def verify_files(
     limits: Limits = DEFAULT,
     *,
     allow_assumed: bool = False,
-    cache: Cache | None = None,
+    cache: Cache | None = USER_CACHE,
 ) -> Report:
     """Verify a plan, given only the plan file and the scene and URDF that it names.
 
@@ -54,7 +54,7 @@ def verify_files(
             of a BestMan scene.
         limits: Largest allowed errors.
         allow_assumed: Whether an assumed plan may be valid.
-        cache: Where to cache model geometry.
+        cache: Where to cache model geometry; None to always compute it.
 
     Raises:
         FileFormatError, SceneError, UrdfError, UnknownNameError, TaskError, RobotError: The plan
@@ -140,7 +140,7 @@ def _shipped_file(name: str) -> Path | None:
     return None
 
 
-def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = None) -> Scene:
+def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = USER_CACHE) -> Scene:
     """Load a scene; `scene_root` applies if the scene is inside it or is a BestMan list."""
     if scene_root is not None and path.resolve().is_relative_to(scene_root.resolve()):
         return load_scene(path, root=scene_root, cache=cache)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core import Cache
+from momapos.core import USER_CACHE, Cache
 from momapos.model.plan_files import TourFile, read_plan, read_tour
 from momapos.model.records import PlacementPlan
 
@@ -22,7 +22,7 @@ def verify_tour(
     limits: Limits = DEFAULT,
     *,
     allow_assumed: bool = False,
-    cache: Cache | None = None,
+    cache: Cache | None = USER_CACHE,
 ) -> dict[str, Report]:
     """Verify a tour, given only its file, its plans, and the scenes and URDFs that they name.
 
@@ -31,7 +31,7 @@ def verify_tour(
         scene_root: As for `verify_files`.
         limits: Largest allowed errors.
         allow_assumed: As for `verify_files`.
-        cache: Where to cache model geometry.
+        cache: Where to cache model geometry; None to always compute it.
 
     Returns:
         A report for each plan by its file name, and one for the sequence by the tour's file name.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from momapos.core import Cache, MomaposError
+from momapos.core import USER_CACHE, Cache, MomaposError
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import Robot, RobotTest, examine_at_rest
 from momapos.model.scene import Scene, load_scene
@@ -26,12 +26,12 @@ TIMEOUT = 3.0
 NAME = "drawer"
 
 
-def self_test(arms: Sequence[Robot], *, cache: Cache | None = None) -> tuple[RobotTest, ...]:
+def self_test(arms: Sequence[Robot], *, cache: Cache | None = USER_CACHE) -> tuple[RobotTest, ...]:
     """Test every arm of a robot: at rest, and on a drawer. Takes a few seconds.
 
     Args:
         arms: The robot, once for each arm.
-        cache: Stores expensive geometry.
+        cache: Stores expensive geometry; None to always compute it.
     """
     results = [test for robot in arms for test in examine_at_rest(robot)]
     failed = {test.arm for test in results if test.passed is False}

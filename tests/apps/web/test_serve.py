@@ -21,7 +21,7 @@ from momapos.apps.web.playback import Player
 from momapos.apps.web.question import VERBS, RobotLoader, targets
 from momapos.apps.web.serve import check_free, open_server, quiet
 from momapos.apps.web.static import check_page
-from momapos.core.cache import user_cache
+from momapos.core.cache import USER_CACHE
 from momapos.core.errors import InputError
 from momapos.model.scene.scene_files import load_scene
 
@@ -183,7 +183,7 @@ def test_a_player_stops_at_the_end_and_plays_again_from_the_beginning() -> None:
 
 
 def test_a_robot_is_loaded_once() -> None:
-    loader = RobotLoader(user_cache())
+    loader = RobotLoader(USER_CACHE)
 
     def told(what: str, share: float) -> None:
         assert what

@@ -46,7 +46,7 @@ def assert_same(a: Any, b: Any) -> None:
 @pytest.mark.parametrize("name", library_names())
 def test_a_robot_from_the_cache_equals_that_from_its_files(name: str, tmp_path: Path) -> None:
     cache = Cache(tmp_path)
-    fresh = load_arms(name)[0]
+    fresh = load_arms(name, cache=None)[0]
     for _ in range(2):
         kept = load_arms(name, cache=cache)[0]
         assert_same(fresh.model.urdf, kept.model.urdf)
@@ -59,7 +59,7 @@ def test_a_robot_from_the_cache_equals_that_from_its_files(name: str, tmp_path: 
 @pytest.mark.parametrize("name", builtin_names())
 def test_a_scene_from_the_cache_equals_that_from_its_files(name: str, tmp_path: Path) -> None:
     cache = Cache(tmp_path)
-    fresh = load_scene(name)
+    fresh = load_scene(name, cache=None)
     for _ in range(2):
         kept = load_scene(name, cache=cache)
         for one, other in zip(fresh.objects, kept.objects, strict=True):
@@ -67,6 +67,19 @@ def test_a_scene_from_the_cache_equals_that_from_its_files(name: str, tmp_path: 
             assert_same(one.model.hulls, other.model.hulls)
             assert_same(one.model.boxes, other.model.boxes)
             assert_same(one.joints, other.joints)
+
+
+def test_scenes_and_robots_are_cached_in_the_user_s_folder_by_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
+    _ = load_scene("kitchen_small", cache=None).objects[0].model.hulls
+    _ = load_robot("fetch", cache=None).spheres
+    assert not (tmp_path / "cache").exists()
+    _ = load_scene("kitchen_small").objects[0].model.hulls
+    _ = load_robot("fetch").spheres
+    kinds = {file.name.partition("-")[0] for file in (tmp_path / "cache").iterdir()}
+    assert {"urdf", "hulls", "spheres"} <= kinds
 
 
 def test_a_second_load_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,7 +109,7 @@ def test_a_changed_file_is_computed_again(tmp_path: Path) -> None:
     assert len(load_robot(file, cache=cache).spheres.pairs) > len(after.pairs)
     for kept in (tmp_path / "cache").iterdir():
         kept.write_bytes(b"damaged")
-    assert_same(load_robot(file, cache=cache).spheres, load_robot(file).spheres)
+    assert_same(load_robot(file, cache=cache).spheres, load_robot(file, cache=None).spheres)
 
 
 def test_a_changed_mesh_is_computed_again(tmp_path: Path) -> None:

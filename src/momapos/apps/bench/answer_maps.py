@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from momapos.apps.plots import draw_answer
-from momapos.core import user_cache
 from momapos.model.robots import load_robot
 from momapos.model.scene import load_scene
 from momapos.planning import plan_by_method
@@ -71,9 +70,9 @@ def draw_maps(folder: Path, found: Contents, rows: Sequence[Row], count: int) ->
 
 
 def _drawn(folder: Path, task: SuiteTask, row: Row, timeout: float) -> bytes:
-    scene = load_scene(scene_path(folder, task.scene), cache=user_cache()).with_joints(task.joints)
+    scene = load_scene(scene_path(folder, task.scene)).with_joints(task.joints)
     scene, robot = without(scene, task.carried), load_robot(task.robot)
-    reach = load_reach(robot, user_cache().folder)
+    reach = load_reach(robot)
     answer = plan_by_method(
         scene, robot, make_task(scene, task.verb, task.object, task.joint, task.to), reach,
         config=method_config(row.method, timeout, Protocol.of(row.protocol)), seed=task.seed,

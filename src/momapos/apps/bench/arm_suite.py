@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from momapos.core import (
+    USER_CACHE,
     Clock,
     FileFormatError,
     InputError,
     read_bytes_bounded,
     unknown_name,
-    user_cache,
     write_atomic,
 )
 from momapos.model.collision import FREE, arm_spheres, build_motions, build_world, check
@@ -159,7 +159,7 @@ class _Arms:
         self.by_joints: dict[frozenset[str], _Arm] = {}
         self.urdf = path if path.suffix == ".urdf" else None
         if self.urdf is None:
-            found = load_robot(robot, cache=user_cache())
+            found = load_robot(robot)
             arm = _Arm(found.chain, found.spheres.by_hulls, 0.0)
             self.by_joints[frozenset(found.chain.names)] = arm
 
@@ -189,7 +189,7 @@ def _other_group(name: str, problem: ArmProblem, own: frozenset[str]) -> str:
 
 def _arm_of_urdf(path: Path, problem: ArmProblem) -> _Arm:
     """Return the arm of a URDF on a stand, with its other joints as at the start of a problem."""
-    urdf = read_urdf(path, cache=user_cache(), visuals=False)
+    urdf = read_urdf(path, cache=USER_CACHE, visuals=False)
     movable = {joint.name: joint for joint in urdf.joints if joint.movable}
     lacking = sorted(set(problem.goal) - set(movable))
     if lacking:
@@ -207,7 +207,7 @@ def _arm_of_urdf(path: Path, problem: ArmProblem) -> _Arm:
         for name, value in problem.start.items()
         if name in movable and name not in names and movable[name].mimic is None
     }
-    model = Articulated(raised, held, user_cache())
+    model = Articulated(raised, held, USER_CACHE)
     chain, segments = build_chain(model, STAND, movable[names[-1]].child, names)
     disabled = read_srdf(path.with_suffix(".srdf"))
     spheres = arm_spheres(model, chain, segments, disabled, [])

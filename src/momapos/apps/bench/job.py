@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import MomaposError, require, user_cache
+from momapos.core import MomaposError, require
 from momapos.model.plan_files import write_plan
 from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, load_robot, opened_as
@@ -194,20 +194,20 @@ def _record_file(job: Job, step: int) -> Path | None:
 
 @lru_cache(maxsize=16)
 def _scene(path: Path) -> Scene:
-    return load_scene(path, cache=user_cache())
+    return load_scene(path)
 
 
 @lru_cache(maxsize=8)
 def _robot(name: str) -> tuple[Robot, ReachScorer]:
     robot = load_robot(name)
-    return robot, load_reach(robot, user_cache().folder)
+    return robot, load_reach(robot)
 
 
 @lru_cache(maxsize=256)
 def _warm_up(method: str) -> None:
     """Plan an easy task, so that loading kernels counts for no job."""
     robot, reach = _robot(WARM_UP.robot)
-    scene = load_scene(WARM_UP.scene, cache=user_cache())
+    scene = load_scene(WARM_UP.scene)
     task = make_task(scene, WARM_UP.verb, WARM_UP.object, WARM_UP.joint)
     config = method_config(method, WARM_UP_TIMEOUT)
     plan_by_method(scene, robot, task, reach, config=config, clock=time.process_time)

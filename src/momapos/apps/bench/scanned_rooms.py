@@ -24,7 +24,6 @@ from momapos.core import (
     InputError,
     read_bytes_bounded,
     temporary_folder,
-    user_cache,
 )
 from momapos.core.geometry import apply, compose, local_points, wrap_angle
 from momapos.model.records import Scan, Task
@@ -141,7 +140,7 @@ def scanned_room(folder: Path, name: str, truth: Scene, frames: int, seed: int) 
     if not (home / RECORD).exists():
         _make(home, truth, frames, seed)
     record = _read(home / RECORD)
-    scene = load_scene(home / SCENE, cache=user_cache())
+    scene = load_scene(home / SCENE)
     if truth.floor_polygon is None:  # the room continues beyond the scanned floor
         scene = replace(scene, floor_polygon=None)
     return ScannedRoom(scene, moved(truth, np.array(record.room)), record)

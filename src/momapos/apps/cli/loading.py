@@ -8,7 +8,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from momapos.core import Cache
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
     from momapos.planning.reachability import ArmLength, ReachMap
@@ -20,33 +19,31 @@ def print_warnings(warnings: Iterable[str]) -> None:
         print(f"momapos: {warning}", file=sys.stderr)
 
 
-def load_scene_with_joints(name: str, joints: Sequence[str], cache: Cache) -> Scene:
+def load_scene_with_joints(name: str, joints: Sequence[str]) -> Scene:
     """Load a scene, set its joints and print its warnings.
 
     Args:
         name: A scene file or a built-in kitchen.
         joints: As OBJECT/JOINT=VALUE.
-        cache: The cache of models.
 
     Raises:
         MomaposError: The scene is unusable, or has no such joint.
     """
     from momapos.model.scene import load_scene, set_joints
 
-    scene = set_joints(load_scene(name, cache=cache), joints)
+    scene = set_joints(load_scene(name), joints)
     print_warnings(scene.warnings)
     return scene
 
 
 def load_arms_with_maps(
-    robot: str, arm: str, cache: Cache
+    robot: str, arm: str
 ) -> tuple[tuple[Robot, ...], list[ReachMap | ArmLength]]:
     """Load arms of a robot and their reachability maps; build missing maps.
 
     Args:
         robot: A library robot or a robot file.
         arm: The name of an arm, or any.
-        cache: The cache of models and maps.
 
     Raises:
         RobotError: The robot is unusable.
@@ -56,24 +53,24 @@ def load_arms_with_maps(
 
     from .console import progress
 
-    arms = load_arms(robot, arm, cache=cache)
+    arms = load_arms(robot, arm)
     maps = []
     for one in arms:
         with progress(f"reachability map of {one.title}") as report:
-            maps.append(load_reach(one, cache.folder, report))
+            maps.append(load_reach(one, None, report))
     return arms, maps
 
 
 def other_robots(
-    robot: str, cache: Cache
+    robot: str,
 ) -> Iterator[tuple[str, Callable[[], tuple[Robot, ReachMap | ArmLength]]]]:
     """Yield the other robots of the library, with functions that load each and its map."""
     from momapos.model.robots import library_names, load_arms
     from momapos.planning.reachability import load_reach
 
     def load(name: str) -> tuple[Robot, ReachMap | ArmLength]:
-        one = load_arms(name, cache=cache)[0]
-        return one, load_reach(one, cache.folder)
+        one = load_arms(name)[0]
+        return one, load_reach(one)
 
     for name in library_names():
         if name != robot:

@@ -244,9 +244,7 @@ def read_scene(
     path = find_scene(name)
     for one in objects:
         refuse_unknown_object(path, one)
-    from momapos.core import user_cache
-
-    return load_scene_with_joints(name, options.joint, user_cache())
+    return load_scene_with_joints(name, options.joint)
 
 
 @dataclass(frozen=True)
@@ -320,7 +318,7 @@ def _answer(
     import json
     import time
 
-    from momapos.core import Stopwatch, TaskDoneError, user_cache
+    from momapos.core import Stopwatch, TaskDoneError
     from momapos.planning import cheapest, with_advice, with_max_opening, with_tolerance
     from momapos.planning.grasps import make_task
     from momapos.workflows import plan_by_hypothesis
@@ -336,8 +334,7 @@ def _answer(
     query = _read_query(options, scene, config)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
-    cache = user_cache()
-    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True))
+    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm), strict=True))
 
     watch, spent = Stopwatch(time.perf_counter), list[float]()
 
@@ -355,7 +352,7 @@ def _answer(
     chosen = next(arm for arm, one in zip(arms, answers, strict=True) if one is answer)
     if options.advice and query.at is None and config.place.method in OURS:
         with busy(f"{chosen[0].name}: advice"), watch.stage("advice"):
-            answer = with_advice(answer, other_robots(options.robot, cache))
+            answer = with_advice(answer, other_robots(options.robot))
     answer = with_all_time(answer, sum(spent), watch.seconds)
     if options.tolerance:
         with busy(f"{chosen[0].name}: tolerance"):

@@ -163,7 +163,6 @@ def open_run(
     """
     import numpy as np
 
-    from momapos.core import user_cache
     from momapos.model.scene import load_scene
     from momapos.simulation import moved, read_run
 
@@ -179,9 +178,7 @@ def open_run(
     )  # fmt: skip
     if record.world:
         nearby = path.parent / record.world
-        there = load_scene(
-            nearby if nearby.is_file() else record.world, root=scene_root, cache=user_cache()
-        )
+        there = load_scene(nearby if nearby.is_file() else record.world, root=scene_root)
         scene = moved(there, np.array(record.world_at or (0.0, 0.0, 0.0)))
     return record, plan, scene, machine
 
@@ -223,24 +220,22 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
 
 def _scene(path: Path, root: Path | None) -> Scene:
     """Read a scene; a built-in kitchen is read once in a process."""
-    from momapos.core import user_cache
     from momapos.model.scene import builtin_names, find_scene
     from momapos.verification import read_scene
 
     name = path.stem
     if root is None and name in builtin_names() and find_scene(name).samefile(path):
         return _kitchen(name)
-    return read_scene(path, root, cache=user_cache())
+    return read_scene(path, root)
 
 
 def _load_robot(source: str | Path, arm: str | None) -> Robot:
     """Load a robot; one of the library is loaded once in a process."""
-    from momapos.core import user_cache
     from momapos.model.robots import library_names, load_robot
 
     if source in library_names():
         return _library_robot(str(source), arm)
-    return load_robot(source, arm=arm, cache=user_cache())
+    return load_robot(source, arm=arm)
 
 
 # What is computed for a scene or a robot is cached with it. A process that opens many plans would
@@ -249,18 +244,16 @@ def _load_robot(source: str | Path, arm: str | None) -> Robot:
 
 @lru_cache(maxsize=MAX_SHARED)
 def _kitchen(name: str) -> Scene:
-    from momapos.core import user_cache
     from momapos.model.scene import load_scene
 
-    return load_scene(name, cache=user_cache())
+    return load_scene(name)
 
 
 @lru_cache(maxsize=MAX_SHARED)
 def _library_robot(name: str, arm: str | None) -> Robot:
-    from momapos.core import user_cache
     from momapos.model.robots import load_robot
 
-    return load_robot(name, arm=arm, cache=user_cache())
+    return load_robot(name, arm=arm)
 
 
 @owner_cache(MAX_SHARED)

@@ -80,10 +80,9 @@ def robot_show(name: RobotArg, /, *, json: Flag = False) -> int:
         json: Print one JSON object instead of text.
     """
     find_named_robot(name)  # reports a mistyped name before anything heavy is imported
-    from momapos.core import user_cache
     from momapos.model.robots import load_robot
 
-    facts = describe(load_robot(name, cache=user_cache()))
+    facts = describe(load_robot(name))
     lines = [as_text(facts), *(f"  note      {text}" for text in facts["notes"])]
     print(json_format.dumps(facts, indent=1) if json else "\n".join(lines))
     return SOLVED
@@ -131,7 +130,7 @@ def robot_check(
     for name, folder in packages.items():
         if not folder.is_dir():
             raise RobotError(f"--package {name}={folder}: no such folder")
-    from momapos.core import user_cache
+    from momapos.core import USER_CACHE
     from momapos.model.robots import blocking, examine, load_arms
     from momapos.workflows import self_test
 
@@ -139,7 +138,6 @@ def robot_check(
 
     if file.is_file():
         compile_once((*ANSWER, *CHECK))
-    cache = user_cache()
     guesses: tuple[str, ...] = ()
     tests: list[RobotTest] = []
     what = f"{file}: checking it, with its meshes,"
@@ -152,14 +150,14 @@ def robot_check(
 
             def inspect(arms: Sequence[Robot]) -> None:
                 report(0.9, "self-test")
-                tests.extend(self_test(arms, cache=cache))
+                tests.extend(self_test(arms))
 
             file, derived = write_robot(
-                source, out, args=args, cache=cache, report=report, inspect=inspect
+                source, out, args=args, cache=USER_CACHE, report=report, inspect=inspect
             )
             guesses = derived.assumptions
-        arms = load_arms(file, cache=cache)
-        tests = tests or list(self_test(arms, cache=cache))
+        arms = load_arms(file)
+        tests = tests or list(self_test(arms))
         report(0.95, "searching for errors")
         doubts = [_of_arm(text, robot) for robot in arms for text in examine(robot)]
         shares = [_of_arm(text, robot) for robot in arms for text in blocking(robot)]

@@ -100,7 +100,7 @@ def run(
 
     import numpy as np
 
-    from momapos.core import default_cache_dir, require, user_cache
+    from momapos.core import default_cache_dir, require
     from momapos.model.scene import load_scene
     from momapos.planning.reachability import load_reach
 
@@ -120,7 +120,7 @@ def run(
 
     there = None
     if world is not None:
-        there = moved(load_scene(world, root=scene_root, cache=user_cache()), np.array(at))
+        there = moved(load_scene(world, root=scene_root), np.array(at))
     physics = ExecutionConfig(
         hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0),
         base=BaseTrackingConfig() if noise else BaseTrackingConfig(slip=0.0),

@@ -47,11 +47,10 @@ def scene_scan(
     check_count("--frames", frames, 1, 10_000)
     find_scene(scene)  # reports a mistyped name before anything heavy is imported
     from momapos.apps.synthetic_scans import DepthSensor, refuse_used, synthetic_scan, write_scan
-    from momapos.core import user_cache
     from momapos.model.scene import load_scene, set_joints
 
     refuse_used(out)
-    loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
+    loaded = set_joints(load_scene(scene), joint)
     sensor = DepthSensor() if noise else None
     scan = synthetic_scan(loaded, frames=frames, seed=seed, sensor=sensor, tilt=tilt)
     with progress("rendering") as report:

@@ -40,10 +40,9 @@ def scene_list(*, json: Flag = False) -> int:
         json: Print one JSON object instead of a table.
     """
     if json:
-        from momapos.core import user_cache
         from momapos.model.scene import load_scene
 
-        scenes = [load_scene(name, cache=user_cache()) for name in builtin_names()]
+        scenes = [load_scene(name) for name in builtin_names()]
         _print_json({"scenes": [describe(scene) for scene in scenes]})
         return SOLVED
     for name in builtin_names():
@@ -72,10 +71,9 @@ def scene_show(
     check_outputs([plot])
     check_figure_path(plot)
     find_scene(scene)  # reports a mistyped name before anything heavy is imported
-    from momapos.core import user_cache
     from momapos.model.scene import load_scene, set_joints
 
-    loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
+    loaded = set_joints(load_scene(scene), joint)
     if plot is not None:
         from momapos.apps.plots import draw_scene
 

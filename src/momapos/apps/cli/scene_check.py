@@ -41,15 +41,13 @@ def scene_check(
 
     find_scene(scene)  # reports a mistyped name before anything heavy is imported
     find_named_robot(robot)
-    from momapos.core import user_cache
     from momapos.model.robots import load_robot
     from momapos.model.scene import load_scene, set_joints
     from momapos.workflows.scene_check import check_scene, report_lines, report_to_dict
 
-    cache = user_cache()
-    loaded = set_joints(load_scene(scene, cache=cache), joint)
+    loaded = set_joints(load_scene(scene), joint)
     with busy(f"checking {loaded.name}"):
-        report = check_scene(loaded, load_robot(robot, cache=cache))
+        report = check_scene(loaded, load_robot(robot))
     if json:
         print(json_format.dumps(report_to_dict(report), indent=1, allow_nan=False))
     else:

@@ -137,7 +137,6 @@ def _solve(
     if options.run:  # a missing package is reported before the work
         with require("physics"):
             from momapos.workflows import run_plan  # noqa: F401
-    from momapos.core import user_cache
     from momapos.model import with_times
     from momapos.model.plan_files import write_plan
     from momapos.perception.recordings import write_cloud
@@ -164,8 +163,7 @@ def _solve(
     name, _, joint = target.partition("/")
     scan = read(source, options.scan, config.scan)
     compile_once(ANSWER)
-    cache = user_cache()
-    arms, reach = load_arms_with_maps(options.robot, options.arm, cache)
+    arms, reach = load_arms_with_maps(options.robot, options.arm)
     with progress("solve") as report:
         answer = solve_scan(
             scan, list(zip(arms, reach, strict=True)),
@@ -199,7 +197,6 @@ def _run(
     """Execute the plan, and write the record."""
     import numpy as np
 
-    from momapos.core import user_cache
     from momapos.model.scene import as_planned, load_scene
     from momapos.simulation import ExecutionConfig, RunTrace, moved, with_files, write_run
     from momapos.workflows import run_plan
@@ -209,7 +206,7 @@ def _run(
     if options.world is not None:
         T = answer.modeled.T_scene_scan
         at = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
-        there = moved(load_scene(options.world, cache=user_cache()), at)
+        there = moved(load_scene(options.world), at)
     record = run_plan(
         plan, as_planned(load_scene(answer.modeled.scene), plan), robot, reach, world=there,
         config=config, physics=ExecutionConfig(hold=options.hold), seed=options.seed,

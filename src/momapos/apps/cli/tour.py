@@ -146,7 +146,6 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
 
     import numpy as np
 
-    from momapos.core import user_cache
     from momapos.planning import plan_tour, with_tolerance
 
     from .compile import ANSWER, compile_once
@@ -155,7 +154,7 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
     region = read_region(options, scene)
     compile_once(ANSWER)
     tours = []
-    arms = load_arms_with_maps(options.robot, options.arm, user_cache())
+    arms = load_arms_with_maps(options.robot, options.arm)
     for robot, reach in zip(*arms, strict=True):
         with busy(f"{robot.name}: planning", config.timeout):
             tours.append(plan_tour(

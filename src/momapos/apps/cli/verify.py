@@ -33,7 +33,6 @@ def verify(
     check_plan_file(plan)
     from json import dumps
 
-    from momapos.core import user_cache
     from momapos.model.plan_files import is_tour
     from momapos.verification import report_lines, report_to_dict, verify_files, verify_tour
 
@@ -41,7 +40,7 @@ def verify(
 
     compile_once(VERIFY)
     if is_tour(plan):
-        reports = verify_tour(plan, scene_root, allow_assumed=allow_assumed, cache=user_cache())
+        reports = verify_tour(plan, scene_root, allow_assumed=allow_assumed)
         valid = all(report.valid for report in reports.values())
         if json:
             files = {name: report_to_dict(report) for name, report in reports.items()}
@@ -50,7 +49,7 @@ def verify(
             for name, report in reports.items():
                 print("\n".join([f"{name}:", *report_lines(report)]))
         return 0 if valid else 1
-    report = verify_files(plan, scene_root, allow_assumed=allow_assumed, cache=user_cache())
+    report = verify_files(plan, scene_root, allow_assumed=allow_assumed)
     if json:
         print(dumps(report_to_dict(report)))
     else:

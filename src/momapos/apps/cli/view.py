@@ -86,7 +86,7 @@ def _serve(
     source: str, robot: str, opened: Opened | OpenedScan | None, host: str, port: int
 ) -> int:
     from momapos.apps.web import LOOPBACK, Opened, served
-    from momapos.core import user_cache
+    from momapos.core import USER_CACHE
 
     from .compile import ANSWER, RANK, compile_once
 
@@ -99,7 +99,7 @@ def _serve(
     compile_once((*ANSWER, *RANK))
     machine = opened.robot.source if isinstance(opened, Opened) else robot
     with served(
-        host=host, port=port, scene=source, robot=machine, cache=user_cache(), folder=Path.cwd(),
+        host=host, port=port, scene=source, robot=machine, cache=USER_CACHE, folder=Path.cwd(),
         scenes=tuple(dict.fromkeys((source, *builtin_names(), *scenes_in(Path.cwd())))),
         robots=tuple(dict.fromkeys((machine, *library_names()))), opened=opened,
     ) as (page, address):  # fmt: skip

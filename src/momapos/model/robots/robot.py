@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from momapos.core import (
+    USER_CACHE,
     Cache,
     RobotError,
     UnknownNameError,
@@ -256,13 +257,15 @@ class Robot:
         return self.reach + float(level @ (2 * chain.half_travel[:first]))
 
 
-def load_robot(source: str | Path, *, arm: str | None = None, cache: Cache | None = None) -> Robot:
+def load_robot(
+    source: str | Path, *, arm: str | None = None, cache: Cache | None = USER_CACHE
+) -> Robot:
     """Load a robot by library name or from a TOML file.
 
     Args:
         source: The name or the file.
         arm: Name of the arm, for a robot with several; None for the first one.
-        cache: Stores expensive geometry.
+        cache: Stores expensive geometry; None to always compute it.
 
     Raises:
         RobotError, FileFormatError, UnknownNameError: The robot is invalid; one line says why.
@@ -275,7 +278,7 @@ def load_robot(source: str | Path, *, arm: str | None = None, cache: Cache | Non
 
 
 def load_arms(
-    source: str | Path, arm: str = ANY, *, cache: Cache | None = None
+    source: str | Path, arm: str = ANY, *, cache: Cache | None = USER_CACHE
 ) -> tuple[Robot, ...]:
     """Load a robot once for each of its arms, or for the named arm.
 

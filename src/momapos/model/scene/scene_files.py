@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from momapos.core import (
+    USER_CACHE,
     Cache,
     FileFormatError,
     SceneError,
@@ -50,7 +51,7 @@ def load_scene(
     source: str | Path,
     *,
     root: str | Path | None = None,
-    cache: Cache | None = None,
+    cache: Cache | None = USER_CACHE,
     visual_collisions: bool = True,
 ) -> Scene:
     """Load a scene.
@@ -60,7 +61,7 @@ def load_scene(
             a single object, which is placed on the floor at the origin, or a map of Nav2.
         root: Folder that no path in the scene may leave; by default the file's folder, for a
             BestMan scene the parent folder that contains `Asset`.
-        cache: Stores expensive geometry.
+        cache: Stores expensive geometry; None to always compute it.
         visual_collisions: Whether visual shapes stand in where an object has no collision shapes,
             with a warning; if not, such an object is an error.
 
