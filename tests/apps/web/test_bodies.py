@@ -10,7 +10,6 @@ import pytest
 
 from momapos.apps.web.bodies import facing, joined, link_surfaces, world_surface
 from momapos.apps.web.cameras import viewpoint
-from momapos.apps.web.room_view import triangulated
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
@@ -66,16 +65,6 @@ def test_only_the_inner_side_of_a_wall_is_drawn() -> None:
     corners = inner.vertices[inner.faces].reshape(-1, 3)
     assert len(inner.faces) == 2
     np.testing.assert_allclose(corners[:, 1], 1.95)
-
-
-def test_a_floor_with_a_notch_is_covered_once() -> None:
-    notched = np.array([[0, 0], [4, 0], [4, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3.0]])
-    for polygon in (notched, notched[::-1].copy()):
-        a, b, c = (polygon[triangulated(polygon)[:, k]] for k in range(3))
-        u, v = b - a, c - a
-        areas = (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
-        assert (areas > 0).all()
-        assert areas.sum() == pytest.approx(10.0)
 
 
 def test_the_camera_is_on_the_side_to_which_doors_open() -> None:

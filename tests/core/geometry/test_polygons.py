@@ -14,6 +14,7 @@ from momapos.core.geometry.polygons import (
     edge_distances,
     inscribed_radius,
     signed_area,
+    triangulated,
 )
 
 # A room with a niche: a straight line across the gap crosses the wall.
@@ -141,3 +142,13 @@ def test_edge_distances_of_a_batch_agree_with_the_reference() -> None:
     points = rng.uniform(-3, 3, (5, 40, 2))
     expected = [to_edges(polygon, some) for polygon, some in zip(polygons, points, strict=True)]
     assert_allclose(edge_distances(points, polygons), expected, atol=1e-12)
+
+
+def test_a_floor_with_a_notch_is_covered_once() -> None:
+    notched = np.array([[0, 0], [4, 0], [4, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3.0]])
+    for polygon in (notched, notched[::-1].copy()):
+        a, b, c = (polygon[triangulated(polygon)[:, k]] for k in range(3))
+        u, v = b - a, c - a
+        areas = (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
+        assert (areas > 0).all()
+        assert areas.sum() == pytest.approx(10.0)

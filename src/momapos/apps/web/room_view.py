@@ -9,7 +9,7 @@ import numpy as np
 from viser.transforms import SO3
 
 from momapos.apps import plots
-from momapos.core.geometry import invert, signed_area
+from momapos.core.geometry import invert, triangulated
 from momapos.model.scene import Scene, SceneObject
 
 from . import colors
@@ -317,36 +317,3 @@ def _colors(item: SceneObject, look: Look, *, active: bool) -> tuple[str, str]:
     if item.category == "wall":
         return look.wall, look.wall
     return material(item), HANDLE
-
-
-def triangulated(polygon: Float[np.ndarray, "k 2"]) -> np.ndarray:
-    """Triangulate a simple polygon by ear clipping; the triangles are counterclockwise."""
-    left, triangles = list(range(len(polygon))), []
-    if signed_area(polygon) < 0:
-        left.reverse()
-    while len(left) > 3:
-        for k in range(len(left)):
-            i, j, m = left[k - 1], left[k], left[(k + 1) % len(left)]
-            a, b, c = polygon[i], polygon[j], polygon[m]
-            others = polygon[[n for n in left if n not in (i, j, m)]]
-            if _turn(a, b, c) > 0 and not _inside(others, a, b, c).any():
-                triangles.append((i, j, m))
-                left.pop(k)
-                break
-        else:  # no ear is left: the corners are collinear
-            break
-    triangles.append((left[0], left[1], left[2]))
-    return np.array(triangles)
-
-
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Any:
-    return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
-        c[..., 0] - a[..., 0]
-    )
-
-
-def _inside(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    inside = np.ones(len(points), bool)
-    for p, q in ((a, b), (b, c), (c, a)):
-        inside &= np.asarray(_turn(p, q, points)) >= 0
-    return inside

@@ -9,11 +9,13 @@ from .planar import rotation as rotation
 from .polygons import all_inside as all_inside
 from .polygons import any_overlap as any_overlap
 from .polygons import contains as contains
+from .polygons import convex_parts as convex_parts
 from .polygons import edge_distances as edge_distances
 from .polygons import edge_normals as edge_normals
 from .polygons import inscribed_radius as inscribed_radius
 from .polygons import normals_of as normals_of
 from .polygons import signed_area as signed_area
+from .polygons import triangulated as triangulated
 from .spacing import point_spacing as point_spacing
 from .transforms import apply as apply
 from .transforms import invert as invert

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 
 def following(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, "*batch k 2"]:
@@ -55,9 +55,20 @@ def any_overlap(
 ) -> Bool[np.ndarray, " n"]:
     """Return whether convex outlines share a point with a polygon."""
     n, m, _ = outlines.shape
-    within = contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).any(1)
-    around = np.array([contains(outline, polygon[:1])[0] for outline in outlines], bool)
-    return within | around | _edges_cross(polygon, outlines)
+    within = np.asarray(contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).any(1))
+    undecided = np.flatnonzero(~within)
+    left = outlines[undecided]
+    within[undecided] = _contain(left, polygon[0]) | _edges_cross(polygon, left)
+    return within
+
+
+def _contain(
+    outlines: Float[np.ndarray, "n m 2"], point: Float[np.ndarray, "2"]
+) -> Bool[np.ndarray, " n"]:
+    """Return which convex outlines, of either orientation, contain a point."""
+    edge, toward = following(outlines) - outlines, point - outlines
+    side = edge[..., 0] * toward[..., 1] - edge[..., 1] * toward[..., 0]
+    return np.asarray((side >= 0).all(1) | (side <= 0).all(1))
 
 
 def _edges_cross(
@@ -107,3 +118,42 @@ def edge_distances(
 def inscribed_radius(polygon: Float[np.ndarray, "k 2"]) -> float:
     """Return the radius of the largest origin-centered circle in a convex ccw polygon [m]."""
     return float(max(0.0, np.einsum("ij,ij->i", edge_normals(polygon), polygon).min()))
+
+
+def convex_parts(polygon: Float[np.ndarray, "k 2"]) -> list[Float[np.ndarray, "_ 2"]]:
+    """Return convex counterclockwise polygons that together cover a simple polygon."""
+    if _is_convex(polygon):
+        return [polygon if signed_area(polygon) > 0 else polygon[::-1]]
+    return list(polygon[triangulated(polygon)])
+
+
+def triangulated(polygon: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, "t 3"]:
+    """Triangulate a simple polygon by ear clipping; the triangles are counterclockwise."""
+    left, triangles = list(range(len(polygon))), []
+    if signed_area(polygon) < 0:
+        left.reverse()
+    while len(left) > 3:
+        for k in range(len(left)):
+            i, j, m = left[k - 1], left[k], left[(k + 1) % len(left)]
+            a, b, c = polygon[i], polygon[j], polygon[m]
+            others = polygon[[n for n in left if n not in (i, j, m)]]
+            if _turn(a, b, c) > 0 and not _inside(others, a, b, c).any():
+                triangles.append((i, j, m))
+                left.pop(k)
+                break
+        else:  # no ear is left: the corners are collinear
+            break
+    triangles.append((left[0], left[1], left[2]))
+    return np.array(triangles)
+
+
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    ahead, across = b - a, c - a
+    return np.asarray(ahead[..., 0] * across[..., 1] - ahead[..., 1] * across[..., 0])
+
+
+def _inside(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    inside = np.ones(len(points), bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= np.asarray(_turn(p, q, points)) >= 0
+    return inside
