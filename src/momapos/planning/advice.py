@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.core import Clock, Stopwatch
-from momapos.model.records import ANYWHERE, RULED_OUT, ReachScorer
+from momapos.model.records import ANYWHERE, RULED_OUT, ReachScorer, is_text_of
 from momapos.model.robots import Robot
 from momapos.model.scene import SceneObject
 from momapos.planning.grasps import hand_path
@@ -83,7 +83,7 @@ def _changes(
     answer: PlacementResult, query: PlacementQuery, others: Robots, trials: Trials
 ) -> Iterator[Change]:
     rejections = answer.plan.candidates.rejections
-    if query.region != ANYWHERE and set(rejections) & {status.value for status in RULED_OUT}:
+    if query.region != ANYWHERE and any(is_text_of(text, RULED_OUT) for text in rejections):
         relaxed = relaxed_restriction(query, trials)
         if relaxed is not None:
             yield relaxed

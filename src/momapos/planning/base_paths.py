@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import SceneError
+from momapos.core.geometry import any_overlap, place_points
 from momapos.model.records import ArmPathResult, Attempt, PoseOutcome, PoseStatus
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, area_name
 from momapos.planning.navigation import (
     BasePath,
     CostMap,
     NavigationMap,
     Passage,
     ReachableFloor,
+    build_navigation_map,
     gaps,
     lead_straight,
     leads_straight,
@@ -35,6 +37,39 @@ _MAX_INFLUENCE = 0.3
 """A moved part farther than this from the robot's path does not affect it [m]."""
 
 
+@dataclass(frozen=True, eq=False)
+class AreaRule:
+    """Rules out base poses to which only areas that the base keeps out of block all paths."""
+
+    query: PlacementQuery
+    start: Float[np.ndarray, "3"]
+    costs: CostMap
+    """Driving lengths through the areas."""
+
+    def keeps(
+        self, poses: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Return which base poses are reached, or not even through the areas."""
+        kept = np.isfinite(travel)
+        kept[~kept] = np.isinf(self.costs.lengths(poses[~kept]))
+        return kept
+
+    @cached_property
+    def open_map(self) -> NavigationMap:
+        """Return where the robot fits if it may drive through the areas."""
+        return build_navigation_map(self.query.scene, self.query.robot)
+
+    @property
+    def otherwise(self) -> PoseOutcome:
+        """Return the outcome of the others, which names the areas."""
+        areas = self.query.region.keep_out
+        names = [area_name(area, self.query.scene) for area in areas]
+        begun = place_points(self.start[None], self.query.robot.base_outline)
+        inside = any(any_overlap(np.array(area), begun)[0] for area in areas)
+        where = ", where the robot starts" if inside else ""
+        return PoseOutcome(PoseStatus.AREA_IN_THE_WAY, f"the keep-out {' and '.join(names)}{where}")
+
+
 @dataclass(eq=False)
 class PassageRule:
     """Rules out base poses to which the robot's smallest cross-section cannot get.
@@ -45,6 +80,8 @@ class PassageRule:
     query: PlacementQuery
     start: Float[np.ndarray, "3"]
     costs: CostMap
+    areas: AreaRule | None
+    """None if the base need not keep out of areas."""
     _passage: str = ""
 
     def keeps(
@@ -72,13 +109,18 @@ class PassageRule:
         with self.query.watch.stage("path"):
             if self._floor.meets(corners):
                 return ""
+            if self.areas is not None and self._floor_of(self.areas.open_map).meets(corners):
+                return str(self.areas.otherwise)
             self._passage = _words(self._floor.passage(self._floor.centers(corners)))
         return str(self.otherwise)
 
     @cached_property
     def _floor(self) -> ReachableFloor:
+        return self._floor_of(self.query.nav_map)
+
+    def _floor_of(self, nav_map: NavigationMap) -> ReachableFloor:
         x, y = self.start[:2].tolist()
-        return ReachableFloor(self.query.nav_map, (x, y))
+        return ReachableFloor(nav_map, (x, y))
 
     @property
     def otherwise(self) -> PoseOutcome:
@@ -96,6 +138,8 @@ class BasePaths:
 
     query: PlacementQuery
     start: Float[np.ndarray, "3"]
+    areas: AreaRule | None = None
+    """None if the base need not keep out of areas."""
     _paths: dict[bytes, BasePath | None] = field(default_factory=dict)
     _cut_off: list[Float[np.ndarray, "3"]] = field(default_factory=list)
     """Base poses without a path; finding that out is slow."""
@@ -127,16 +171,25 @@ class BasePaths:
                 self._cut_off.append(base)
         return self._paths[key]
 
+    @cached_property
+    def no_way(self) -> PoseOutcome:
+        """Return the outcome of base poses without a path, by the first of them."""
+        if self.areas is not None:
+            with self.query.watch.stage("path"):
+                if plan_path(self.areas.open_map, self.start, self._cut_off[0]) is not None:
+                    return self.areas.otherwise
+        return PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
+
     def drivable(self, check: AttemptPose) -> AttemptPose:
         """Extend a check by the path to the base pose and the query's final check."""
 
         def attempt(
             base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
         ) -> Attempt:
-            nav_map, no_way = self.query.nav_map, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
+            nav_map = self.query.nav_map
             with self.query.watch.stage("path"):
                 if any(leads_straight(nav_map, base, other) for other in self._cut_off):
-                    return Attempt(None, no_way)
+                    return Attempt(None, self.no_way)
             found = check(base, screened, ways)
             if found.motion is None:
                 return found
@@ -144,7 +197,7 @@ class BasePaths:
             with self.query.watch.stage("path"):
                 path = self._plan(base)
             if path is None:
-                return Attempt(None, no_way)
+                return Attempt(None, self.no_way)
             final = self.query.final_check
             moved = found.motion.base
             refused = None if final is None else final(base if moved is None else moved[-1])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import Stopwatch, finite_array
-from momapos.model.records import Attempt, Motion, PoseOutcome, PoseStatus
+from momapos.model.records import ANYWHERE, Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.planning.arm_motion import Feasibility
 from momapos.planning.navigation import TravelLengths, plan_path
 from momapos.planning.placement import (
@@ -93,6 +93,7 @@ def plan_at_pose(
         RobotError: The robot and the task do not fit together.
     """
     base, watch, task = finite_array("base_pose", base_pose, (3,)), query.watch, query.task
+    query = replace(query, region=ANYWHERE)
     with watch.stage("search"):
         look = _look_with_any_hand(query, base)
     query = replace(query, robot=look.prepared.robot)

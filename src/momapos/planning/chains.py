@@ -15,7 +15,7 @@ from itertools import islice
 import numpy as np
 
 from momapos.core import SceneError, Stopwatch, TaskError
-from momapos.model.records import PoseStatus, Task
+from momapos.model.records import PoseStatus, Task, is_text_of
 from momapos.model.scene import Scene
 from momapos.model.urdf import Articulated, opening_of
 from momapos.planning.grasps import make_task
@@ -37,11 +37,11 @@ TRIED_OPENINGS = 2
 """Number of openings before a failed task whose values are tried, the last ones first [-]."""
 MAX_TURN = np.pi
 """Parts without a limit are opened no farther [rad]."""
-_CUT_OFF = tuple(
-    status.value.partition("{")[0]
-    for status in (PoseStatus.NO_ROUTE, PoseStatus.NO_PASSAGE, PoseStatus.NO_ROUTE_AT_HOME)
-)
-"""Starts of the reasons that a base pose cannot be reached."""
+_CUT_OFF = (
+    PoseStatus.NO_ROUTE, PoseStatus.NO_PASSAGE, PoseStatus.NO_ROUTE_AT_HOME,
+    PoseStatus.AREA_IN_THE_WAY,
+)  # fmt: skip
+"""A base pose cannot be reached."""
 
 
 def plan_chain(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
@@ -200,7 +200,7 @@ class _Chain:
             return None
         if plan.status != "infeasible":
             return True
-        cut_off = any(word.startswith(_CUT_OFF) for word in plan.candidates.rejections)
+        cut_off = any(is_text_of(word, _CUT_OFF) for word in plan.candidates.rejections)
         return None if cut_off else False
 
 

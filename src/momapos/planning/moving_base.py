@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import all_inside, place_points, rotation
+from momapos.core.geometry import all_inside, any_overlap, place_points, rotation
 from momapos.model.collision import FLOOR, FREE, CollisionWorld, base_hits, base_hits_moving
-from momapos.model.records import MOVING_PULL, PoseOutcome, PoseStatus, ReachScorer
+from momapos.model.records import MOVING_PULL, Outline, PoseOutcome, PoseStatus, ReachScorer
 from momapos.model.robots import Robot
+from momapos.model.scene import area_name
 from momapos.planning.arm_motion import ArmPath, DrivingArm, find_paths
 from momapos.planning.grasps import FULL_DOF, TaskMotion, no_turning
 from momapos.planning.placement import (
@@ -73,10 +74,13 @@ class MovingBase:
 
     robot: Robot
     world: CollisionWorld
+    """The areas to keep out of have its last labels."""
     motion: TaskMotion
     clearance: float
     """Distance that the base keeps from everything [m]."""
     floor_polygon: Float[np.ndarray, "k 2"] | None
+    keep_out: tuple[Outline, ...]
+    """Areas that the base does not touch."""
     shift: BaseShift | None = None
     """The base path; None for an arm that takes the base as joints."""
     arm: DrivingArm | None = None
@@ -102,6 +106,9 @@ class MovingBase:
         if self.floor_polygon is not None:
             outlines = place_points(bases, self.robot.footprint)
             codes[~all_inside(self.floor_polygon, outlines)] = FLOOR
+        for label, area in enumerate(self.keep_out, len(world.labels) - len(self.keep_out)):
+            outlines = place_points(bases, self.robot.base_outline)
+            codes[any_overlap(np.array(area), outlines)] = label
         return codes
 
     def keeps(
@@ -169,7 +176,10 @@ def _ways(setup: SearchSetup) -> Iterator[MovingBase]:
     if prepared.infeasible_reason or motion.latch_q is not None:
         return
     motion = replace(motion, more_pull=MOVING_PULL)
-    way = MovingBase(robot, prepared.world, motion, geometry.clearance, geometry.floor_polygon)
+    world, keep_out = prepared.world, setup.query.region.keep_out
+    areas = [f"the keep-out {area_name(area, setup.query.scene)}" for area in keep_out]
+    world = replace(world, labels=(*world.labels, *areas)) if areas else world
+    way = MovingBase(robot, world, motion, geometry.clearance, geometry.floor_polygon, keep_out)
     if robot.chain.size < FULL_DOF:
         axes = np.eye(3)[: 2 if robot.drive == "omni" else 1]
         rigid = replace(motion, turning=no_turning(len(motion.Ts_world_tool)))

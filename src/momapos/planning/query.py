@@ -163,8 +163,11 @@ class PlacementQuery:
 
     @cached_property
     def nav_map(self) -> NavigationMap:
-        """Return where the robot fits with its arm at home, among all objects as they are."""
-        return build_navigation_map(self.scene, self.robot)
+        """Return where the robot fits with its arm at home, among all objects as they are.
+
+        The base keeps out of the region's areas.
+        """
+        return build_navigation_map(self.scene, self.robot, self.region.keep_out)
 
     @cached_property
     def outlines_after(self) -> ConvexPolygons:

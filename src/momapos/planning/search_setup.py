@@ -24,7 +24,7 @@ from momapos.planning.placement import (
 )
 from momapos.planning.reachability import ReachMap
 
-from .base_paths import BasePaths, OnwardPaths, PassageRule
+from .base_paths import AreaRule, BasePaths, OnwardPaths, PassageRule
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps, two_grasp_searches
 from .result import PlacementResult, plan_of
@@ -161,7 +161,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         infeasible_reason = prepared.infeasible_reason
     with watch.stage("drive"):
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
-        costs = cost_map(prepared, start)
+        costs = cost_map(prepared, start, query.region.keep_out)
 
     # Time for compiling and reading, once after installation, does not count.
     spent = sum(watch.seconds.get(stage, 0.0) for stage in _SEARCHING)
@@ -171,10 +171,11 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         return watch.clock() - begun > left
 
     feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
-    drives, moves = BasePaths(query, start), query.task.joint is not None
+    areas = AreaRule(query, start, cost_map(prepared, start)) if query.region.keep_out else None
+    drives, moves = BasePaths(query, start, areas), query.task.joint is not None
     required = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
     robust = RobustChecks(query) if required else None
-    passage = PassageRule(query, start, costs)
+    passage = PassageRule(query, start, costs, areas)
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
@@ -193,6 +194,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         approach=drives,
         departure=OnwardPaths(drives) if moves and _checks_departure(config.place) else None,
         region=query.region,
+        way_rules=() if areas is None else (areas,),
         rules=(passage,) if robust is None else (passage, robust.rule(prepared.geometry)),
         fit=None if robot.chain.size >= FULL_DOF else partial(fitted_bases, robot, prepared.motion),
     )

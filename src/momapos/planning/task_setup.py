@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ import numpy as np
 from momapos.core import Stopwatch, owner_cache
 from momapos.core.geometry import inscribed_radius
 from momapos.model.collision import CollisionWorld, build_world
-from momapos.model.records import Motion, Task
+from momapos.model.records import Motion, Outline, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import (
@@ -38,6 +38,7 @@ from momapos.planning.navigation import (
     NavigationMap,
     base_height,
     build_cost_map,
+    build_navigation_map,
     check_arm_at_home,
     check_base,
     find_start,
@@ -249,17 +250,22 @@ def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) ->
     )
 
 
-def cost_map(prepared: PreparedTask, start: Float[np.ndarray, "3"]) -> CostMap:
+def cost_map(
+    prepared: PreparedTask, start: Float[np.ndarray, "3"], keep_out: Sequence[Outline] = ()
+) -> CostMap:
     """Return the driving lengths from a start, with every object where it is before the task.
 
     Args:
         prepared: The scene, the robot and the task.
         start: x [m], y [m], yaw [rad].
+        keep_out: Areas that the base does not touch.
     """
     robot, obstacles = prepared.robot, prepared.motion.static_obstacles()
     polygon = prepared.scene.floor_polygon
     height = base_height(robot)
-    plan = floor_plan(obstacles, height=height, floor_polygon=polygon, start=start[:2])
+    plan = floor_plan(
+        obstacles, height=height, floor_polygon=polygon, start=start[:2], keep_out=keep_out
+    )
     return build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
 
 
@@ -277,7 +283,7 @@ def start_pose(
         robot: The robot.
         motion: The task's motion, with the boxes that the start is checked against.
         given: x [m], y [m], yaw [rad], or None.
-        nav_map: Where the robot fits with its arm at home.
+        nav_map: Where a start is searched.
 
     Raises:
         SceneError: The base collides there, or the arm at home does.
@@ -287,7 +293,7 @@ def start_pose(
         return _roomy_start(scene, nav_map)
     pose = np.asarray(given, float)
     check_base(pose, robot, motion.static_obstacles(), motion.labels, scene.floor_polygon)
-    check_arm_at_home(nav_map, pose)
+    check_arm_at_home(build_navigation_map(scene, robot), pose)
     return pose
 
 

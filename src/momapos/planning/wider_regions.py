@@ -9,6 +9,7 @@ import numpy as np
 
 from momapos.core.geometry import contains, edge_distances, place_points, wrap_angle
 from momapos.model.records import ANYWHERE, Outline
+from momapos.model.scene import area_name
 
 from .query import PlacementQuery
 from .result import PlacementResult
@@ -120,12 +121,8 @@ def _steps(excess: float, step: float) -> int:
 
 def _names(query: PlacementQuery, areas: tuple[Outline, ...]) -> str:
     """Return areas in words, by their names in the scene or else by where they are."""
-    found = []
-    for area in areas:
-        names = [n for n, one in query.scene.areas.items() if np.array_equal(one, area)]
-        x, y = np.mean(area, axis=0).tolist()
-        found.append(repr(names[0]) if names else f"around ({x:.2f}, {y:.2f})")
-    return f"area{'s' if len(areas) > 1 else ''} {' and '.join(found)}"
+    found = " and ".join(area_name(one, query.scene).removeprefix("area ") for one in areas)
+    return f"area{'s' if len(areas) > 1 else ''} {found}"
 
 
 def _within(query: PlacementQuery, areas: tuple[Outline, ...], most: float) -> PlacementQuery:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import pose_planar
+from momapos.core.geometry import place_points, pose_planar
 from momapos.model.records import Motion, MotionLoads, PlacementPlan, Task
-from momapos.model.scene import ResistanceConfig, Scene
+from momapos.model.scene import ResistanceConfig, Scene, area_name
 
 from . import path_checks as paths
 from .base_path_checks import (
@@ -31,7 +31,7 @@ from .moved_part import split
 from .outline_note import outside_note
 from .overlaps import Overlaps
 from .part_sweep import part_sweep_check
-from .polygon import farthest_outside
+from .polygon import depths_in, farthest_outside, outline_of
 from .report import DEFAULT, Check, Limits, Report, at_most
 from .robot_collision_model import RobotDescription, robot_collision_model
 from .robot_efforts import robot_efforts
@@ -216,6 +216,32 @@ class PlanVerifier:
                 pairs = all_pairs(len(shapes), len(part.shapes))
                 found.add(shapes, Ts, part.shapes, placed, pairs, _where)
         return (*checks, found.check("start and base path collision, arm at home"))
+
+    def region_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
+        """Check that the base keeps out of the plan's areas: at its pose, on its way, and moving.
+
+        The outline of the base counts: of all shapes that do not move with the arm.
+        """
+        if plan.motion is None or plan.base_pose is None or not plan.region.keep_out:
+            return ()
+        where = [("base_pose", np.array([plan.base_pose])), ("manipulation.base", plan.motion.base)]
+        where.append(("base_path", plan.base_path))
+        rest = self.robot_model.body_poses((0.0, 0.0, 0.0), plan.motion.q[:1])
+        outline = outline_of(self._base, self.robot_model.poses(rest)[1][0])
+        worst, at, inside = 0.0, "", 0
+        for name, poses in where:
+            if poses is None or not len(poses):
+                continue
+            outlines = place_points(poses, outline)
+            for area in plan.region.keep_out:
+                depth = depths_in(np.array(area), outlines)
+                inside += int((depth > self.limits.floor_edge).sum())
+                if depth.max() > max(worst, self.limits.floor_edge):
+                    at = f"{name}[{depth.argmax()}] in the {area_name(area, self.scene)}"
+                worst = max(worst, float(depth.max()))
+        detail = f"{inside} poses, deepest {at}" if at else ""
+        limit = 1000 * self.limits.floor_edge
+        return (at_most("base in a keep-out area", 1000 * worst, limit, "mm deep", detail),)
 
     def _placed(self, base_pose: tuple[float, float, float], motion: Motion) -> _Placed:
         path = paths.dense_path(motion, self.limits.step)

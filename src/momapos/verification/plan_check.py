@@ -82,7 +82,8 @@ def verify_files(
     report = verifier.check(plan.base_pose, plan.motion)
     drive = verifier.drive_checks(plan) if len(plan.motion.approach) else ()
     trusted = trust_notes(scene, robot, srdf)
-    checks, notes = [*report.checks, *drive], [*scene.warnings, *report.notes, *trusted, *assumed]
+    checks = [*report.checks, *drive, *verifier.region_checks(plan)]
+    notes = [*scene.warnings, *report.notes, *trusted, *assumed]
     if (assumed or plan.status == "assumed") and not allow_assumed:
         checks.insert(0, verdict("status is solved", False, "; ".join(assumed) or "assumed"))
     return Report(tuple(checks), tuple(notes), report.gripper_depth)

@@ -158,7 +158,9 @@ class Replanner:
         if scene is not self.scene:
             self.scene = scene
             with self.stopwatch.stage("drive"):
-                self.ground = build_navigation_map(scene, self.ground.robot)
+                self.ground = build_navigation_map(
+                    scene, self.ground.robot, self.plan.region.keep_out
+                )
 
     def retry(
         self, here: Float[np.ndarray, "3"], attempts: int, *, leave: bool

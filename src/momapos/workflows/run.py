@@ -129,7 +129,7 @@ def run_plan(
         )
     )
     with stopwatch.stage("drive"):
-        ground = build_navigation_map(scene, robot)
+        ground = build_navigation_map(scene, robot, plan.region.keep_out)
     if start is None and plan.start is not None:
         start = np.array(plan.start)
     begin = start_pose(

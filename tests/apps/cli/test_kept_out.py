@@ -8,13 +8,14 @@ from momapos.apps.cli.main import main
 
 DRAWER = ["place", "open", "kitchen_small", "cabinet_right/drawer_middle_slide"]
 WHY = "violate a restriction"
+AREA = "no way to drive there outside the keep-out area around (0.00, 0.00), where the robot starts"
 
 
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
         (["--keep-in", "-9,-9 -8,-9 -8,-8"], "outside the keep-in areas"),
-        (["--keep-out", "-9,-9 9,-9 9,9 -9,9"], "in a keep-out area"),
+        (["--keep-out", "-9,-9 9,-9 9,9 -9,9"], AREA),
         (["--most-driving", "0m"], "longer drive than allowed"),
     ],
 )
@@ -23,7 +24,7 @@ def test_the_output_names_the_restriction_that_leaves_no_base_pose(
 ) -> None:
     assert main([*DRAWER, "--robot", "segway_ur5e", *words]) == 3
     shown = capsys.readouterr().out
-    assert WHY in shown
+    assert WHY in shown or f"infeasible  {AREA}" in shown
     assert reason in shown
 
 

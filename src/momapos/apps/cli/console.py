@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.model.records import NO_STAND, RULED_OUT, PoseStatus
+from momapos.model.records import NO_STAND, RULED_OUT, PoseStatus, is_text_of
 from momapos.planning.placement import OURS
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ MAX_REASONS = 8
 _DEFAULT_WEIGHTS = {
     "driving": 1.0, "room": None, "clearance": 0.0, "manipulability": 0.0, "effort": 0.0,
 }  # fmt: skip
-_NO_PASSAGE = PoseStatus.NO_PASSAGE.value.partition("{")[0]
-"""Start of the reason that no passage is wide enough."""
+_NO_WAY = (PoseStatus.NO_PASSAGE, PoseStatus.AREA_IN_THE_WAY)
+"""A passage or an area is in the way."""
 _TERMS = {"room": "missing robustness"}
 """Printed names of cost terms, where they differ from those in the plan file."""
 
@@ -219,12 +219,14 @@ def _why_not(answer: PlacementResult) -> str:
         instead = "" if smaller is None else f"; feasible to {_value(answer, smaller)} from there"
         return f"from {_pose(plan.base_pose)}: {reason}{instead}"
     if smaller is None or plan.feasible_from is None or task.to is None:
+        if reason := _one_reason(plan.candidates):
+            return reason
         if _only_kept_out(plan.candidates.rejections):
             return (
                 "all feasible base poses violate a restriction (areas, facing, driving distance); "
                 "the reasons are below"
             )
-        return _one_reason(plan.candidates) or ("no feasible base pose; the reasons are below")
+        return "no feasible base pose; the reasons are below"
     most = "to" if plan.feasible_sure else "at least to"
     return (
         f"not to {_value(answer, task.to)}, but {most} {_value(answer, smaller)} "
@@ -240,8 +242,8 @@ def _one_reason(candidates: Candidates) -> str:
 
 
 def _no_way(rejections: Mapping[str, int]) -> str:
-    """Return which passage is too narrow, if that leaves no base pose to check the arm at."""
-    found = [word for word in rejections if word.startswith(_NO_PASSAGE)]
+    """Return the passage or area in the way, if it leaves no base pose to check the arm at."""
+    found = [word for word in rejections if is_text_of(word, _NO_WAY)]
     others = {status.value for status in NO_STAND}
     if not found or not set(rejections) <= others.union(found):
         return ""
@@ -251,8 +253,8 @@ def _no_way(rejections: Mapping[str, int]) -> str:
 def _only_kept_out(rejections: Mapping[str, int]) -> bool:
     """Whether restrictions leave no base pose to check the arm at."""
     words = set(rejections)
-    ruled_out = {status.value for status in RULED_OUT}
-    return bool(words & ruled_out) and words <= ruled_out | {s.value for s in NO_STAND}
+    ruled_out = {word for word in words if is_text_of(word, RULED_OUT)}
+    return bool(ruled_out) and words <= ruled_out | {s.value for s in NO_STAND}
 
 
 def pose_text(pose: tuple[float, float, float]) -> str:

@@ -64,9 +64,11 @@ class Options(SearchOptions):
     at: PoseArg = None
     """Check this base pose only: is it feasible, why not, and how far does it open?"""
     keep_in: AreasArg = ()
-    """Where the base may stand: an area of the scene, a JSON file, or "X,Y X,Y X,Y" [m]."""
+    """Where the base may stand, with its whole footprint: an area of the scene, a JSON file, or
+    "X,Y X,Y X,Y" [m]. It may drive outside."""
     keep_out: AreasArg = ()
-    """An area that the base must not touch."""
+    """An area that the outline of the base must not touch, neither where it stands nor as it
+    drives. The arm may reach over it."""
     facing: ValueArg = None
     """Largest angle between the base's x axis and the direction to the grasp, such as 45deg."""
     most_driving: ValueArg = None

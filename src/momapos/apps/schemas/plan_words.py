@@ -88,7 +88,7 @@ WORDS: dict[str, dict[str, str]] = {
     },
     "PlanRegion": {
         "keep_in": "Areas in which the base must stand: corners x, y [m].",
-        "keep_out": "Areas that it must not touch: corners x, y [m].",
+        "keep_out": "Areas that it must not touch, standing or driving: corners x, y [m].",
         "facing": "Largest angle between its x axis and the direction to the grasp [rad].",
         "most_driving": "Longest drive [m].",
     },

@@ -13,6 +13,7 @@ from .outcomes import NearestMiss as NearestMiss
 from .outcomes import PoseOutcome as PoseOutcome
 from .outcomes import PoseStatus as PoseStatus
 from .outcomes import Tolerance as Tolerance
+from .outcomes import is_text_of as is_text_of
 from .plans import ArmPathResult as ArmPathResult
 from .plans import Assumption as Assumption
 from .plans import Attempt as Attempt

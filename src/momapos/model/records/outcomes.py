@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -22,6 +23,7 @@ class PoseStatus(Enum):
     BASE_PATH_BLOCKED = "base in collision as it moves with the part"
     OFF_FLOOR = "base off the floor"
     BEYOND_ARM = "beyond the arm's reach"
+    AREA_IN_THE_WAY = "no way to drive there outside {detail}"
     NO_ROUTE = "no base path"
     NO_PASSAGE = "no way to drive there: {detail}"
     NO_ROUTE_AT_HOME = "no base path with the arm at home"
@@ -46,7 +48,7 @@ class PoseStatus(Enum):
 
 RULED_OUT = (
     PoseStatus.NOT_KEPT_IN, PoseStatus.NOT_KEPT_OUT, PoseStatus.NOT_FACING,
-    PoseStatus.TOO_LONG_A_DRIVE,
+    PoseStatus.TOO_LONG_A_DRIVE, PoseStatus.AREA_IN_THE_WAY,
 )  # fmt: skip
 """The base fits there, but the query's region excludes it."""
 NO_STAND = (
@@ -71,6 +73,11 @@ _SUMMARY = {
     PoseStatus.TIPS_OVER: "{detail} would tip over",
     PoseStatus.EXACT_CHECK: "exact check",
 }
+
+
+def is_text_of(text: str, statuses: Iterable[PoseStatus]) -> bool:
+    """Return whether a text in a report is that of an outcome with one of some statuses."""
+    return text.startswith(tuple(status.value.partition("{")[0] for status in statuses))
 
 
 @dataclass(frozen=True)

@@ -45,16 +45,17 @@ Outline: TypeAlias = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class BaseRegion:
-    """Where the base may stand, in addition to what the room and the arm allow.
+    """Where the base may stand and drive, in addition to what the room and the arm allow.
 
     Raises:
         InputError: An outline is not three or more finite corners, or a bound is negative.
     """
 
     keep_in: tuple[Outline, ...] = ()
-    """The whole footprint stays in one of these; empty for anywhere."""
+    """At the base pose the whole footprint is in one of these; empty for anywhere."""
     keep_out: tuple[Outline, ...] = ()
-    """No part of the footprint is in any of these."""
+    """The outline of the base, `Robot.base_outline`, touches none of these, neither at the base
+    pose nor on the way there nor while the base moves. The arm may be over them."""
     facing: float | None = None
     """Largest angle between the base's x axis and the direction to the grasp [rad]."""
     most_driving: float | None = None

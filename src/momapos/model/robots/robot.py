@@ -23,7 +23,7 @@ from momapos.core import (
     expect_callable,
     unknown_name,
 )
-from momapos.core.geometry import apply, invert
+from momapos.core.geometry import apply, convex_hull, invert
 from momapos.model.collision import LinkHulls, Spheres, arm_spheres
 from momapos.model.kinematics import Chain, IkModel, Segments, build_chain, build_ik, fine_ik
 from momapos.model.records import InverseKinematics
@@ -215,6 +215,20 @@ class Robot:
     def base(self) -> Boxes:
         """Boxes of the base, in its own frame."""
         return self.spheres.base
+
+    @cached_property
+    def base_outline(self) -> Float[np.ndarray, "k 2"]:
+        """Outline of the base in its own frame, counterclockwise [m]: the convex hull of the
+        footprint and of all links that do not move with the arm, at any height."""
+        poses = self.model.link_poses({})
+        T_base_root = invert(poses[self.base_link])
+        points = [
+            apply(T_base_root @ poses[link], hull.vertices)[:, :2]
+            for link, hulls in self.model.hulls.items()
+            for hull in hulls
+            if self.segments.of_link[link] == 0
+        ]
+        return convex_hull(np.concatenate([self.footprint, *points]))
 
     @cached_property
     def has_gripper(self) -> bool:

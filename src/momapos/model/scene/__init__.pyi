@@ -1,3 +1,4 @@
+from .floor_areas import area_name as area_name
 from .floor_areas import find_area as find_area
 from .joint_resistance import MotionResistance as MotionResistance
 from .joint_resistance import known_resistance as known_resistance

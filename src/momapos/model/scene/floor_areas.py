@@ -101,6 +101,13 @@ def read_numbers(value: object, count: int, where: str) -> Float[np.ndarray, " c
     return array
 
 
+def area_name(area: Outline, scene: Scene) -> str:
+    """Return an area in words: by its name in the scene, or else by where it is."""
+    names = [name for name, one in scene.areas.items() if np.array_equal(one, area)]
+    x, y = np.mean(area, axis=0).tolist()
+    return f"area {names[0]!r}" if names else f"area around ({x:.2f}, {y:.2f})"
+
+
 def find_area(words: str, scene: Scene, where: str) -> Outline:
     """Find an area by its name in the scene, a JSON file, or its corners.
 

@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from momapos.core.geometry import convex_hull
+from momapos.model.records import Outline
 from momapos.model.robots import Robot
 from momapos.model.urdf import Boxes
 
@@ -107,6 +108,7 @@ def floor_plan(
     floor_polygon: Float[np.ndarray, "k 2"] | None,
     margin: float = MAP_MARGIN,
     start: Float[np.ndarray, "2"] | None = None,
+    keep_out: Sequence[Outline] = (),
 ) -> FloorPlan:
     """Project the obstacles of a base onto the floor.
 
@@ -116,9 +118,10 @@ def floor_plan(
         floor_polygon: Outline of the floor; None if unknown.
         margin: Width of the free border around the mapped area [m].
         start: Start position, to which the map is extended if the floor is unknown [m].
+        keep_out: Areas that the base does not touch.
     """
     low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
-    outlines = _outlines(boxes, np.flatnonzero(low_z < height))
+    outlines = [*_outlines(boxes, np.flatnonzero(low_z < height)), *map(np.array, keep_out)]
     return blocked_cells(outlines, floor_polygon=floor_polygon, margin=margin, start=start)
 
 

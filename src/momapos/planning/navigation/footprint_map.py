@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import SceneError, owner_cache
-from momapos.core.geometry import contains
+from momapos.core.geometry import contains, convex_parts
+from momapos.model.records import Outline
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, area_name
 
 from .convex_polygons import (
     ConvexPolygons,
     RobotPrisms,
     concatenate,
     obstacles_of,
+    pack,
     planning_outlines,
     prisms_of,
 )
@@ -95,20 +97,42 @@ class NavigationMap:
         return self.gap > 0.0
 
 
-def build_navigation_map(scene: Scene, robot: Robot) -> NavigationMap:
+def build_navigation_map(
+    scene: Scene, robot: Robot, keep_out: tuple[Outline, ...] = ()
+) -> NavigationMap:
     """Build the navigation map of a robot with its arm at home, cached.
+
+    Args:
+        scene: The scene.
+        robot: The robot.
+        keep_out: Areas that the base does not touch, see `BaseRegion`.
 
     Raises:
         SceneError: The scene is too large for a map.
     """
-    return _navigation_map(robot, scene)
+    return _navigation_map(robot, scene, keep_out)
 
 
 @owner_cache(8)  # one takes about 1 MB; a question has a few versions of its scene
-def _navigation_map(robot: Robot, scene: Scene) -> NavigationMap:
+def _navigation_map(robot: Robot, scene: Scene, keep_out: tuple[Outline, ...]) -> NavigationMap:
     prisms = prisms_of(robot)
     obstacles = obstacles_of(scene, prisms)
+    if keep_out:
+        # The base's outline at any height is one more prism, and only areas obstruct it.
+        prisms = replace(prisms, outlines=(*prisms.outlines, robot.base_outline))
+        obstacles = concatenate((obstacles, _closed(scene, keep_out, len(prisms.outlines) - 1)))
     return navigation_map_of(robot, prisms, obstacles, scene.floor_polygon)
+
+
+def _closed(scene: Scene, keep_out: tuple[Outline, ...], layer: int) -> ConvexPolygons:
+    """Return areas as obstacles of one prism."""
+    parts = [
+        (f"the keep-out {area_name(area, scene)}", part)
+        for area in keep_out
+        for part in convex_parts(np.array(area))
+    ]
+    names, polygons = zip(*parts, strict=True)
+    return pack(polygons, [layer] * len(parts), names)
 
 
 def navigation_map_of(

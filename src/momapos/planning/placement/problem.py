@@ -211,6 +211,8 @@ class Problem:
     checked."""
     region: BaseRegion = ANYWHERE
     """Where the base may stand."""
+    way_rules: tuple[PoseRule, ...] = ()
+    """Why a base pose has no finite driving length, before it is rejected for that."""
     rules: tuple[PoseRule, ...] = ()
     """Further conditions on base poses."""
     path_rules: tuple[PoseRule, ...] = ()

@@ -49,7 +49,7 @@ def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[BasePoseRule]
         return np.asarray(np.array(each).any(0))
 
     def outside(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
-        outlines = place_points(poses, geometry.robot.footprint)
+        outlines = place_points(poses, geometry.robot.base_outline)
         each = [any_overlap(np.array(area), outlines) for area in region.keep_out]
         return np.asarray(~np.array(each).any(0))
 
@@ -59,7 +59,7 @@ def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[BasePoseRule]
         return np.asarray(np.abs(turn) <= region.facing)
 
     def is_near(_: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"]) -> np.ndarray:
-        return np.asarray(travel <= region.most_driving)
+        return np.asarray((travel <= region.most_driving) | np.isinf(travel))
 
     every = (
         (bool(region.keep_in), inside, PoseStatus.NOT_KEPT_IN),

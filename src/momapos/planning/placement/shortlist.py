@@ -114,9 +114,11 @@ def cull(
     row = np.flatnonzero(status == BaseStatus.CLEAR)
     travel = problem.travel_cost(poses[row])
     left = Shortlist(poses[row], row, travel, outcomes, np.zeros(len(poses), bool))
-    left.keep(np.isfinite(travel), PoseOutcome(PoseStatus.NO_ROUTE))
-    every: tuple[PoseRule, ...] = (*rules(problem.region, problem.geometry), *problem.rules)
-    for rule in every:
+    before: tuple[PoseRule, ...] = (*rules(problem.region, problem.geometry), *problem.way_rules)
+    for rule in before:
+        left.keep(rule.keeps(left.poses, left.travel), rule.otherwise)
+    left.keep(np.isfinite(left.travel), PoseOutcome(PoseStatus.NO_ROUTE))
+    for rule in problem.rules:
         left.keep(rule.keeps(left.poses, left.travel), rule.otherwise)
     if problem.keep_poses is not None:
         left.keep(problem.keep_poses(left.poses), PoseOutcome(PoseStatus.FILTERED))
