@@ -34,6 +34,7 @@ from .files import parse_xml as parse_xml
 from .files import read_bytes_bounded as read_bytes_bounded
 from .files import read_text_bounded as read_text_bounded
 from .files import read_xml as read_xml
+from .files import resolved as resolved
 from .forking import fork_safe_lock as fork_safe_lock
 from .owned_results import owner_cache as owner_cache
 from .saved_arrays import load_array as load_array

@@ -18,6 +18,23 @@ _CHUNK = 1 << 20
 """Size of one read; Python allocates the whole buffer of a read in advance [bytes]."""
 
 
+def resolved(path: Path, *, error: type[MomaposError] = FileFormatError) -> Path:
+    """Return an absolute path without links; the path need not exist.
+
+    All code resolves paths by this function, since untrusted files name some of them.
+
+    Raises:
+        MomaposError: As `error`: links form a cycle, or the path is no path.
+    """
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError) as reason:  # up to Python 3.12, a cycle is a RuntimeError
+        cause = getattr(reason, "strerror", None) or "its links form a cycle"
+        raise error(f"{path}: cannot be looked up ({cause})") from reason
+    except ValueError as reason:  # a NUL in the name
+        raise error(f"{str(path)!r}: not a valid file name") from reason
+
+
 def open_regular(
     path: Path, limit: int | None = None, *, error: type[MomaposError] = FileFormatError
 ) -> BinaryIO:

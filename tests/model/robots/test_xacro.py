@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import pytest
 from tests import optional
@@ -185,3 +187,106 @@ def test_a_missing_xacrodoc_is_reported_with_its_extra(
     path.write_text(HEAD + "</robot>")
     with pytest.raises(MomaposError, match=r"pip install xacrodoc"):
         write_robot(RobotSource(path))
+
+
+EVIL = {
+    "a lambda": "${(lambda: 1)()}",
+    "a class": "${().__class__.__base__.__subclasses__()}",
+    "a frame": "${(i for i in [1]).gi_frame}",
+    "a format": "${'{0.__class__}'.format(1)}",
+    "eval": "$(eval [c for c in ().__class__.__base__.__subclasses__()])",
+    "eval without underscores": "$(eval (lambda: 1)())",
+    "a file outside": "${load_yaml('/etc/hostname')}",
+    "a file above": "${load_yaml('../../../../../../etc/hostname')}",
+    "a file through a link": "${load_yaml('link.yaml')}",
+    "a device": "${load_yaml('/dev/zero')}",
+    "a fifo": "${load_yaml('fifo.yaml')}",
+    "a package above": "$(find ..)",
+    "a folder that is no package": "$(find etc)/x",
+    "yaml objects": "${load_yaml('tag.yaml')}",
+    "yaml aliases": "${load_yaml('bomb.yaml')}",
+    "units of yaml": "${load_yaml('units.yaml')}",
+    "a secret": "$(env TEST_API_KEY)",
+}
+"""Expressions that no file needs."""
+
+
+@needs_xacrodoc
+@pytest.mark.parametrize("kind", EVIL)
+def test_no_file_runs_code_or_reads_what_is_not_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setenv("TEST_API_KEY", "secret")
+    trap = tmp_path / "EXECUTED"
+    (tmp_path / "link.yaml").symlink_to("/etc/hostname")
+    (tmp_path / "tag.yaml").write_text(f"!!python/object/apply:os.system ['touch {trap}']")
+    (tmp_path / "units.yaml").write_text('a: !degrees "(lambda: 1)()"')
+    rows = "\n".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12))
+    (tmp_path / "bomb.yaml").write_text(f"a0: &a0 [x]\n{rows}")
+    os.mkfifo(tmp_path / "fifo.yaml")
+    path = tmp_path / "robot.xacro"
+    path.write_text(f'{HEAD}<link name="{escape(EVIL[kind], {chr(34): "&quot;"})}"/></robot>')
+    with pytest.raises(RobotError) as caught:
+        expand_xacro(path, {}, {})
+    assert "\n" not in str(caught.value)
+    assert not trap.exists()
+
+
+@needs_xacrodoc
+@pytest.mark.parametrize("name", ["/etc/hostname", "../" * 9 + "etc/hostname", "/etc/*", "link"])
+@pytest.mark.parametrize("optional", ["", ' optional="true"'])
+def test_no_file_outside_the_folders_of_a_robot_is_included(
+    tmp_path: Path, name: str, optional: str
+) -> None:
+    (tmp_path / "link").symlink_to("/etc/hostname")
+    path = tmp_path / "robot.xacro"
+    path.write_text(f'{HEAD}<xacro:include filename="{name}"{optional}/><link name="a"/></robot>')
+    with pytest.raises(RobotError, match="outside"):
+        expand_xacro(path, {}, {})
+
+
+@needs_xacrodoc
+def test_no_document_has_entities(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xacro"
+    path.write_text(f'<!DOCTYPE r [<!ENTITY a "b">]>{HEAD}<link name="&a;"/></robot>')
+    with pytest.raises(RobotError, match="cannot be expanded"):
+        expand_xacro(path, {}, {})
+
+
+@needs_xacrodoc
+def test_macros_do_not_multiply_without_end(tmp_path: Path) -> None:
+    macros = "".join(
+        f'<xacro:macro name="m{i}" params="">{f"<xacro:m{i - 1}/>" * 20}</xacro:macro>'
+        for i in range(1, 9)
+    )
+    path = tmp_path / "robot.xacro"
+    path.write_text(f'{HEAD}<xacro:macro name="m0" params=""/>{macros}<xacro:m8/></robot>')
+    with pytest.raises(RobotError, match="more than"):
+        expand_xacro(path, {}, {})
+
+
+@needs_xacrodoc
+def test_files_of_a_workspace_are_read(tmp_path: Path) -> None:
+    one, two = tmp_path / "ws" / "one" / "urdf", tmp_path / "ws" / "repository" / "config"
+    for folder in (one, two):
+        folder.mkdir(parents=True)
+    (two.parent / "package.xml").write_text("<package><name>two</name></package>")
+    (two / "a.yaml").write_text("size: {x: !degrees 180, name: arm}\nrows: [1, 2]")
+    (one.parent / "c.xacro").write_text(f'{HEAD}<xacro:property name="c" value="7"/></robot>')
+    path = one / "robot.xacro"
+    path.write_text(
+        f"{HEAD}<xacro:include filename=\"../c.xacro\"/><xacro:property name='a' "
+        "value=\"${xacro.load_yaml('$(find two)/config/a.yaml')}\"/>"
+        '<xacro:arg name="n" default="3"/><link name="${a.size.name}_${a[\'rows\'][1]}_${c}'
+        '_$(eval n + 1)" x="${round(a.size.x, 3)}"/></robot>'
+    )
+    assert 'name="arm_2_7_4" x="3.142"' in expand_xacro(path, {}, {}).urdf
+
+
+@needs_xacrodoc
+def test_a_mesh_outside_the_folders_of_a_robot_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xacro"
+    mesh = '<link name="a"><collision><geometry><mesh filename="{}"/></geometry></collision></link>'
+    path.write_text(f"{HEAD}{mesh.format('file:///etc/hostname')}</robot>")
+    with pytest.raises(RobotError, match="is outside"):
+        expand_xacro(path, {}, {})

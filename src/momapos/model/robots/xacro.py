@@ -8,14 +8,16 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from momapos.core import RobotError, parse_xml, require
-from momapos.model.urdf import MAX_MESH_PARENTS
+from momapos.core import RobotError, parse_xml, require, resolved
+from momapos.model.urdf import MAX_MESH_PARENTS, MAX_PACKAGES, package_name
 
 MAX_SECONDS, MAX_MEMORY, MAX_RESULT_BYTES = 60, 2_000_000_000, 50_000_000
 """Limits: total time of all runs of a file [s], memory [bytes], and size of the result [bytes]."""
@@ -25,7 +27,10 @@ MAX_SWITCHES = 6
 """Maximum number of switches that a message names [-]."""
 _MISSING = re.compile(r"Package not found: (\S+)")
 _UNSET = re.compile(r"Undefined substitution argument\W+(\w+)")
-_PROGRAM = Path(__file__).with_name("xacro_program.py")
+_PACKAGE = re.compile(r"[\w.-]*\w[\w.-]*")
+_SECRET = re.compile("AUTH|CREDENTIAL|KEY|PASS|SECRET|TOKEN", re.IGNORECASE)
+"""Environment variables that no file can read."""
+_PROGRAM = "momapos.model.robots.xacro_program"
 
 
 @dataclass(frozen=True)
@@ -65,9 +70,10 @@ def expand_xacro(path: Path, packages: Mapping[str, Path], args: Mapping[str, st
     """
     with require("xacro"):
         import_module("xacrodoc")
-    if not path.is_file():
+    file = resolved(path, error=RobotError)
+    if not file.is_file():
         raise RobotError(f"{path}: no such file")
-    known = {name: folder.resolve() for name, folder in packages.items()}
+    known = {name: resolved(folder, error=RobotError) for name, folder in packages.items()}
     until = time.monotonic() + MAX_SECONDS
     done = _with_packages(path, known, args, until, old=False)
     notes: tuple[str, ...] = ()
@@ -104,7 +110,7 @@ def _with_packages(
         missing = _MISSING.search(done.get("error", ""))
         if missing is None or missing[1] in known:
             return done
-        known[missing[1]] = _package(missing[1], path)
+        known[missing[1]] = resolved(_package(missing[1], path), error=RobotError)
     raise RobotError(f"{path}: names more than {MAX_RUNS} unknown packages")
 
 
@@ -112,18 +118,25 @@ def _run(
     path: Path, known: Mapping[str, Path], args: Mapping[str, str], seconds: float, *, old: bool
 ) -> dict[str, Any]:
     asked = {
-        "file": str(path.resolve()), "folder": str(path.resolve().parent), "args": dict(args),
+        "file": str(resolved(path)), "folder": str(_folders(path)[0]), "args": dict(args),
+        "roots": [str(_folders(path)[-1])],
         "packages": {name: str(folder) for name, folder in known.items()}, "old": old,
-        "seconds": MAX_SECONDS, "memory": MAX_MEMORY,
+        "seconds": MAX_SECONDS, "memory": MAX_MEMORY, "largest": MAX_RESULT_BYTES,
     }  # fmt: skip
+    plain = {name: value for name, value in os.environ.items() if not _SECRET.search(name)}
+    places = [str(Path(__file__).parents[3]), *filter(None, [plain.get("PYTHONPATH")])]
+    plain["PYTHONPATH"] = os.pathsep.join(places)
     try:
         # -P: this folder is not searched for modules.
         done = subprocess.run(
-            [sys.executable, "-P", str(_PROGRAM), json.dumps(asked)],
-            capture_output=True, text=True, timeout=seconds, check=False,
+            [sys.executable, "-P", "-m", _PROGRAM, json.dumps(asked)],
+            capture_output=True, text=True, timeout=seconds, check=False, env=plain,
         )  # fmt: skip
     except subprocess.TimeoutExpired as error:
         raise RobotError(f"{path}: expanding it took longer than {MAX_SECONDS} s") from error
+    if done.returncode < 0:
+        limits = f"{MAX_SECONDS} s and {MAX_MEMORY / 1e9:g} GB"
+        raise RobotError(f"{path}: the xacro file cannot be expanded within {limits}")
     if done.returncode:
         last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
         raise RobotError(f"{path}: the xacro file cannot be expanded ({last[0]:.300})")
@@ -131,19 +144,45 @@ def _run(
     return found
 
 
+def _folders(path: Path) -> list[Path]:
+    """Return the folder of a file, and those above it that its files may be in.
+
+    A workspace is neither a home folder, nor directly below `/`, nor above one of them.
+    """
+    first, *above = resolved(path, error=RobotError).parents
+    outer = {*resolved(Path.home()).parents, resolved(Path.home())}
+    inner = [one for one in above[:MAX_MESH_PARENTS] if len(one.parts) > 2 and one not in outer]
+    return [first, *inner]
+
+
 def _package(name: str, path: Path) -> Path:
     """Find the folder of a package among or next to the folders above a file."""
-    above = list(path.resolve().parents)[: MAX_MESH_PARENTS + 1]
-    for folder in above:
-        if folder.name == name:
-            return folder
-        if name == Path(name).name and (folder / name).is_dir():
-            return folder / name
+    above = _folders(path)
+    if _PACKAGE.fullmatch(name):
+        for folder in above:
+            if folder.name == name or package_name(folder) == name:
+                return folder
+            if (folder / name).is_dir():
+                return folder / name
+            below = (one for one in islice(_listed(folder), MAX_PACKAGES) if one.is_dir())
+            for one in below:
+                if package_name(one) == name:
+                    return one
+        # Outside these folders, only what calls itself a package is one.
+        near = above[-1].parent / name
+        if package_name(near) == name:
+            return near
     looked = ", ".join(map(str, above))
     raise RobotError(
         f"{path}: package {name!r:.80} was not found (searched {looked}); give its folder: "
-        f"--package {name}=DIR of momapos robot check, [packages] in a robot file"
+        f"--package {name:.80}=DIR of momapos robot check, [packages] in a robot file"
     )
+
+
+def _listed(folder: Path) -> Iterator[Path]:
+    """Yield what is in a folder, as far as it can be listed."""
+    with suppress(OSError):
+        yield from folder.iterdir()
 
 
 def _named_by_packages(
@@ -152,8 +191,6 @@ def _named_by_packages(
     """Name all meshes by package, so that the URDF can be anywhere; return these packages, too."""
     from xml.etree.ElementTree import tostring
 
-    if len(text) > MAX_RESULT_BYTES:
-        raise RobotError(f"{path}: expands to more than {MAX_RESULT_BYTES / 1e6:g} MB")
     tree = parse_xml(text, path, error=RobotError)
     used: dict[str, Path] = {}
     for mesh in tree.iter("mesh"):
@@ -162,18 +199,24 @@ def _named_by_packages(
         if name.startswith("package://"):
             used[package] = known[package] if package in known else _package(package, path)
             continue
-        file = Path(os.path.normpath(path.resolve().parent / name.removeprefix("file://")))
-        package, folder = _holding(file, {**known, **used})
+        file = Path(os.path.normpath(_folders(path)[0] / name.removeprefix("file://")))
+        package, folder = _holding(file, {**known, **used}, path)
         used[package] = folder
         mesh.set("filename", f"package://{package}/{file.relative_to(folder).as_posix()}")
     return tostring(tree, encoding="unicode"), used
 
 
-def _holding(file: Path, known: Mapping[str, Path]) -> tuple[str, Path]:
+def _holding(file: Path, known: Mapping[str, Path], path: Path) -> tuple[str, Path]:
     """Return a known package that contains a file, or the file's folder under a new name."""
     for package, folder in known.items():
         if file.is_relative_to(folder):
             return package, folder
+    root = _folders(path)[-1]
+    if not resolved(file, error=RobotError).is_relative_to(root):
+        raise RobotError(
+            f"{path}: mesh {str(file)!r:.200} is outside {root}; move it inside, or give the "
+            f"folder of its package: --package NAME=DIR of momapos robot check"
+        )
     name, count = file.parent.name, 1
     while name in known:
         count += 1

@@ -19,7 +19,9 @@ from .joint_opening import opens_both_ways as opens_both_ways
 from .link_elements import capsule_shapes as capsule_shapes
 from .link_elements import origin_pose as origin_pose
 from .mesh_files import MAX_MESH_PARENTS as MAX_MESH_PARENTS
+from .mesh_files import MAX_PACKAGES as MAX_PACKAGES
 from .mesh_files import MeshFinder as MeshFinder
+from .mesh_files import package_name as package_name
 from .meshes import MAX_MESH_BYTES as MAX_MESH_BYTES
 from .meshes import MAX_POINTS as MAX_POINTS
 from .meshes import mesh_bytes as mesh_bytes

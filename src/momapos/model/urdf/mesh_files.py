@@ -125,9 +125,7 @@ class MeshFinder:
                 return folder
             near = (folder, *islice(_subfolders(folder), MAX_PACKAGES))
             for one in near:
-                if self._allowed(one.resolve()) and (
-                    one.name == name or _package_name(one) == name
-                ):
+                if self._allowed(one.resolve()) and (one.name == name or package_name(one) == name):
                     return one
         return None
 
@@ -173,7 +171,7 @@ def _subfolders(folder: Path) -> Iterator[Path]:
         yield from (one for one in folder.iterdir() if one.is_dir())
 
 
-def _package_name(folder: Path) -> str | None:
+def package_name(folder: Path) -> str | None:
     """Return the name in the `package.xml` of a folder; None without one."""
     manifest = folder / "package.xml"
     try:
