@@ -7,7 +7,7 @@ themselves, a mesh as its hull; states are no farther apart than in execution.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -135,6 +135,20 @@ class PlanVerifier:
         loads = self._loads(base_pose, motion, self._placed(base_pose, motion))
         return loads.record(self._hand_load.mass)
 
+    def load_checks(
+        self, base_pose: tuple[float, float, float], motion: Motion, among: str = ""
+    ) -> tuple[Check, ...]:
+        """Check the efforts and the stability of a valid motion.
+
+        Args:
+            base_pose: x [m], y [m], yaw [rad] of the base link on the floor.
+            motion: The motion.
+            among: What the loads are of, which follows the names of the checks.
+        """
+        placed = self._placed(base_pose, motion)
+        found = self._loads(base_pose, motion, placed).checks(placed.path, self.limits)
+        return tuple(replace(check, name=check.name + among) for check in found)
+
     def _loads(
         self, base_pose: tuple[float, float, float], motion: Motion, placed: _Placed
     ) -> MeasuredLoads:
@@ -192,7 +206,7 @@ class PlanVerifier:
         if plan.base_path is not None:
             checks += base_path_checks(way, ends, self.limits)
         if all(check.ok for check in checks):
-            checks += wheel_checks(way, plan.robot_drive, plan.robot_min_turning_radius)
+            checks += wheel_checks(way, self._drive, self._radius)
         if not all(check.ok for check in checks):
             return tuple(checks)
         first = self.robot_model.body_poses((0.0, 0.0, 0.0), plan.motion.approach[:1])
@@ -254,6 +268,7 @@ class PlanVerifier:
     def _motion_checks(self, placed: _Placed, motion: Motion) -> Iterator[Check]:
         robot, part, limits, path = self.robot_model, self.part, self.limits, placed.path
         Ts_planned = placed.Ts_tool[path.planned[: len(motion.q)]]
+        yield from paths.verb_checks(part, self.task.verb)
         yield from paths.object_checks(part, motion, limits)
         yield from latch_checks(part, motion, limits)
         yield from paths.joint_checks(robot, motion, limits)

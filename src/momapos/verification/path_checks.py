@@ -190,6 +190,15 @@ def number_checks(
     yield verdict("numbers are finite", finite and largest < MAX_MAGNITUDE, f"largest {largest:g}")
 
 
+def verb_checks(part: MovedPart, verb: str) -> Iterator[Check]:
+    """Check that the task moves its part away from where it is closed, or toward it."""
+    if part.joint is None:
+        return
+    opens = abs(part.goal - part.rest) > abs(part.start - part.rest)
+    found = f"from {part.start:.4g} to {part.goal:.4g}, closed at {part.rest:.4g}"
+    yield verdict(f"the task's values {verb} the part", opens == (verb == "open"), found)
+
+
 def object_checks(part: MovedPart, motion: Motion, limits: Limits) -> Iterator[Check]:
     """Check that the object's joint reaches the task's value without moving backward."""
     if part.joint is None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect
-from momapos.model.plan_files import read_plan
+from momapos.model.plan_files import changed_files, read_plan
 from momapos.model.records import PlacementPlan
-from momapos.model.robots import read_srdf
+from momapos.model.robots import Robot, read_srdf
 from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions
 from momapos.model.urdf import Articulated, read_urdf
 
 from .exact_check import PlanVerifier
-from .report import DEFAULT, Limits, Report, verdict
+from .report import DEFAULT, Check, Limits, Report, verdict
+from .robot_claims import read_robot_of, robot_checks, robot_notes
+from .scene_claims import assumes_otherwise, scene_checks, scene_notes
 from .trust_notes import trust_notes
 
 _PACKAGE = Path(__file__).parents[1]
@@ -30,7 +33,7 @@ class UrdfArm:
     moved_joints: tuple[str, ...]
     disabled: frozenset[frozenset[str]]
     drive: str | None = None
-    """How the base drives; None in older plans, whose base stands still."""
+    """How the base drives: by the robot file, else by the plan; None if neither states it."""
     min_turning_radius: float | None = None
     """Least turning radius of a car-like base [m]."""
 
@@ -68,25 +71,52 @@ def verify_files(
         detail = f"status is {plan.status!r}; only solved plans can be verified"
         return Report((verdict("status is solved", False, detail),))
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
-    scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root, cache)
-    assumed = _assumed(scene, plan)
-    scene = with_assumptions(as_planned(scene, plan), plan)
+    scene_file = find_file("scene", plan.scene, folders, plan_path)
+    filed = read_scene(scene_file, scene_root, cache)
+    assumed = _assumed(filed, plan)
+    planned = as_planned(filed, plan)
+    scene = with_assumptions(planned, plan)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
     srdf = None
     if plan.robot_srdf is not None:
         srdf = find_file("robot.srdf", plan.robot_srdf, folders, plan_path)
     if srdf is None and urdf.with_suffix(".srdf").is_file():
         srdf = urdf.with_suffix(".srdf")
-    robot = _arm(plan, urdf, srdf, cache)
+    own = read_robot_of(plan, urdf, folders, cache)
+    robot = _arm(plan, urdf, srdf, own, cache)
+    stated = [*robot_checks(plan, robot.model, own, limits), *scene_checks(plan, planned)]
+    if own is not None:
+        stated.append(_trusted_pairs(robot, own))
     verifier = PlanVerifier(scene, robot, plan.task, limits)
     report = verifier.check(plan.base_pose, plan.motion)
     drive = verifier.drive_checks(plan) if len(plan.motion.approach) else ()
-    trusted = trust_notes(scene, robot, srdf)
-    checks = [*report.checks, *drive, *verifier.region_checks(plan)]
-    notes = [*scene.warnings, *report.notes, *trusted, *assumed]
+    checks = [*stated, *report.checks, *drive, *verifier.region_checks(plan)]
+    if report.valid and assumes_otherwise(plan, planned):
+        usual = PlanVerifier(planned, robot, plan.task, limits)
+        checks += usual.load_checks(plan.base_pose, plan.motion, " with the usual resistance")
+    notes = [
+        *scene.warnings, *_changes(plan_path, scene_file, urdf), *robot_notes(plan, own),
+        *scene_notes(plan, planned, filed), *report.notes, *trust_notes(scene, robot, srdf),
+        *assumed,
+    ]  # fmt: skip
     if (assumed or plan.status == "assumed") and not allow_assumed:
         checks.insert(0, verdict("status is solved", False, "; ".join(assumed) or "assumed"))
     return Report(tuple(checks), tuple(notes), report.gripper_depth)
+
+
+def _changes(plan_path: Path, scene: Path, urdf: Path) -> Iterator[str]:
+    for what, file in changed_files(plan_path, scene, urdf).items():
+        yield (
+            f"the {what} ({file}) has changed since the plan was written; all checks are of the "
+            "file as it is now"
+        )
+
+
+def _trusted_pairs(robot: UrdfArm, own: Robot) -> Check:
+    """Check that no pair of links is disabled that the robot's own SRDF does not disable."""
+    more = sorted("-".join(sorted(pair)) for pair in robot.disabled - own.disabled)
+    detail = f"{more[0]} and {len(more) - 1} more" if more else ""
+    return verdict("disabled pairs of links are those of the robot's SRDF", not more, detail)
 
 
 def _assumed(scene: Scene, plan: PlacementPlan) -> list[str]:
@@ -152,11 +182,15 @@ def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = USER_C
     return load_scene(path, root=scene_root if is_list else None, cache=cache)
 
 
-def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None, cache: Cache | None) -> UrdfArm:
+def _arm(
+    plan: PlacementPlan, urdf: Path, srdf: Path | None, own: Robot | None, cache: Cache | None
+) -> UrdfArm:
+    """Read the robot that a plan names; what its robot file states has priority over the plan."""
     disabled = frozenset() if srdf is None else read_srdf(srdf)
     record = read_urdf(urdf, cache=cache, visuals=False, actuated=True)
-    model = Articulated(record, plan.robot_rest, cache)
+    rest = dict(plan.robot_rest) if own is None else {**own.model.held, **plan.robot_rest}
     return UrdfArm(
-        model, plan.base_link, plan.tool_link, plan.joints, disabled,
-        plan.robot_drive, plan.robot_min_turning_radius,
+        Articulated(record, rest, cache), plan.base_link, plan.tool_link, plan.joints, disabled,
+        plan.robot_drive if own is None else own.drive,
+        plan.robot_min_turning_radius if own is None else own.min_turning_radius,
     )  # fmt: skip

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 
 from momapos.core import FileFormatError
 from momapos.model.records import Motion, PlacementPlan
+from momapos.model.robots import Robot
 from momapos.model.scene import Scene, with_assumptions
 
 from . import path_checks as paths
@@ -15,17 +17,17 @@ from .base_path_checks import base_path_checks, known_base_checks
 from .exact_check import PlanVerifier
 from .latch_checks import known_latch_checks, latch_checks
 from .report import Check, at_most
-from .robot_collision_model import RobotDescription
+from .robot_claims import rest_checks, stated_checks
+from .scene_claims import scene_checks
 from .time_checks import time_checks
 
 
-def check_plan_numbers(
-    plan: PlacementPlan, scene: Scene, robot: RobotDescription, name: str
-) -> None:
+def check_plan_numbers(plan: PlacementPlan, scene: Scene, robot: Robot, name: str) -> None:
     """Refuse a plan whose numbers `verify` rejects: what would use it cannot rely on them.
 
-    Joint values and their limits, tool poses, base path and times are checked; bodies and loads
-    are not, because a plan that collides can be shown and simulated.
+    What the plan states about robot and scene is compared with their files. Joint values and their
+    limits, tool poses, base path and times are checked; bodies and loads are not, because a plan
+    that collides can be shown and simulated.
 
     Args:
         plan: A plan with a motion.
@@ -37,7 +39,12 @@ def check_plan_numbers(
         FileFormatError: It names the first failed check, its value and its limit.
     """
     verifier = PlanVerifier(with_assumptions(scene, plan), robot, plan.task)
-    failed = next((check for check in _checks(verifier, plan) if not check.ok), None)
+    stated = (
+        *rest_checks(plan.robot_rest, robot.model, plan.joints, verifier.limits),
+        *stated_checks(plan, robot),
+        *scene_checks(plan, scene),
+    )
+    failed = next((c for c in chain(stated, _checks(verifier, plan)) if not c.ok), None)
     if failed is None:
         return
     number = f": {failed.value:.4g} {failed.unit}, limit {failed.limit:g}" if failed.unit else ""
@@ -54,6 +61,7 @@ def _checks(verifier: PlanVerifier, plan: PlacementPlan) -> Iterator[Check]:
     yield from known_latch_checks(verifier.part, motion)
     yield from known_base_checks(base, motion, plan.robot_drive)
     yield from paths.hold_checks(verifier.part, motion)
+    yield from paths.verb_checks(verifier.part, plan.task.verb)
     yield from joint_number_checks(verifier, motion)
     states = paths.count_states(motion, limits.step)
     yield at_most("states to check", states, limits.states)

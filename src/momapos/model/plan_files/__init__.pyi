@@ -1,5 +1,6 @@
 from .plan_format import FORMAT as FORMAT
 from .plan_format import TOUR as TOUR
+from .plan_format import changed_files as changed_files
 from .plan_format import check_unchanged as check_unchanged
 from .plan_format import format_of as format_of
 from .plan_format import plan_to_dict as plan_to_dict

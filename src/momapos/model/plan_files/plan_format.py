@@ -213,12 +213,24 @@ def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
     Raises:
         InputError: One of them has changed.
     """
+    for what, file in changed_files(path, scene, urdf).items():
+        raise InputError(
+            f"{path}: the {what} ({file}) has changed since the plan was written; plan again"
+        )
+
+
+def changed_files(path: Path, scene: Path, urdf: Path) -> dict[str, Path]:
+    """Return which of scene and robot have changed since a plan was written, with their files.
+
+    Args:
+        path, scene, urdf: See `check_unchanged`.
+    """
     hashes = _decode(_content(path), members.Hashes, path).hashes
-    for what, file in (("scene", scene), ("robot", urdf)):
-        if what in hashes and hashes[what] != sha256(file):
-            raise InputError(
-                f"{path}: the {what} ({file}) has changed since the plan was written; plan again"
-            )
+    return {
+        what: file
+        for what, file in (("scene", scene), ("robot", urdf))
+        if what in hashes and hashes[what] != sha256(file)
+    }
 
 
 def _content(path: Path) -> bytes:
@@ -269,6 +281,10 @@ def _check(data: members.Plan, path: Path, version: int) -> None:
     need(len(set(data.joints)) == len(data.joints), "joints contains a joint twice")
     need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
     moves = data.task.verb in ("open", "close")
+    need(
+        moves or data.task.joint is None,
+        f"task.joint must be null to {data.task.verb}, which moves a whole object",
+    )
     need(
         (data.task.joint is not None or not moves)
         and (data.task.to is not None or data.task.joint is None),

@@ -1,6 +1,7 @@
 from .amended_urdf import Mount as Mount
 from .amended_urdf import portable as portable
 from .derive import RobotSource as RobotSource
+from .drive_guess import drive_by_wheels as drive_by_wheels
 from .examination import blocking as blocking
 from .examination import examine as examine
 from .fingertips import Pivot as Pivot

@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .running_gear import MIN_TRAIL, RunningGear, Wheel
+from momapos.core import RobotError
+from momapos.model.urdf import Articulated
+
+from .joint_tree import find_anchor
+from .running_gear import MIN_TRAIL, RunningGear, Wheel, drawn_meshes, find_running_gear
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -44,6 +48,18 @@ class DriveGuess:
     """That middle in the anchor's frame [m]: the point that never moves sideways."""
     doubt: str = ""
     """What the user should check."""
+
+
+def drive_by_wheels(model: Articulated) -> DriveGuess | None:
+    """Derive the drive of a robot from the wheels in its URDF; None if they do not tell."""
+    if model.urdf.path is None:
+        return None
+    anchor = find_anchor(model, [])
+    try:
+        gear = find_running_gear(model, anchor, drawn_meshes(None, model.urdf.path))
+    except RobotError:  # a wheel without an axis
+        return None
+    return drive_of(gear)
 
 
 def drive_of(gear: RunningGear) -> DriveGuess | None:

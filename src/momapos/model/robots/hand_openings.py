@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import owner_cache
+from momapos.core import RobotError, owner_cache
 from momapos.model.collision import reposed
 from momapos.model.kinematics import build_chain
 
@@ -56,7 +56,11 @@ def opened_as(robot: Robot, rest: Mapping[str, float]) -> Robot:
         robot: The robot as its file describes it.
         rest: Rest values of joints in the plan [rad] or [m]; joints that it does not name rest at
             zero.
+
+    Raises:
+        RobotError: The plan rests a joint beyond its limits.
     """
+    _check_within(robot, rest)
     joints = {name: robot.model.joint(name) for name in _finger_joints(robot)}
     at = {n: float(np.clip(rest.get(n, 0.0), j.lower, j.upper)) for n, j in joints.items()}
     if not rest.keys() & at.keys() or all(
@@ -72,6 +76,16 @@ def opened_as(robot: Robot, rest: Mapping[str, float]) -> Robot:
     width = float(np.interp(at[names[k]], states[order, k], gaps[order]))
     width = round(width, 4)
     return _resting(robot, at, width) if width < robot.opening else robot
+
+
+def _check_within(robot: Robot, rest: Mapping[str, float]) -> None:
+    for name, value in rest.items():
+        joint = robot.model.joints.get(name)
+        if joint is not None and not joint.lower - SAME_VALUE <= value <= joint.upper + SAME_VALUE:
+            raise RobotError(
+                f"{robot.name}: {name} rests at {value:g} in the plan; its limits are "
+                f"{joint.lower:g} to {joint.upper:g}"
+            )
 
 
 def _finger_joints(robot: Robot) -> tuple[str, ...]:
