@@ -24,11 +24,15 @@ JOINTS = ("pan", "lift", "elbow", "roll", "pitch", "twist")
 BASE = (-0.7, 0.15, 0.3)
 OPEN = 1.0
 UP = np.array([0.0, 0.0, 1.0])
+FINGER = '<box size="0.02 0.01 0.06"/>'
 HINGE, HANDLE = (0.185, -0.29, 0.8), (-0.09, 0.54, 0.0)
 
 
 def robot_urdf() -> str:
-    """Return a six-axis arm with a spherical wrist on a box, and a palm behind the tool frame."""
+    """Return a six-axis arm with a spherical wrist on a box, and two fingers around the tool frame.
+
+    They close along its y axis.
+    """
     links = {
         "base": ("0 0 0.3", '<box size="0.4 0.4 0.5"/>'),
         "shoulder": ("0 0 0.03", '<sphere radius="0.06"/>'),
@@ -37,6 +41,8 @@ def robot_urdf() -> str:
         "wrist": None,
         "knuckle": ("0 0 0", '<sphere radius="0.03"/>'),
         "palm": ("0 0 0.09", '<box size="0.08 0.06 0.06"/>'),
+        "left": ("0 0.035 0.025", FINGER),
+        "right": ("0 -0.035 0.025", FINGER),
     }
     joints = {
         "pan": ("base", "shoulder", "0 0 0.65", "0 0 1", 3.1),
@@ -58,6 +64,12 @@ def robot_urdf() -> str:
             f'<joint name="{name}" type="revolute"><parent link="{parent}"/>'
             f'<child link="{child}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>'
             f'<limit lower="-{limit}" upper="{limit}" effort="300" velocity="1"/></joint>'
+        )
+    for name, side in (("left", -1), ("right", 1)):
+        text.append(
+            f'<joint name="{name}_slide" type="prismatic"><parent link="palm"/>'
+            f'<child link="{name}"/><origin xyz="0 0 0.12"/><axis xyz="0 {side} 0"/>'
+            '<limit lower="0" upper="0.03" effort="60" velocity="1"/></joint>'
         )
     text.append(
         '<joint name="mount" type="fixed"><parent link="palm"/><child link="tool"/>'

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from door_case import BASE, Case, make_case
-from independent_check import INDEPENDENT_NAMES, independent_verdicts
+from independent_check import HAND_CHECKS, INDEPENDENT_NAMES, independent_verdicts
 from moving_case import moving_case, stops_case
 
 from momapos.core.errors import FileFormatError
@@ -167,7 +167,8 @@ def test_the_independent_checker_gives_the_same_verdicts_for_moving_bases(tmp_pa
     plans = {name: make().write(tmp_path / name) for name, make in cases.items()}
     for (name, path), theirs in zip(plans.items(), independent_verdicts(plans), strict=True):
         ours = {NAMES.get(check, check) for check in failed(verify_files(path))}
-        assert ours == {key for key, (ok, _) in theirs.items() if not ok}, name
+        others = {key for key, (ok, _) in theirs.items() if not ok}
+        assert others <= ours <= others | HAND_CHECKS, name
 
 
 def test_a_turn_a_little_too_tight_adds_up_over_the_path(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def test_pairs_that_an_srdf_disables_are_named(tmp_path: Path) -> None:
 
 
 def test_an_srdf_that_the_plan_itself_names_is_named(tmp_path: Path) -> None:
-    links = ("base", "shoulder", "upper", "fore", "knuckle", "palm")
+    links = ("base", "shoulder", "upper", "fore", "knuckle", "palm", "left", "right")
     pairs = [f'<disable_collisions link1="{a}" link2="{b}"/>' for a in links for b in links]
     case = make_case()
     case.plan["robot"]["srdf"] = "all.srdf"

@@ -25,6 +25,7 @@ from .base_path_checks import (
 )
 from .exact_shapes import Shapes
 from .floor_contact import depths_below_floor, dips
+from .hand_checks import DEPTH_CHECK, HandChecker
 from .latch_checks import known_latch_checks, latch_checks
 from .motion_loads import HandLoad, MeasuredLoads
 from .moved_part import split
@@ -35,7 +36,7 @@ from .polygon import depths_in, farthest_outside, outline_of
 from .report import DEFAULT, Check, Limits, Report, at_most
 from .robot_collision_model import RobotDescription, robot_collision_model
 from .robot_efforts import robot_efforts
-from .sweep import all_pairs, deepest
+from .sweep import all_pairs
 from .time_checks import time_checks
 
 if TYPE_CHECKING:
@@ -58,7 +59,10 @@ class _Placed:
     Ts_base: Float[np.ndarray, "#s b 4 4"]
     """One pose of each shape if the base stands still."""
     Ts_arm: Float[np.ndarray, "s a 4 4"]
+    Ts_part_body: Float[np.ndarray, "s q 4 4"]
+    """Bodies of the moved part."""
     Ts_part: Float[np.ndarray, "s p 4 4"]
+    """Shapes of the moved part."""
 
 
 class PlanVerifier:
@@ -82,13 +86,16 @@ class PlanVerifier:
             robot.model, self.robot_model.bodies, robot.base_link, self.robot_model.joints
         )
         self._hand_load = HandLoad(scene.object(task.object), task, ResistanceConfig())
+        self._hand = HandChecker(
+            self.robot_model, self.part, scene.object(task.object).model, limits
+        )
         self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
         self._base_fixed = all_pairs(len(self._base), len(self.fixed))
         self._part_base = all_pairs(len(self.part.shapes), len(self._base))
         on_part = all_pairs(len(self._arm), len(self.part.shapes))
         on_gripper = self.robot_model.gripper[on_part[:, 0]]
-        self._arm_part, self._gripper_part = on_part[~on_gripper], on_part[on_gripper]
+        self._arm_part = on_part[~on_gripper]
 
     def first_violation(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
         """Return why a motion is rejected, in the same words for similar motions, or None."""
@@ -117,7 +124,7 @@ class PlanVerifier:
         checks, placed = self._checks(base_pose, motion)
         if placed is None:
             return Report(checks)
-        depth = self._gripper_depth(placed)
+        depth = next((c.value / 1000 for c in checks if c.name == DEPTH_CHECK), 0.0)
         notes = (*self._notes(placed, depth), *paths.curve_notes(motion))
         return Report(checks, notes, depth)
 
@@ -263,7 +270,7 @@ class PlanVerifier:
         Ts_body = self.robot_model.body_poses(bases, path.q)
         Ts_tool, Ts_base, Ts_arm = self.robot_model.poses(Ts_body, base_moves=motion.moves_base)
         Ts = paths.part_poses(self.part, self.task.verb, path, Ts_tool)
-        return _Placed(path, Ts_body, Ts_tool, Ts_base, Ts_arm, self.part.placed_at(Ts))
+        return _Placed(path, Ts_body, Ts_tool, Ts_base, Ts_arm, Ts, self.part.placed_at(Ts))
 
     def _motion_checks(self, placed: _Placed, motion: Motion) -> Iterator[Check]:
         robot, part, limits, path = self.robot_model, self.part, self.limits, placed.path
@@ -277,7 +284,8 @@ class PlanVerifier:
         yield from moving_base_checks(path, motion, self._drive, self._radius, limits)
         yield from paths.tool_checks(Ts_planned, motion, limits)
         yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
-        yield paths.reach_check(part, self.task.verb, motion, Ts_planned, limits)
+        yield paths.reach_check(part, motion, Ts_planned, limits)
+        yield from self._hand.checks(motion, path, placed.Ts_tool, placed.Ts_part_body)
         Ts_way, where = self._part_path(placed.Ts_part, path)
         yield self._part_check(Ts_way, where)
         yield self._part_above_floor(Ts_way, where)
@@ -374,12 +382,6 @@ class PlanVerifier:
         found.add(arm, Ts_arm, base, Ts_base, robot.arm_base_pairs, path.where)
         found.add(arm, Ts_arm, arm, Ts_arm, robot.arm_arm_pairs, path.where)
         return found.check("robot self-collision")
-
-    def _gripper_depth(self, placed: _Placed) -> float:
-        depth, _ = deepest(
-            self._arm, placed.Ts_arm, self.part.shapes, placed.Ts_part, self._gripper_part, 0.0
-        )
-        return float(depth.max(initial=0.0))
 
     def _on_floor(self, placed: _Placed) -> Iterator[Check]:
         polygon = self.scene.floor_polygon

@@ -15,7 +15,7 @@ import numpy as np
 from momapos.core import owner_cache
 from momapos.core.compiled import F1, F2, F3, F4, I1, entry
 from momapos.core.geometry import apply, invert
-from momapos.model.urdf import Articulated, Geometry, Hull, StaticElement
+from momapos.model.urdf import Articulated, Geometry, Hull, StaticElement, pieces_of
 
 from .convex import Body
 from .link_bodies import LinkBodies, bodies_of
@@ -141,6 +141,19 @@ def _static_elements(model: Articulated) -> Iterator[tuple[str, Geometry, Static
     for name, link in model.urdf.links.items():
         for geometry, element in zip(link.collisions, model.static_elements[name], strict=True):
             yield name, geometry, element
+
+
+@owner_cache()
+def element_pieces(model: Articulated, link: str, index: int, drawn: bool) -> Shapes:
+    """Return the convex pieces of a collision or drawn element, in its link's frame."""
+    shapes = model.urdf.links[link]
+    if drawn:
+        geometry = shapes.visuals[index]
+        pieces = pieces_of(geometry, model.hull(link, geometry))
+    else:
+        geometry, pieces = shapes.collisions[index], model.pieces(link, index)
+    made = [_shape(geometry, piece, np.eye(4)) for piece in pieces]
+    return _pack([link] * len(made), [0] * len(made), made)
 
 
 def shapes_of(model: Articulated, bodies: LinkBodies) -> Shapes:

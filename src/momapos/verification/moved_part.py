@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,6 +62,8 @@ class MovedPart:
     """Poses of these bodies at joint values."""
     latch: MovedLatch | None = None
     """The latch to turn; None if there is none."""
+    links: Mapping[str, tuple[int, Float[np.ndarray, "4 4"]]] = field(default_factory=dict)
+    """The body that carries each of its links, and the link's pose in it."""
 
     def turned(self, count: int) -> Float[np.ndarray, " n"] | None:
         """Return values of the turned latch, for a number of states; None without a latch."""
@@ -212,13 +215,15 @@ def _part(item: SceneObject, task: Task, bodies: LinkBodies, shapes: Shapes) -> 
     """Build the moved part from its shapes, which are in world coordinates."""
     joint, latch, start, rest, goal = None, None, 0.0, 0.0, 0.0
     paths, body = BodyPaths((), (), item.T_world_object[None]), np.zeros(len(shapes), np.int64)
+    Ts_world_body, carrier = _body_poses(item, bodies), dict.fromkeys(range(len(bodies)), 0)
     if task.joint is not None and task.to is not None:
         joint = bodies.joints[bodies.of_joint[task.joint]]
         start, goal = item.values()[task.joint], task.to
         rest = opening_of(item.model, task.joint).closed
         held = latch_to_turn(item, task.joint)
         leaders = (task.joint,) if held is None else (task.joint, held.joint)
-        paths, carrier = paths_of(bodies, leaders, _body_poses(item, bodies))
+        paths, of_body = paths_of(bodies, leaders, Ts_world_body)
+        carrier = dict(of_body)
         if held is not None:
             turns = item.joint(held.joint)
             at = carrier[bodies.of_joint[held.joint]]
@@ -227,4 +232,10 @@ def _part(item: SceneObject, task: Task, bodies: LinkBodies, shapes: Shapes) -> 
     named = replace(join([shapes], [f"{item.name}/"]), body=body)
     part = MovedPart(item.name, joint, float(start), float(rest), float(goal), named, paths, latch)
     Ts_body_world = invert(part.poses(np.array([start]))[0])
-    return replace(part, shapes=named.moved_to(Ts_body_world[body] @ named.Ts_body_shape))
+    links = {
+        name: (carrier[b], Ts_body_world[carrier[b]] @ Ts_world_body[b] @ bodies.T_body_link[name])
+        for name, b in bodies.of_link.items()
+        if b in carrier
+    }
+    solid = named.moved_to(Ts_body_world[body] @ named.Ts_body_shape)
+    return replace(part, shapes=solid, links=links)

@@ -358,16 +358,15 @@ def _swing_angles(
 
 
 def reach_check(
-    part: MovedPart,
-    verb: str,
-    motion: Motion,
-    Ts_world_tool: Float[np.ndarray, "m 4 4"],
-    limits: Limits,
+    part: MovedPart, motion: Motion, Ts_world_tool: Float[np.ndarray, "m 4 4"], limits: Limits
 ) -> Check:
-    """Check that the tool is at the part while it holds it; for a pick, at the end."""
+    """Check that the tool is at the part while it holds it.
+
+    A rigid object is picked up, or put down, at the first state.
+    """
     states = np.concatenate([np.arange(h.first, h.last + 1) for h in motion.grasps])
     if part.joint is None:
-        states = np.array([0 if verb == "place" else len(motion.q) - 1])
+        states = np.array([0])
     latch_q = None if motion.latch_q is None else motion.latch_q[states]
     Ts_body_world = invert(part.poses(motion.object_q[states], latch_q))
     points = (Ts_body_world @ Ts_world_tool[states][:, None])[..., :3, 3]

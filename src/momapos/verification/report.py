@@ -33,6 +33,11 @@ class Limits:
     """Rotation of the tool relative to the held part [rad]."""
     reach: float = 0.06
     """Distance between the tool's origin and the held part [m]."""
+    hand_gap: float = 0.01
+    """How far the hand may be off the part that it holds: fingers that close touch it together up
+    to this distance, other tools are this near [m]."""
+    hand_depth: float = 0.005
+    """How deep the hand may be in the part, as open as planned [m]."""
     goal: float = 0.02
     """Error of the joint's start and end values, as a share of the requested motion [-]."""
     jump: float = 0.3
@@ -59,7 +64,8 @@ class Limits:
         finite_number("Limits.penetration", self.penetration)
         refuse_below(self, 1e-4, "step")
         refuse_below(self, 0, "deeper", "fk_position", "fk_rotation", "slip_position")
-        refuse_below(self, 0, "slip_rotation", "reach", "goal", "jump", "join", "joint")
+        refuse_below(self, 0, "slip_rotation", "reach", "hand_gap", "hand_depth")
+        refuse_below(self, 0, "goal", "jump", "join", "joint")
         refuse_below(self, 0, "floor_edge", "effort", "speed")
         refuse_below(self, 1, "states", "poses")
         refuse_above(self, MAX_STATES, "states")
@@ -91,7 +97,7 @@ class Report:
     checks: tuple[Check, ...]
     notes: tuple[str, ...] = ()
     gripper_depth: float = 0.0
-    """Deepest overlap of the gripper with the held part [m]; not limited."""
+    """Deepest overlap of the open gripper with the held part [m]."""
 
     @property
     def violations(self) -> tuple[Check, ...]:

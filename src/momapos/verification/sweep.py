@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.compiled import F4, I2, entry, kernel
+from momapos.core.compiled import F1, F3, F4, I2, entry, kernel
 
 from .convex import TOLERANCE, Body, overlap
 from .exact_shapes import ShapeArrays, Shapes
@@ -46,9 +46,38 @@ def deepest(
     return depth, state
 
 
+def first_contact(
+    a: Shapes,
+    Ts_a: Float[np.ndarray, "s a 4 4"],
+    travel: Float[np.ndarray, " s"],
+    b: Shapes,
+    Ts_b: Float[np.ndarray, "b 4 4"],
+    press: float,
+) -> tuple[int, float]:
+    """Find the first state in which shapes on a path touch others, and how they press on.
+
+    Args:
+        a: The shapes on the path.
+        Ts_a: Their poses.
+        travel: How far any of their points has moved at each state, at most [m].
+        b, Ts_b: The other shapes, which stand still.
+        press: How much farther to move after the contact [m].
+
+    Returns:
+        The state, -1 if there is none, and the deepest overlap after moving on [m].
+    """
+    state, depth = _first_contact(
+        all_pairs(len(a), len(b)), np.ascontiguousarray(Ts_a), travel,
+        np.ascontiguousarray(Ts_b), a.arrays, b.arrays, press,
+    )  # fmt: skip
+    return int(state), float(depth)
+
+
 def all_pairs(count_a: int, count_b: int) -> Int[np.ndarray, "p 2"]:
     """Pair every shape of one set with every shape of another."""
-    return np.stack(np.meshgrid(np.arange(count_a), np.arange(count_b)), -1).reshape(-1, 2)
+    pairs = np.empty((count_b, count_a, 2), np.int64)
+    pairs[..., 0], pairs[..., 1] = np.arange(count_a), np.arange(count_b)[:, None]
+    return pairs.reshape(-1, 2)
 
 
 @kernel
@@ -104,6 +133,38 @@ def _deepest(
             if found[1] >= 0:
                 states[p] = index[found[1]]
     return depths, states
+
+
+@kernel
+def _depth_at(pairs, Ts_a, Ts_b, a, b, T):
+    """Return the deepest overlap of any pair; less than minus their distance is not exact."""
+    deep = -np.inf
+    for p in range(len(pairs)):
+        i, j = pairs[p]
+        if _bound(Ts_a[i], Ts_b[j], a.half[i], b.half[j], T) > deep:
+            deep = max(deep, overlap(_core(a, i), _core(b, j), T))
+    return deep
+
+
+@entry
+def _first_contact(
+    pairs: I2, Ts_a: F4, travel: F1, Ts_b: F3, a: ShapeArrays, b: ShapeArrays, press: float
+) -> tuple[int, float]:
+    T, count, s = np.empty((4, 4)), len(Ts_a), np.int64(0)
+    while s < count:
+        depth = _depth_at(pairs, Ts_a[s], Ts_b, a, b, T)
+        if depth >= 0.0:
+            break
+        reached = travel[s] - depth
+        s += 1
+        while s < count and travel[s] < reached:
+            s += 1
+    if s == count:
+        return -1, -np.inf
+    on = s
+    while on < count - 1 and travel[on] - travel[s] < press:
+        on += 1
+    return int(s), _depth_at(pairs, Ts_a[on], Ts_b, a, b, T)
 
 
 @kernel
