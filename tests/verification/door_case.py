@@ -123,8 +123,26 @@ def tool_poses(values: np.ndarray, turns: np.ndarray | float = 0.0) -> np.ndarra
     return T_world_door @ np.array([pose(HANDLE, R @ grip) for R in R_turn])
 
 
+@dataclass(frozen=True)
+class Grip:
+    """How the hand is off the middle of the bar, in the tool frame."""
+
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Along the bar, between the fingers, and out of the hand [m]."""
+    roll: float = 0.0
+    """About the direction out of the hand [deg]."""
+
+    @property
+    def T(self) -> np.ndarray:
+        """Return the pose of the tool in that of one in the middle of the bar."""
+        return pose(self.shift, rotation_about(UP, np.array(np.radians(self.roll))))
+
+
+MIDDLE = Grip()
+
+
 @cache
-def arm_path(turn: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def arm_path(turn: float = 0.0, grip: Grip = MIDDLE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the arm states of approach and arc, and the door's values along the arc.
 
     The hand turns about the bar by `turn` times the door's angle.
@@ -134,7 +152,7 @@ def arm_path(turn: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         model = Articulated(read_urdf(Path(folder) / "robot.urdf"))
     chain, _ = build_chain(model, "base", "tool", JOINTS)
     values = np.linspace(0.0, OPEN, 41)
-    held = tool_poses(values, turn * values)
+    held = tool_poses(values, turn * values) @ grip.T
     before = held[:1] @ np.array([pose((0.0, 0.0, z)) for z in np.linspace(-0.1, 0.0, 11)])
     Ts = invert(pose_planar(np.array(BASE))) @ np.concatenate([before, held])
     solutions, counts = solve_ik(chain, build_ik(chain), Ts)
@@ -183,9 +201,9 @@ class Case:
         self.plan["manipulation"]["object_q"] = values.tolist()
 
 
-def make_case(turn: float = 0.0) -> Case:
-    """Build a valid plan and its files; see `arm_path` for `turn`."""
-    approach, q, values = arm_path(turn)
+def make_case(turn: float = 0.0, grip: Grip = MIDDLE) -> Case:
+    """Build a plan and its files, valid if the grip is; see `arm_path` for `turn`."""
+    approach, q, values = arm_path(turn, grip)
     plan = {
         "format": "momapos-plan",
         "version": 1,
@@ -199,7 +217,7 @@ def make_case(turn: float = 0.0) -> Case:
         "manipulation": {
             "q": q.tolist(),
             "object_q": values.tolist(),
-            "T_world_tool": tool_poses(values, turn * values).tolist(),
+            "T_world_tool": (tool_poses(values, turn * values) @ grip.T).tolist(),
         },
         "navigation_cost": 1.5,
         "candidates": {"sampled": 8, "checked": 2, "rejections": {"no path": 1}},
