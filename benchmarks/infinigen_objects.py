@@ -71,7 +71,7 @@ def write(file: Path, usual: Usual, home: Path) -> Path:
     joints = tuple(_joint(joint, urdf) for joint in urdf.joints)
     made = _solid(replace(urdf, name=home.name, links=links, joints=joints))
     path = home / "model.urdf"
-    path.write_text(urdf_text(made, {}), encoding="utf-8")
+    path.write_text(urdf_text(made), encoding="utf-8")
     return path
 
 

@@ -95,7 +95,7 @@ def write(item: SceneObject, stretch: np.ndarray, turn: np.ndarray, home: Path) 
     )
     file = home / "model.urdf"
     urdf = replace(item.model.urdf, name=home.name, links=links, joints=placed)
-    file.write_text(urdf_text(urdf, {}), encoding="utf-8")
+    file.write_text(urdf_text(urdf), encoding="utf-8")
     return file
 
 

@@ -230,7 +230,7 @@ def write(model: Model, home: Path) -> Path:
             shapes.append(Geometry("mesh", (1.0, 1.0, 1.0), np.eye(4), group.name, file))
         links[key] = Link(key, tuple(shapes), tuple(shapes))
     path = home / "model.urdf"
-    path.write_text(urdf_text(Urdf(model.name, None, "body", links, joints), {}), encoding="utf-8")
+    path.write_text(urdf_text(Urdf(model.name, None, "body", links, joints)), encoding="utf-8")
     return path
 
 

@@ -76,6 +76,15 @@ def test_links_that_follow_weigh_in_physics_what_planning_assumes(
     np.testing.assert_allclose(found, expected, atol=1e-2)
 
 
+def test_friction_and_damping_of_the_file_act_in_physics(tmp_path: Path) -> None:
+    hinge = HINGE.replace("</joint>", '<dynamics friction="30" damping="4"/></joint>')
+    scene = furniture_room(tmp_path, [*DROP_DOOR[:2], hinge])
+    world = world_of(scene, "hinge", 1.5)
+    dof = world.model.joint("part").dofadr[0]
+    assert world.model.dof_frictionloss[dof] == 30.0
+    assert world.model.dof_damping[dof].item() == 4.0
+
+
 def test_springs_bear_the_weight_of_a_balanced_door(tmp_path: Path) -> None:
     scene = furniture_room(tmp_path, DROP_DOOR)
     balanced = scene.with_resistance({"cupboard": {"hinge": JointResistance(balanced=True)}})

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 MIN_LEVER = 0.02
 """Travel of the hand per unit of the joint below which the pull does not grow [m/rad]."""
 
+MIN_TIME = 1e-3
+"""Time between two states below which the part is not taken as faster [s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class HandLoad:
@@ -54,6 +57,7 @@ class HandLoad:
                 motion.object_q[held],
                 motion.Ts_world_tool[held, :3, 3],
                 MOVING_PULL if moves else 0.0,
+                None if motion.times is None else motion.times[held],
             )
             at = path.at[path.approach :]
             rows = path.approach + np.flatnonzero((at >= hold.first) & (at <= hold.last))
@@ -63,11 +67,15 @@ class HandLoad:
         return force, point
 
     def _pull(
-        self, values: Float[np.ndarray, " v"], hand: Float[np.ndarray, "v 3"], more: float
+        self,
+        values: Float[np.ndarray, " v"],
+        hand: Float[np.ndarray, "v 3"],
+        more: float,
+        times: Float[np.ndarray, " v"] | None,
     ) -> Float[np.ndarray, "v 3"]:
         """Return the force of a part on the hand that moves it, opposite to the hand's path.
 
-        `more` is a further force [N].
+        `more` is a further force [N]. `times` are those of the plan [s], for the part's damping.
         """
         assert self.task.joint is not None
         change = np.gradient(values) if len(values) > 1 else np.zeros(1)
@@ -76,7 +84,12 @@ class HandLoad:
         moves = np.abs(change) > 1e-9
         travel = np.gradient(hand, axis=0) / np.where(moves, change, np.inf)[:, None]
         lever = np.maximum(np.linalg.norm(travel, axis=1), MIN_LEVER)
-        along = resistance_along(self.item, self.task.joint, values, lever, self.resistance).along
+        speed = None
+        if times is not None:
+            speed = change / np.maximum(np.gradient(times), MIN_TIME)
+        along = resistance_along(
+            self.item, self.task.joint, values, lever, self.resistance, speed
+        ).along
         against = (along / lever**2 + more / lever) * np.sign(values[-1] - values[0])
         return -against[:, None] * travel
 

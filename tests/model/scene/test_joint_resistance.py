@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.cupboards import BAR, DOOR, FOLLOWERS, HINGE, SLIDE, carcass, furniture_room, joint, tray
 
-from momapos.core.errors import InputError
+from momapos.core.errors import InputError, UrdfError
 from momapos.core.units import GRAVITY
 from momapos.model.records.resistances import JointResistance
 from momapos.model.scene.joint_resistance import (
@@ -25,6 +25,7 @@ from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene_object import SceneObject
 
 CONFIG = ResistanceConfig()
+SLOW = ResistanceConfig(hand_speed=0.0)
 OPENING = np.linspace(0.0, 1.5, 61)
 DROP_DOOR = joint("hinge", "revolute", ("body", "door"), (-0.26, 0, 0.1), (0, -1, 0), (0, 1.57))
 LIFT_DOOR = joint("hinge", "revolute", ("body", "door"), (-0.26, 0, 0.8), (0, 1, 0), (0, 1.57))
@@ -77,7 +78,7 @@ def test_the_weight_of_a_flap_grows_with_its_angle_and_keeps_its_sign(
     mass, z = 8.0, side * 0.3
     item = cupboard(tmp_path, door_of(side * 0.6, mass, z), hinge)
     expected = mass * GRAVITY * 0.3 * np.sin(OPENING)
-    found = resistance_along(item, "hinge", OPENING, 0.5, CONFIG)
+    found = resistance_along(item, "hinge", OPENING, 0.5, SLOW)
     np.testing.assert_allclose(found.weight, -side * expected, atol=1e-5)
     back = resistance_along(item, "hinge", OPENING[::-1], 0.5, CONFIG)
     np.testing.assert_allclose(back.weight[::-1], side * expected, atol=1e-5)
@@ -164,7 +165,7 @@ def test_a_balanced_door_weighs_nothing_and_stays_where_it_is(tmp_path: Path) ->
     assert stays_in_place(heavy, "hinge", np.array([0.0, 1.0]), CONFIG).tolist() == [True, False]
     assert stays_in_place(free, "hinge", np.array([0.0, 1.0]), CONFIG).all()
     assert known_resistance(free, "hinge", CONFIG).mass == 20.0
-    found = resistance_along(free, "hinge", OPENING, 0.5, CONFIG)
+    found = resistance_along(free, "hinge", OPENING, 0.5, SLOW)
     np.testing.assert_allclose(found.along[1:], CONFIG.hinge_friction)
 
 
@@ -194,6 +195,63 @@ def test_a_slide_has_a_catch_and_friction_and_lifts_its_tray_where_it_is_tilted(
     assert mass is not None
     tilted = resistance_along(replace(item, T_world_object=down), "slide", values, 1.0, CONFIG)
     np.testing.assert_allclose(tilted.weight, mass * GRAVITY * 0.6, rtol=1e-4)
+
+
+def with_dynamics(part: str, words: str) -> str:
+    return part.replace("</joint>", f"<dynamics {words}/></joint>")
+
+
+@pytest.mark.parametrize(
+    ("part", "frame", "words", "friction", "damping", "why"),
+    [
+        (DOOR, HINGE, 'friction="300" damping="1"', 300.0, 1.0, "300 Nm by <dynamics friction>"),
+        (tray(BAR), SLIDE, 'friction="200"', 200.0, 8.0, "200 N by <dynamics friction>"),
+        (tray(BAR), SLIDE, 'damping="800"', 4.0, 800.0, "800 Ns/m by <dynamics damping>"),
+    ],
+)
+def test_friction_and_damping_of_the_file_resist_the_motion(
+    tmp_path: Path, part: str, frame: str, words: str, friction: float, damping: float, why: str
+) -> None:
+    item = cupboard(tmp_path, part, with_dynamics(frame, words))
+    (name,) = item.model.joints
+    found = resistance_along(item, name, np.linspace(0.0, 0.3, 31), 0.5, CONFIG)
+    np.testing.assert_allclose(found.friction, friction)
+    np.testing.assert_allclose(found.damping[1:-1], damping * 0.25 / 0.5)
+    assert found.damping[0] == found.damping[-1] == 0.0
+    assert found.source(15) == f"{why} of {name}"
+
+
+def test_damping_does_not_hold_back_a_part_that_falls_open(tmp_path: Path) -> None:
+    item = cupboard(tmp_path, door_of(0.6, 8.0, 0.3), with_dynamics(DROP_DOOR, 'damping="900"'))
+    item = replace(item, resistance={"hinge": JointResistance(balanced=False)})
+    slow = resistance_along(item, "hinge", OPENING, 0.5, SLOW)
+    fast = resistance_along(item, "hinge", OPENING, 0.5, CONFIG)
+    assert (fast.total >= slow.total).all()
+    assert fast.largest == pytest.approx(900.0 * 0.5 + fast.friction[0], abs=4.0)
+
+
+def test_the_scene_overrides_the_file_and_zero_in_the_file_means_nothing(tmp_path: Path) -> None:
+    item = cupboard(tmp_path, DOOR, with_dynamics(HINGE, 'friction="300" damping="0"'))
+    assert known_resistance(item, "hinge", CONFIG).damping == CONFIG.hinge_damping
+    item = replace(item, resistance={"hinge": JointResistance(friction=2.0)})
+    found = resistance_along(item, "hinge", OPENING, 0.5, CONFIG)
+    assert found.friction[0] == 2.0
+    assert not found.source(30)
+
+
+def test_friction_of_a_joint_that_follows_acts_along_its_leader(tmp_path: Path) -> None:
+    parts, _, leader = FOLLOWERS["a folding door"]
+    parts = [with_dynamics(p, 'friction="3" damping="5"') if "<mimic" in p else p for p in parts]
+    item = furniture_room(tmp_path, parts).object("cupboard")
+    (ratio,) = [one.mimic.ratio for one in item.model.joints.values() if one.mimic is not None]
+    known = known_resistance(item, leader, CONFIG)
+    assert (known.friction, known.damping) == (abs(ratio) * 3.0, ratio**2 * 5.0)
+
+
+@pytest.mark.parametrize("words", ['friction="-1"', 'damping="1e9"', 'friction="much"'])
+def test_unusable_dynamics_of_furniture_are_refused(tmp_path: Path, words: str) -> None:
+    with pytest.raises(UrdfError, match="in <dynamics> must be a number from 0 to 100000"):
+        cupboard(tmp_path, DOOR, with_dynamics(HINGE, words))
 
 
 NAMES = [

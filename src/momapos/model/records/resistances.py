@@ -28,7 +28,7 @@ class JointResistance:
     friction: float | None = None
     """Dry friction [Nm] or [N]."""
     damping: float | None = None
-    """Damping, in the simulation [Nms/rad] or [Ns/m]."""
+    """Damping [Nms/rad] or [Ns/m]."""
     mass: float | None = None
     """Mass of all that the joint moves [kg]."""
     balanced: bool | None = None

@@ -55,7 +55,7 @@ def save_model(name: str, urdf: Urdf, folder: Path) -> Path:
         key: Link(key, tuple(map(saved, link.collisions)), tuple(map(saved, link.visuals)))
         for key, link in urdf.links.items()
     }
-    return _write(folder, plain, ".urdf", urdf_text(replace(urdf, links=links), {}))
+    return _write(folder, plain, ".urdf", urdf_text(replace(urdf, links=links)))
 
 
 def _write(folder: Path, plain: str, suffix: str, text: str) -> Path:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,12 +35,20 @@ class MotionResistance:
     seal: Float[np.ndarray, " v"]
     """Seal or latch, only near the closed value; 0 for a closing part, which it pulls closed."""
     friction: Float[np.ndarray, " v"]
+    damping: Float[np.ndarray, " v"]
     weight: Float[np.ndarray, " v"]
+    by_file: Mapping[str, str] = field(default_factory=dict)
+    """Friction and damping by the object's file, in words; without what it does not say."""
 
     @property
     def along(self) -> Float[np.ndarray, " v"]:
-        """Sum of all terms; negative where the hand must hold the part back."""
-        return self.seal + self.friction + self.weight
+        """Sum of all terms; negative where the hand must hold the part back.
+
+        Damping counts where it resists. It does not hold a part back that moves slowly.
+        """
+        slow = self.seal + self.friction + self.weight
+        fast = slow + self.damping
+        return np.where(np.abs(fast) > np.abs(slow), fast, slow)
 
     @property
     def total(self) -> Float[np.ndarray, " v"]:
@@ -52,6 +60,12 @@ class MotionResistance:
         """The largest total [Nm] or [N]."""
         return float(self.total.max())
 
+    def source(self, index: int) -> str:
+        """Return the file's value if it is most of the total at a value, in words; else ""."""
+        terms = {"friction": self.friction[index], "damping": self.damping[index]}
+        key = max(terms, key=terms.__getitem__)
+        return self.by_file.get(key, "") if terms[key] > self.total[index] / 2 else ""
+
 
 def resistance_along(
     item: SceneObject,
@@ -59,6 +73,7 @@ def resistance_along(
     values: Float[np.ndarray, " v"],
     lever: float | Float[np.ndarray, " v"],
     config: ResistanceConfig,
+    speed: Float[np.ndarray, " v"] | None = None,
 ) -> MotionResistance:
     """Return what resists a motion of a joint, at each of its values.
 
@@ -72,21 +87,31 @@ def resistance_along(
         lever: Travel of the handle per unit of the joint, at each value or at all: the distance
             from a hinge [m/rad], 1 for a slide. The object's own `lever` has priority.
         config: Assumed values.
+        speed: Speed of the joint at each value [rad/s] or [m/s]; None for the usual one of a hand
+            that begins and ends at rest.
     """
     known = known_resistance(item, joint, config)
     assert known.seal_force is not None
     assert known.seal_travel is not None
     assert known.friction is not None
+    assert known.damping is not None
     towards = np.sign(values[-1] - values[0])
     away = values - opening_of(item.model, joint).closed
     arm = np.maximum(lever if known.lever is None else known.lever, 1e-6)
     share = np.maximum(0.0, 1.0 - np.abs(away) * arm / known.seal_travel)
+    if speed is None:
+        speed = np.broadcast_to(config.hand_speed / np.maximum(lever, 1e-6), len(values)).copy()
+        if item.joint(joint).kind != "prismatic":
+            speed = np.minimum(speed, config.turn_speed)
+        speed[[0, -1]] = 0.0
     opens = (away * towards >= 0.0) & (np.abs(away) < np.abs(away[-1]))
     return MotionResistance(
         values=values,
         seal=np.where(opens, known.seal_force * arm * share, 0.0),
         friction=np.full(len(values), known.friction),
+        damping=known.damping * np.abs(speed),
         weight=-towards * weight_at(item, joint, values, config),
+        by_file=_file_words(item, joint),
     )
 
 
@@ -132,6 +157,8 @@ def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) ->
     else:
         friction, damping = config.hinge_friction, config.hinge_damping
     sealed = record.kind != "prismatic" and has_seal(item, joint, config)
+    by_file = _file_values(item.model, joint)
+    friction, damping = by_file["friction"] or friction, by_file["damping"] or damping
     assumed: dict[str, Any] = {
         "seal_force": config.seal_force if sealed else config.latch_force,
         "seal_travel": config.seal_travel, "friction": friction, "damping": damping,
@@ -141,6 +168,33 @@ def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) ->
         masses = part_masses(item.model, item.model.moved_by(joint), config)
         assumed["mass"] = sum(mass for mass, _ in masses.values())
     return replace(given, **{k: v for k, v in assumed.items() if getattr(given, k) is None})
+
+
+def _file_values(model: Articulated, joint: str) -> dict[str, float]:
+    """Return friction and damping of a joint and of those that follow it, by their `<dynamics>`.
+
+    They act along the joint, by the work of each; 0 where the file says nothing. An explicit 0
+    counts as nothing, because exporters write it by default.
+    """
+    found = {"friction": 0.0, "damping": 0.0}
+    for one in model.joints.values():
+        follows = one.mimic is not None and one.mimic.joint == joint
+        ratio = abs(one.mimic.ratio) if one.mimic is not None and follows else one.name == joint
+        found["friction"] += ratio * one.friction
+        found["damping"] += ratio**2 * one.damping
+    return found
+
+
+def _file_words(item: SceneObject, joint: str) -> dict[str, str]:
+    """Return the friction and damping that count by the object's file, in words."""
+    given = item.resistance.get(joint, JointResistance())
+    slides = item.joint(joint).kind == "prismatic"
+    units = {"friction": "N" if slides else "Nm", "damping": "Ns/m" if slides else "Nms/rad"}
+    return {
+        key: f"{value:.3g} {units[key]} by <dynamics {key}> of {joint}"
+        for key, value in _file_values(item.model, joint).items()
+        if value and getattr(given, key) is None
+    }
 
 
 def has_seal(item: SceneObject, joint: str, config: ResistanceConfig) -> bool:

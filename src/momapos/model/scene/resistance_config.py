@@ -26,11 +26,16 @@ class ResistanceConfig:
     hinge_friction: float = 0.4
     """Dry friction of hinges [Nm]."""
     hinge_damping: float = 0.5
-    """Damping of hinges, in the simulation [Nms/rad]."""
+    """Damping of hinges [Nms/rad]."""
     slide_friction: float = 4.0
     """Dry friction of slides [N]."""
     slide_damping: float = 8.0
-    """Damping of slides, in the simulation [Ns/m]."""
+    """Damping of slides [Ns/m]."""
+    hand_speed: float = 0.25
+    """Speed of the hand with which damping resists where a plan has no times: the largest one that
+    the trajectories of plans have by default [m/s]."""
+    turn_speed: float = 1.0
+    """Largest speed of a hinge or knob at it: about half the speed limit of a wrist [rad/s]."""
     seal_force: float = 30.0
     """Pull at the handle that opens a closed door with a seal [N]."""
     latch_force: float = 6.0
@@ -49,8 +54,8 @@ class ResistanceConfig:
     def __post_init__(self) -> None:
         refuse_below(self, 1e-6, "seal_travel")
         refuse_below(
-            self, 0, "density", "hinge_friction", "hinge_damping",
-            "slide_friction", "slide_damping", "seal_force", "latch_force",
+            self, 0, "density", "hinge_friction", "hinge_damping", "slide_friction",
+            "slide_damping", "hand_speed", "turn_speed", "seal_force", "latch_force",
         )  # fmt: skip
         refuse_below(self, 0.001, "least_mass")
         refuse_below(self, self.least_mass, "most_mass")

@@ -23,6 +23,8 @@ from .urdf_tree import link_of
 
 MAX_NAMED = 4
 """Number of joints that a note names [-]."""
+MAX_RESISTANCE = 1e5
+"""Maximum friction and damping; excludes mistaken units, see `JointResistance` [-]."""
 
 
 class JointReader:
@@ -73,8 +75,25 @@ class JointReader:
             effort=limits.get("effort") or math.inf,
             acceleration=self._least(name, limits, "acceleration", "deceleration"),
             jerk=self._least(name, limits, "jerk"),
+            friction=self._resistance(where, element, "friction"),
+            damping=self._resistance(where, element, "damping"),
         )  # fmt: skip
         return self._within_soft_limits(joint, element.find("safety_controller"), factor)
+
+    def _resistance(self, where: str, element: Element, key: str) -> float:
+        """Return a value of `<dynamics>`, which counts for joints without a motor; 0 for none."""
+        tag = None if self.actuated else element.find("dynamics")
+        text = "0" if tag is None else tag.get(key, "0")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not 0.0 <= value <= MAX_RESISTANCE:
+            raise UrdfError(
+                f"{where}: {key}={text!r:.80} in <dynamics> must be a number from 0 to "
+                f"{MAX_RESISTANCE:g}"
+            )
+        return value
 
     def _least(self, name: str, limits: Mapping[str, float], *keys: str) -> float:
         """Return the smallest of some limits; infinite without one."""

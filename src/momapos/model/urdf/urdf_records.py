@@ -95,6 +95,11 @@ class Joint:
     the file has none."""
     jerk: float = math.inf
     """Limit of the jerk [rad/s^3] or [m/s^3]; infinite if the file has none."""
+    friction: float = 0.0
+    """Dry friction by the file of furniture [Nm] or [N]; 0 if it has none. That of robots is not
+    read."""
+    damping: float = 0.0
+    """Damping by the file of furniture [Nms/rad] or [Ns/m]; 0 if it has none."""
 
     @property
     def movable(self) -> bool:

@@ -207,9 +207,10 @@ def _strong(
     worst = int(forces[:, best].argmax())
     where = _value_words(resistance, worst, model, joint)
     back = " to hold it back" if resistance.along[worst] < 0.0 else ""
+    why = resistance.source(worst)
     return grasps.only(strong), (
         f"{robot.name} holds {handle.name} with {grasps.capacity[best]:.0f} N at most, and "
-        f"{config.grasp_margin * need[best]:.0f} N are needed {where}{back}"
+        f"{config.grasp_margin * need[best]:.0f} N are needed {where}{back}{why and f' ({why})'}"
     )
 
 

@@ -102,14 +102,16 @@ def select_latch_grasps(
         across = np.linalg.norm(np.cross(R @ hand.closing, axis), axis=1)
         levers = np.hypot(levers, across * chosen.grasps.width / 2)
     usual = float(np.median(levers))
-    needed = resistance_along(target, latch.joint, values, usual, config.resistance).largest
-    need = config.grasp_margin * needed / levers
+    resists = resistance_along(target, latch.joint, values, usual, config.resistance)
+    need = config.grasp_margin * resists.largest / levers
     strong = capacity >= need
     if not strong.any():
         best = int(np.argmax(capacity / need))
+        why = resists.source(int(resists.total.argmax()))
         return replace(
             chosen, reason=f"{robot.name} holds {part.carrier} with {capacity[best]:.0f} N at "
-            f"most, and {need[best]:.0f} N are needed to turn it",
+            f"most, and {need[best]:.0f} N are needed to turn it"
+            f"{why and f' ({why})'}",
         )  # fmt: skip
     return GraspSelection(
         chosen.Ts_part_tool[strong], chosen.grasps.take(strong), "", chosen.better_handle_reason

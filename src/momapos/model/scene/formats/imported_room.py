@@ -20,16 +20,6 @@ DECIMALS = 6
 """Decimals of the vertices of a written mesh [m]."""
 
 
-@dataclass(frozen=True)
-class JointDynamics:
-    """Resistance of a joint according to the file."""
-
-    damping: float
-    """[Nms/rad] or [Ns/m]"""
-    friction: float
-    """[Nm] or [N]"""
-
-
 @dataclass(frozen=True, eq=False)
 class RoomObject:
     """An object of an imported room."""
@@ -40,7 +30,6 @@ class RoomObject:
     """Its links and joints; mesh shapes name keys of the room's `meshes`."""
     joints: Mapping[str, float] = field(default_factory=dict)
     """Values of joints that are not at rest [rad] or [m]."""
-    resistance: Mapping[str, JointDynamics] = field(default_factory=dict)
     extras: Mapping[str, Any] = field(default_factory=dict)
     """Further members of its entry in a momapos scene, such as the category."""
 

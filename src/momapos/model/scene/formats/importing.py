@@ -84,7 +84,7 @@ def _write_files(room: ImportedRoom, folder: Path) -> str:
     for item in room.objects:
         plain = re.sub(r"[^A-Za-z0-9._-]", "_", item.name)[:80]
         file = folder / f"{files(plain, 'object')}.urdf"
-        file.write_text(urdf_text(item.urdf, item.resistance), encoding="utf-8")
+        file.write_text(urdf_text(item.urdf), encoding="utf-8")
         entries.append(_entry(item, f"{folder.name}/{file.name}"))
     head = {"format": FORMAT, "version": VERSION, "name": room.name, **room.extras}
     objects = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)

@@ -14,7 +14,7 @@ import numpy as np
 from momapos.core.geometry import invert, pose, pose_wxyz
 from momapos.model.urdf import Geometry, Joint, JointKind, Link, Mimic, Urdf, joint_motion
 
-from .imported_room import JointDynamics, Names, RoomObject
+from .imported_room import Names, RoomObject
 from .mjcf_shapes import GeomShapes
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ class Tree:
     joints: dict[int, Joint] = field(default_factory=dict)
     """Movable joints by MuJoCo's index."""
     values: dict[str, float] = field(default_factory=dict)
-    resistance: dict[str, JointDynamics] = field(default_factory=dict)
     solid: list[int] = field(default_factory=list)
     """Geoms with collisions, by MuJoCo's index."""
     _order: list[Joint] = field(default_factory=list)
@@ -62,7 +61,7 @@ class Tree:
             replace(joint, mimic=follows.get(numbers.get(joint.name, -1))) for joint in self._order
         )
         urdf = Urdf(self.name, None, next(iter(self.links)), self.links, joints)
-        return RoomObject(self.name, T, urdf, self.values, self.resistance, extras)
+        return RoomObject(self.name, T, urdf, self.values, extras)
 
     def add_geom(self, geom: int, link: str) -> None:
         """Add a geom of the world as the whole object, in the geom's frame."""
@@ -157,7 +156,12 @@ class Tree:
         axis, start = np.array(m.jnt_axis[number]), float(m.qpos0[m.jnt_qposadr[number]])
         joint = Joint(name, kind, parent, child, T, axis, lower, upper, math.inf)
         back = joint_motion(joint, -start)  # the file defines the body at joint value `start`
-        joint = replace(joint, T_parent_joint=T @ back)
+        dof = int(m.jnt_dofadr[number])
+        joint = replace(
+            joint, T_parent_joint=T @ back,
+            friction=float(m.dof_frictionloss[dof].item()),
+            damping=float(m.dof_damping[dof].item()),
+        )  # fmt: skip
         self._order.append(joint)
         self.joints[number] = joint
         value = min(max(start, joint.lower), joint.upper)
@@ -165,10 +169,6 @@ class Tree:
             self.approximated["joint values outside their limits, clipped"] += 1
         if value != min(max(0.0, joint.lower), joint.upper):
             self.values[name] = value
-        dof = int(m.jnt_dofadr[number])
-        self.resistance[name] = JointDynamics(
-            float(m.dof_damping[dof].item()), float(m.dof_frictionloss[dof].item())
-        )
 
     def _add_link(
         self, link: str, geoms: Sequence[int], T_link_body: Float[np.ndarray, "4 4"]

@@ -111,6 +111,9 @@ class _Writer:
             return
         if math.isfinite(joint.lower) and math.isfinite(joint.upper):
             words["range"] = numbers([joint.lower, joint.upper])
+        for key, value in (("frictionloss", joint.friction), ("damping", joint.damping)):
+            if value:
+                words[key] = numbers([value])
         SubElement(body, "joint", words, name=f"{name}/{joint.name}")
         if joint.mimic is not None:
             other = joint.mimic.joint

@@ -27,7 +27,7 @@ from momapos.model.urdf import (
 )
 
 from .composed_shapes import MIN_FLOOR_NORMAL_Z, ellipsoid, plane
-from .imported_room import ImportReport, JointDynamics, Names, RoomObject
+from .imported_room import ImportReport, Names, RoomObject
 from .sdf_values import number, numbers, pose_of, text_of
 
 if TYPE_CHECKING:
@@ -60,7 +60,6 @@ class Model:
     meshes: dict[Path, Mesh] = field(default_factory=dict)
     links: dict[str, Link] = field(default_factory=dict)
     joints: list[Joint] = field(default_factory=list)
-    resistance: dict[str, JointDynamics] = field(default_factory=dict)
     frames: dict[str, tuple[str, Float[np.ndarray, "4 4"]]] = field(default_factory=dict)
     """Reference frame and pose of each link, joint and frame."""
 
@@ -77,7 +76,7 @@ class Model:
     def object(self) -> RoomObject:
         """Return the object."""
         urdf = Urdf(self.name, None, next(iter(self.links)), self.links, tuple(self.joints))
-        return RoomObject(self.name, self.T_world_model, urdf, {}, self.resistance)
+        return RoomObject(self.name, self.T_world_model, urdf)
 
     def read(self, element: Element) -> None:
         """Read the element of the model.
@@ -174,6 +173,7 @@ class Model:
             self.report.approximated[f"{kind} joints as fixed"] += 1
         found = _KINDS.get(kind, "fixed")
         axis, lower, upper = np.array([0.0, 0.0, 1.0]), 0.0, 0.0
+        friction = damping = 0.0
         if element is not None and found != "fixed":
             holder = element.find("axis")
             if holder is None:
@@ -183,10 +183,10 @@ class Model:
             if found == "continuous" or not (math.isfinite(lower) and math.isfinite(upper)):
                 found = "prismatic" if found == "prismatic" else "continuous"
                 lower, upper = -math.inf, math.inf
-            self.resistance[name] = JointDynamics(
-                self._number(holder, "dynamics/damping"), self._number(holder, "dynamics/friction")
-            )
-        self.joints.append(Joint(name, found, parent, link, T, axis, lower, upper, math.inf))
+            friction = self._number(holder, "dynamics/friction")
+            damping = self._number(holder, "dynamics/damping")
+        joint = Joint(name, found, parent, link, T, axis, lower, upper, math.inf)
+        self.joints.append(replace(joint, friction=friction, damping=damping))
 
     def _couple(self, joints: dict[str, Element]) -> None:
         """Make joints follow others where the file says so (`mimic`, SDFormat 1.11).

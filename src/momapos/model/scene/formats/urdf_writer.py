@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -12,8 +11,6 @@ import numpy as np
 
 from momapos.core.geometry import rpy_of
 from momapos.model.urdf import Geometry, Joint, Mesh, Urdf
-
-from .imported_room import JointDynamics
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -27,13 +24,8 @@ def obj_text(mesh: Mesh) -> str:
     return "\n".join([*lines, ""])
 
 
-def urdf_text(urdf: Urdf, resistance: Mapping[str, JointDynamics]) -> str:
-    """Return records as a URDF.
-
-    Args:
-        urdf: The records; names of mesh files are kept.
-        resistance: Resistance of joints by name, for `<dynamics>`.
-    """
+def urdf_text(urdf: Urdf) -> str:
+    """Return records as a URDF, in which the names of mesh files are kept."""
     robot = Element("robot", name=urdf.name)
     for link in urdf.links.values():
         element = SubElement(robot, "link", name=link.name)
@@ -41,7 +33,7 @@ def urdf_text(urdf: Urdf, resistance: Mapping[str, JointDynamics]) -> str:
             for shape in shapes:
                 _shape(SubElement(element, tag), shape)
     for joint in urdf.joints:
-        _joint(SubElement(robot, "joint", name=joint.name, type=joint.kind), joint, resistance)
+        _joint(SubElement(robot, "joint", name=joint.name, type=joint.kind), joint)
     indent(robot)
     return f'<?xml version="1.0"?>\n{tostring(robot, encoding="unicode")}\n'
 
@@ -62,7 +54,7 @@ def _shape(element: Element, shape: Geometry) -> None:
             geometry.set(key, numbers([value]))
 
 
-def _joint(element: Element, joint: Joint, resistance: Mapping[str, JointDynamics]) -> None:
+def _joint(element: Element, joint: Joint) -> None:
     _origin(element, joint.T_parent_joint)
     SubElement(element, "parent", link=joint.parent)
     SubElement(element, "child", link=joint.child)
@@ -79,9 +71,8 @@ def _joint(element: Element, joint: Joint, resistance: Mapping[str, JointDynamic
     if joint.mimic is not None:
         multiplier, offset = numbers([joint.mimic.ratio]), numbers([joint.mimic.offset])
         SubElement(element, "mimic", joint=joint.mimic.joint, multiplier=multiplier, offset=offset)
-    if joint.name in resistance:
-        found = resistance[joint.name]
-        damping, friction = numbers([found.damping]), numbers([found.friction])
+    if joint.damping or joint.friction:
+        damping, friction = numbers([joint.damping]), numbers([joint.friction])
         SubElement(element, "dynamics", damping=damping, friction=friction)
 
 

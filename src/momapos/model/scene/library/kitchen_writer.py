@@ -221,7 +221,6 @@ def _joint(part: FurniturePart, parent: str, origin: Vec) -> list[str]:
         lines += [
             f'    <axis xyz="{_text(part.motion.axis)}"/>',
             f'    <limit lower="0" upper="{upper}" effort="100" velocity="1"/>',
-            '    <dynamics damping="1" friction="0.5"/>',
         ]
     return [*lines, "  </joint>"]
 
