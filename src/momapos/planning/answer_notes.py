@@ -1,14 +1,33 @@
-"""Notes on an answer: how far the hand is open, and where the floor ends the motion."""
+"""Notes on an answer: the hand, the floor, and the guesses about forces on which it depends."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from momapos.model.records import PlacementPlan
-from momapos.verification import meets_floor_at
+import numpy as np
+
+from momapos.core.geometry import invert
+from momapos.model.records import Hold, Motion, PlacementPlan
+from momapos.model.scene import (
+    ResistanceConfig,
+    SceneObject,
+    assumes_springs,
+    is_ajar,
+    latch_guess,
+    resistance_along,
+    stays_in_place,
+)
+from momapos.planning.grasps import GraspConfig
+from momapos.verification import PlanVerifier, meets_floor_at
 
 from .task_setup import PreparedTask
 
+SPRINGS = "springs are assumed to bear the weight of"
+"""Begin of the statement that an answer depends on this guess."""
+MIN_LEVER = 1e-3
+"""Travel of the hand per unit of a joint below which its pull does not grow [m/rad]."""
+ASSUMED, MARGIN = ResistanceConfig(), GraspConfig().grasp_margin
 LOOK_AHEAD = 10
 """Degrees or centimeters beyond the end in which the floor is looked for [-]."""
 
@@ -23,7 +42,10 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
     if plan.motion is None or plan.base_pose is None:
         return ()
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
-    notes = (_hand_note(prepared), _floor_note(plan, prepared), outside)
+    notes = (
+        _hand_note(prepared), _floor_note(plan, prepared), _file_note(prepared),
+        _latch_note(prepared), _spring_note(plan, prepared), outside,
+    )  # fmt: skip
     return tuple(note for note in notes if note)
 
 
@@ -54,3 +76,76 @@ def _floor_note(plan: PlacementPlan, prepared: PreparedTask) -> str:
         return ""
     value = f"{math.degrees(contact):.0f} deg" if turns else f"{100 * contact:.0f} cm"
     return f"{task.object}/{joint.child} meets the floor at {value}, so it opens no farther"
+
+
+def _file_note(prepared: PreparedTask) -> str:
+    """Return the friction or damping of the object's file, if most of the pull is due to it."""
+    motion, joint = prepared.motion, prepared.task.joint
+    if joint is None or motion.resistance is None or motion.resistance.lever is None:
+        return ""
+    target = prepared.scene.object(prepared.task.object)
+    values = motion.object_q[motion.grasp_step :]
+    resists = resistance_along(target, joint, values, motion.resistance.lever, ASSUMED)
+    source = resists.source(int(resists.total.argmax()))
+    return source and f"most of the pull is due to {source}"
+
+
+def _latch_note(prepared: PreparedTask) -> str:
+    """Return which joint on the part may be a latch that the scene does not declare."""
+    task = prepared.task
+    target = prepared.scene.object(task.object)
+    if task.joint is None or is_ajar(target, task.joint):
+        return ""
+    guess = latch_guess(target, task.joint)
+    return guess and (
+        f"{guess} stays as it is, on the guess that it is no latch; if it is one, declare it as "
+        f"'latch' of {target.name} in the scene"
+    )
+
+
+def _spring_note(plan: PlacementPlan, prepared: PreparedTask) -> str:
+    """Return why the plan depends on springs that are only assumed; "" if it does not."""
+    task, motion = prepared.task, plan.motion
+    assert motion is not None
+    assert plan.base_pose is not None
+    target, known = prepared.scene.object(task.object), prepared.motion.resistance
+    if task.joint is None or known is None or not assumes_springs(target, task.joint, ASSUMED):
+        return ""
+    weighed = {task.object: {task.joint: replace(known, balanced=False)}}
+    scene = prepared.scene.with_resistance(weighed)
+    target, why = scene.object(task.object), ""
+    for hold, following in zip(motion.grasps, (*motion.grasps[1:], None), strict=True):
+        why = why or _too_weak(prepared, target, motion, hold)
+        end = motion.object_q[hold.last : hold.last + 1]
+        if following is not None and not stays_in_place(target, task.joint, end, ASSUMED)[0]:
+            why = why or "the part does not stay where the hand lets go"
+    if not why:
+        verifier = PlanVerifier(scene, prepared.robot, task)
+        why = verifier.first_violation(plan.base_pose, motion) or ""
+    return why and f"{SPRINGS} {task.object}/{task.joint}; without them, {why}"
+
+
+def _too_weak(prepared: PreparedTask, target: SceneObject, motion: Motion, hold: Hold) -> str:
+    """Return that a hold does not transmit what a part needs, if it does not."""
+    joint, grasps = prepared.motion.task.joint, prepared.motion.grasps
+    assert joint is not None
+    held = slice(hold.first, hold.last + 1)
+    values, hand = motion.object_q[held], motion.Ts_world_tool[held, :3, 3]
+    moved = float(np.ptp(values))
+    if not moved:
+        return ""
+    lever = float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum()) / moved
+    resists = resistance_along(target, joint, values, lever, ASSUMED)
+    at, link = int(resists.total.argmax()), target.joint(joint).child
+    begin, now = (
+        invert(target.link_poses({joint: float(value)})[link])
+        for value in (prepared.motion.object_q[prepared.motion.grasp_step], values[0])
+    )
+    known = begin @ prepared.motion.Ts_world_tool[:, prepared.motion.grasp_step]
+    used = int(np.abs(known - now @ motion.Ts_world_tool[hold.first]).sum((1, 2)).argmin())
+    need = MARGIN * float(resists.total[at]) / max(lever, MIN_LEVER)
+    if grasps.capacity[used] >= need:
+        return ""
+    slides = target.joint(joint).kind == "prismatic"
+    where = f"{100 * values[at]:.0f} cm" if slides else f"{math.degrees(values[at]):.0f} deg"
+    return f"the hand holds {grasps.capacity[used]:.0f} N of {need:.0f} N needed at {where}"

@@ -7,12 +7,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cupboards import BAR, DOOR, FOLLOWERS, HINGE, SLIDE, carcass, furniture_room, joint, tray
+from tests.cupboards import (
+    BAR,
+    DOOR,
+    FOLLOWERS,
+    HINGE,
+    SLIDE,
+    carcass,
+    furniture_room,
+    joint,
+    link,
+    tray,
+)
 
 from momapos.core.errors import InputError, UrdfError
 from momapos.core.units import GRAVITY
 from momapos.model.records.resistances import JointResistance
 from momapos.model.scene.joint_resistance import (
+    assumes_springs,
     has_seal,
     known_resistance,
     object_mass,
@@ -43,6 +55,11 @@ def door_of(height: float, mass: float = 0.0, z: float = 0.0) -> str:
 def cupboard(folder: Path, *parts: str, **changes: object) -> SceneObject:
     item = furniture_room(folder, [carcass(), *parts]).object("cupboard")
     return replace(item, **changes)  # type: ignore[arg-type]
+
+
+def weighed(item: SceneObject) -> SceneObject:
+    """Return an object whose hinge has no springs."""
+    return replace(item, resistance={"hinge": JointResistance(balanced=False)})
 
 
 def test_a_seal_resists_only_the_opening_of_the_nearly_closed_door(tmp_path: Path) -> None:
@@ -76,7 +93,7 @@ def test_the_weight_of_a_flap_grows_with_its_angle_and_keeps_its_sign(
 ) -> None:
     """A drop-down door drives its own motion, a lift-up door resists it; both back and forth."""
     mass, z = 8.0, side * 0.3
-    item = cupboard(tmp_path, door_of(side * 0.6, mass, z), hinge)
+    item = weighed(cupboard(tmp_path, door_of(side * 0.6, mass, z), hinge))
     expected = mass * GRAVITY * 0.3 * np.sin(OPENING)
     found = resistance_along(item, "hinge", OPENING, 0.5, SLOW)
     np.testing.assert_allclose(found.weight, -side * expected, atol=1e-5)
@@ -88,7 +105,7 @@ def test_the_weight_of_a_flap_grows_with_its_angle_and_keeps_its_sign(
 
 
 def test_seal_and_weight_do_not_add_up_where_they_never_act_together(tmp_path: Path) -> None:
-    item = cupboard(tmp_path, door_of(0.6, 8.0, 0.3), DROP_DOOR, category="dishwasher")
+    item = weighed(cupboard(tmp_path, door_of(0.6, 8.0, 0.3), DROP_DOOR, category="dishwasher"))
     found = resistance_along(item, "hinge", OPENING, 0.55, CONFIG)
     seal, weight = 30.0 * 0.55, 8.0 * GRAVITY * 0.3
     assert found.largest < max(seal, weight) + CONFIG.hinge_friction
@@ -160,13 +177,40 @@ def test_the_mass_of_an_object_is_that_of_its_links(tmp_path: Path) -> None:
 
 
 def test_a_balanced_door_weighs_nothing_and_stays_where_it_is(tmp_path: Path) -> None:
-    heavy = cupboard(tmp_path, door_of(0.6, 20.0, 0.3), DROP_DOOR)
-    free = replace(heavy, resistance={"hinge": JointResistance(balanced=True)})
+    free = cupboard(tmp_path, door_of(0.6, 20.0, 0.3), DROP_DOOR)
+    heavy = weighed(free)
     assert stays_in_place(heavy, "hinge", np.array([0.0, 1.0]), CONFIG).tolist() == [True, False]
     assert stays_in_place(free, "hinge", np.array([0.0, 1.0]), CONFIG).all()
     assert known_resistance(free, "hinge", CONFIG).mass == 20.0
     found = resistance_along(free, "hinge", OPENING, 0.5, SLOW)
     np.testing.assert_allclose(found.along[1:], CONFIG.hinge_friction)
+
+
+LID = joint("hinge", "revolute", ("body", "lid"), (0.25, 0, 0.91), (0, 1, 0), (0, 1.4))
+TOP = link("lid", ((0.5, 0.6, 0.02), (-0.25, 0, 0.01)))
+
+
+@pytest.mark.parametrize(
+    ("part", "hinge", "springs"),
+    [
+        (door_of(0.6), DROP_DOOR, True),  # a dishwasher, an oven
+        (door_of(-0.6), LIFT_DOOR, True),  # a lift-up door
+        (DOOR, HINGE, False),  # weight does not act on an upright hinge
+        (TOP, LID, False),  # a chest's lid
+        (tray(BAR), SLIDE, False),
+    ],
+)
+def test_springs_are_assumed_for_doors_on_a_horizontal_hinge(
+    tmp_path: Path, part: str, hinge: str, springs: bool
+) -> None:
+    item = cupboard(tmp_path, part, hinge)
+    (name,) = item.model.joints
+    assert known_resistance(item, name, CONFIG).balanced is springs
+    assert assumes_springs(item, name, CONFIG) is springs
+    for given in (True, False):
+        known = replace(item, resistance={name: JointResistance(balanced=given)})
+        assert known_resistance(known, name, CONFIG).balanced is given
+        assert not assumes_springs(known, name, CONFIG)
 
 
 def test_known_values_replace_assumed_ones_and_the_rest_is_assumed(tmp_path: Path) -> None:
@@ -223,7 +267,7 @@ def test_friction_and_damping_of_the_file_resist_the_motion(
 
 def test_damping_does_not_hold_back_a_part_that_falls_open(tmp_path: Path) -> None:
     item = cupboard(tmp_path, door_of(0.6, 8.0, 0.3), with_dynamics(DROP_DOOR, 'damping="900"'))
-    item = replace(item, resistance={"hinge": JointResistance(balanced=False)})
+    item = weighed(item)
     slow = resistance_along(item, "hinge", OPENING, 0.5, SLOW)
     fast = resistance_along(item, "hinge", OPENING, 0.5, CONFIG)
     assert (fast.total >= slow.total).all()

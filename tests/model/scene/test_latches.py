@@ -19,15 +19,17 @@ from tests.cupboards import (
     joint,
     latched_room,
     link,
+    turning,
 )
 
 from momapos.core.errors import MomaposError
 from momapos.model.records.latches import Latch
 from momapos.model.records.resistances import JointResistance
-from momapos.model.scene.latches import latch_to_turn, part_values
+from momapos.model.scene.latches import latch_guess, latch_to_turn, part_values
 from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.grasps.task_requests import make_task, parts_of
 
 
@@ -159,3 +161,32 @@ def test_a_copy_of_a_scene_keeps_rest_values(tmp_path: Path) -> None:
     resting = replace(item, model=item.model.changed(held={"turn": -0.2}))
     with copied(replace(scene, objects=(resting,)), tmp_path / "c/scene.json", tmp_path) as near:
         assert near.object("cupboard").model.rest["turn"] == -0.2
+
+
+def _with_small_part(folder: Path, joint_text: str, size: str, at: str) -> SceneObject:
+    grip = (
+        f'<link name="grip"><collision><origin xyz="{at}"/><geometry><box size="{size}"/>'
+        "</geometry></collision></link>"
+    )
+    return furniture_room(folder, [carcass(), DOOR, HINGE, grip, joint_text]).object("cupboard")
+
+
+@pytest.mark.parametrize(
+    ("joint_text", "size", "guessed"),
+    [
+        (turning("revolute", (1, 0, 0), (-0.35, 0.35)), "0.04 0.05 0.05", True),  # a knob, 40 deg
+        (turning("prismatic", (0, -1, 0), (0, 0.08)), "0.02 0.16 0.02", True),  # a bolt
+        (turning("revolute", (1, 0, 0), (0, 0.7)).replace("0.52", "0.1"), "0.04 0.05 0.05", False),
+        (turning("revolute", (0, 0, 1), (0, 1.5)), "0.02 0.3 0.6", False),  # another leaf
+        (turning("prismatic", (-1, 0, 0), (0, 0.3)), "0.04 0.05 0.05", False),  # a long travel
+        (turning("revolute", (1, 0, 0), (-3.1, 3.1)), "0.04 0.05 0.05", False),  # a dial
+    ],
+)  # fmt: skip
+def test_a_small_joint_with_a_short_range_near_the_free_edge_may_be_a_latch(
+    tmp_path: Path, joint_text: str, size: str, guessed: bool
+) -> None:
+    item = _with_small_part(tmp_path, joint_text, size, "-0.03 0 0")
+    assert latch_guess(item, "hinge") == ("turn" if guessed else "")
+    assert latch_guess(item, "turn") == ""
+    declared = replace(item, latch=Latch("turn", 0.3, "hinge"))
+    assert latch_guess(declared, "hinge") == ""

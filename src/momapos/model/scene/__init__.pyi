@@ -1,6 +1,7 @@
 from .floor_areas import area_name as area_name
 from .floor_areas import find_area as find_area
 from .joint_resistance import MotionResistance as MotionResistance
+from .joint_resistance import assumes_springs as assumes_springs
 from .joint_resistance import known_resistance as known_resistance
 from .joint_resistance import object_mass as object_mass
 from .joint_resistance import part_masses as part_masses
@@ -13,6 +14,8 @@ from .kitchens import empty_kitchen as empty_kitchen
 from .kitchens import free_start as free_start
 from .kitchens import generate_kitchen as generate_kitchen
 from .kitchens import with_joint_limits as with_joint_limits
+from .latches import is_ajar as is_ajar
+from .latches import latch_guess as latch_guess
 from .latches import latch_to_turn as latch_to_turn
 from .latches import latch_value as latch_value
 from .latches import part_values as part_values

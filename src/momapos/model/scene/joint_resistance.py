@@ -19,6 +19,10 @@ from .scene_object import SceneObject
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+MAX_HINGE_SLOPE = 0.5
+"""Largest vertical share of a horizontal hinge's direction, the sine of 30 degrees [-]."""
+MIN_OFFSET = 0.01
+"""Distance from its hinge within which a center of mass has no weight that matters [m]."""
 _STEP = 1e-5
 """Difference of joint values for the derivative of a height [rad] or [m]."""
 
@@ -162,12 +166,39 @@ def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) ->
     assumed: dict[str, Any] = {
         "seal_force": config.seal_force if sealed else config.latch_force,
         "seal_travel": config.seal_travel, "friction": friction, "damping": damping,
-        "balanced": False,
+        "balanced": is_flap(item, joint, config),
     }  # fmt: skip
     if given.mass is None:
         masses = part_masses(item.model, item.model.moved_by(joint), config)
         assumed["mass"] = sum(mass for mass, _ in masses.values())
     return replace(given, **{k: v for k, v in assumed.items() if getattr(given, k) is None})
+
+
+def is_flap(item: SceneObject, joint: str, config: ResistanceConfig) -> bool:
+    """Check whether a part is a door that stands on a horizontal hinge, or hangs from one.
+
+    Its weight would throw it open or closed, so real ones have springs: dishwashers, ovens,
+    lift-up doors. A lid that lies on its hinge's side is none; many have no springs.
+    """
+    record = item.joint(joint)
+    if record.kind == "prismatic":
+        return False
+    poses = item.link_poses({joint: opening_of(item.model, joint).closed})
+    masses = part_masses(item.model, item.model.moved_by(joint), config)
+    total = sum(mass for mass, _ in masses.values())
+    middle = sum(m * (poses[n][:3, :3] @ at + poses[n][:3, 3]) for n, (m, at) in masses.items())
+    axis, hinge = poses[record.child][:3, :3] @ record.axis, poses[record.child][:3, 3]
+    away = middle / max(total, 1e-12) - hinge
+    away -= (away @ axis) * axis
+    length = float(np.linalg.norm(away))
+    upright = abs(away[2]) > np.sqrt(0.5) * max(length, MIN_OFFSET)
+    return bool(upright and abs(axis[2]) < MAX_HINGE_SLOPE)
+
+
+def assumes_springs(item: SceneObject, joint: str, config: ResistanceConfig) -> bool:
+    """Check whether springs are only assumed to bear the weight of a part, see `is_flap`."""
+    given = item.resistance.get(joint, JointResistance())
+    return given.balanced is None and is_flap(item, joint, config)
 
 
 def _file_values(model: Articulated, joint: str) -> dict[str, float]:

@@ -3,19 +3,41 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from momapos.core import InputError, Quantity, SceneError, parse_quantity, unknown_name
+from momapos.core.geometry import apply, invert
 from momapos.model.records import Latch
 from momapos.model.urdf import Articulated, Joint, opening_of
 
 from .joint_values import joint_value
 from .scene_object import SceneObject
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 MAX_CLOSED_OFFSET = 0.01
 """A part within this of its closed value is held by its latch [rad] or [m]: the bolt of a door is
 about 1 cm long, which is 0.012 rad at the edge of a door of 0.8 m."""
 SAME_VALUE = 1e-3
 """A latch within this of its value is turned [rad] or [m]."""
+
+
+MIN_LATCH_TRAVEL = 5e-3
+"""Smallest range of a latch [rad] or [m]."""
+MAX_LEVER_TURN = 2.0
+"""Largest range of what may be a lever or a knob: door handles turn by 30 to 50 degrees, knobs and
+window handles by 90 [rad]."""
+MAX_BOLT_TRAVEL = 0.12
+"""Largest range of what may be a bolt [m]."""
+MAX_LATCH_SHARE = 0.2
+"""Largest share of a part's front that a latch takes; the flap of a dispenser takes more [-]."""
+EDGE_SHARE = 0.35
+"""A latch is within this share of the part's width from the free edge: levers are 5 to 10 cm from
+it, and narrow doors are 30 cm wide [-]."""
 
 
 def latch_to_turn(item: SceneObject, joint: str) -> Latch | None:
@@ -30,8 +52,77 @@ def latch_to_turn(item: SceneObject, joint: str) -> Latch | None:
     values = item.values()
     value, rest = values[latch.joint], item.model.rest[latch.joint]
     turned = abs(value - latch.to) < SAME_VALUE or (value - latch.to) * (latch.to - rest) > 0.0
-    ajar = abs(values[joint] - opening_of(item.model, joint).closed) > MAX_CLOSED_OFFSET
-    return None if turned or ajar else latch
+    return None if turned or is_ajar(item, joint) else latch
+
+
+def is_ajar(item: SceneObject, joint: str) -> bool:
+    """Check whether a part is so far from its closed value that no latch holds it."""
+    away = item.values()[joint] - opening_of(item.model, joint).closed
+    return bool(abs(away) > MAX_CLOSED_OFFSET)
+
+
+def latch_guess(item: SceneObject, joint: str) -> str:
+    """Return the joint that may be a latch of a part although the scene declares none; "" for none.
+
+    It turns or slides something small by a short range, on the part and near the edge that is
+    farthest from its hinge; on a drawer near any edge of its front.
+
+    Args:
+        item: The object.
+        joint: Joint of the part.
+    """
+    if item.latch is not None and item.latch.holds == joint:
+        return ""
+    model, record, poses = item.model, item.joint(joint), item.link_poses()
+    inside = {name: one for name, one in model.joints.items() if _may_be_latch(model, joint, one)}
+    moved = {name: set(model.moved_by(name)) for name in inside}
+    leaf = set(model.moved_by(joint)).difference(*moved.values())
+    back = invert(poses[record.child])
+
+    def corners(links: Collection[str]) -> Float[np.ndarray, "2 3"] | None:
+        points = [apply(back @ poses[n], hull.vertices) for n in links for hull in model.hulls[n]]
+        every = np.concatenate(points) if points else None
+        return None if every is None else np.stack([every.min(0), every.max(0)])
+
+    whole = corners(leaf)
+    for name, links in moved.items():
+        own = corners(links)
+        if whole is None or own is None or not _is_small(own, whole):
+            continue
+        if _is_near_edge(own.mean(0), whole, record):
+            return name
+    return ""
+
+
+def _may_be_latch(model: Articulated, joint: str, other: Joint) -> bool:
+    """Check whether a joint with a short range is on the part that another joint moves."""
+    slides, travel = other.kind == "prismatic", other.upper - other.lower
+    return (
+        other.name != joint
+        and other.mimic is None
+        and other.child in model.moved_by(joint)
+        and MIN_LATCH_TRAVEL < travel <= (MAX_BOLT_TRAVEL if slides else MAX_LEVER_TURN)
+    )
+
+
+def _is_small(own: Float[np.ndarray, "2 3"], whole: Float[np.ndarray, "2 3"]) -> bool:
+    """Check whether something is at most half as long as the part and takes little of its front."""
+    size, part = np.sort(np.ptp(own, axis=0))[::-1], np.sort(np.ptp(whole, axis=0))[::-1]
+    return bool(size[0] <= part[0] / 2 and size[0] * size[1] <= MAX_LATCH_SHARE * part[0] * part[1])
+
+
+def _is_near_edge(
+    middle: Float[np.ndarray, "3"], whole: Float[np.ndarray, "2 3"], record: Joint
+) -> bool:
+    """Check whether a point is near a free edge of a part, in the frame of the part's joint."""
+    corners = np.stack(np.meshgrid(*whole.T), -1).reshape(-1, 3)
+    if record.kind != "prismatic":
+        points = np.concatenate([corners, middle[None]])
+        arms = np.linalg.norm(points - np.outer(points @ record.axis, record.axis), axis=1)
+        return bool(arms[-1] >= (1.0 - EDGE_SHARE) * arms[:-1].max())
+    across = np.abs(record.axis) < np.abs(record.axis).max()
+    gap = np.minimum(middle - whole[0], whole[1] - middle) / np.maximum(np.ptp(whole, axis=0), 1e-9)
+    return bool((gap[across] <= EDGE_SHARE).any())
 
 
 def latch_value(item: SceneObject, latch: Latch) -> str:

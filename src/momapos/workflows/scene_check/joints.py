@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from momapos.model.scene import Scene, SceneObject, latch_value
+from momapos.model.scene import Scene, SceneObject, latch_guess, latch_value
 from momapos.model.urdf import opens_both_ways
 from momapos.planning.grasps import PartFacts, part_facts_of
 
@@ -43,15 +43,23 @@ def _report(item: SceneObject, joint: str, facts: PartFacts) -> JointReport:
         latch="" if latch is None or latch.holds != joint else latch.joint,
         latch_to="" if latch is None or latch.holds != joint else latch_value(item, latch),
         holds="" if latch is None or latch.joint != joint else latch.holds,
+        latch_guess=latch_guess(item, joint),
     )
 
 
 def joint_findings(joints: Sequence[JointReport]) -> Iterator[Finding]:
-    """Yield the joints that move nothing, and the parts without a handle."""
+    """Yield the joints that move nothing, undeclared latches, and the parts without a handle."""
     for one in joints:
         where = f"{one.object}/{one.joint}"
         if one.follows:
             continue
+        if one.latch_guess:
+            yield Finding(
+                FindingKind.LATCH, Severity.NOTE,
+                f"{one.object}/{one.latch_guess} may be a latch of {one.joint}; plans leave it "
+                "alone", f'declare it: "latch": {{"joint": "{one.latch_guess}", "to": VALUE, '
+                f'"holds": "{one.joint}"}}', one.object, one.joint,
+            )  # fmt: skip
         if abs(one.wide - one.closed) < MIN_RANGE:
             yield Finding(
                 FindingKind.JOINT, Severity.NOTE, f"{where} has a range of zero and cannot move",

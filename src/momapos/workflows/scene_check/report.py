@@ -35,6 +35,7 @@ class FindingKind(StrEnum):
     HULL = "hull"
     JOINT = "joint"
     NO_HANDLE = "no handle"
+    LATCH = "latch"
     START = "start"
     DRIVING = "driving"
 
@@ -93,6 +94,8 @@ class JointReport:
     """Value to which that latch is turned, in words."""
     holds: str = ""
     """The joint that it holds, if it is a latch itself."""
+    latch_guess: str = ""
+    """The joint on it that may be a latch which the scene does not declare; "" for none."""
     base_distance: float | None = None
     """Horizontal distance from the handle to the nearest place that the base can drive to [m];
     infinite if there is none, None if no robot was given."""
