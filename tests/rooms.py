@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.core.geometry.transforms import pose, rotation_about
+from momapos.model.records.resistances import JointResistance
+from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_files import load_scene, save_scene
 
 CABINET = """<robot name="cabinet">
 <link name="body">
@@ -89,3 +91,19 @@ def move_scene(scene: Scene, x: float, y: float, yaw: float) -> Scene:
     if start is not None:
         start = np.array([*(R[:2, :2] @ start[:2] + [x, y]), start[2] + yaw])
     return replace(scene, objects=objects, floor_polygon=floor, start=start)
+
+
+def without_springs(scene: Scene, name: str, joint: str = "door_hinge") -> Scene:
+    """Return a room in which the weight of a drop-down door acts."""
+    return scene.with_resistance({name: {joint: JointResistance(balanced=False)}})
+
+
+def kitchen_without_springs(folder: Path) -> Path:
+    """Write `kitchen_small` with a dishwasher whose door falls open; the Fetch cannot let go of it.
+
+    It pulls the door until the floor is in its way, and would otherwise take it from inside.
+    """
+    path = folder / "kitchen.json"
+    with copied(without_springs(load_scene("kitchen_small"), "dishwasher"), path) as near:
+        save_scene(near, path)
+    return path

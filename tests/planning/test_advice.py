@@ -22,6 +22,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.advice import objects_in_the_way, with_advice
+from momapos.planning.base_pose_check import check_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.moved_objects import (
@@ -86,6 +87,16 @@ def moved(scene: Scene, name: str, offset: np.ndarray) -> Scene:
     return replace(scene, objects=tuple(other if o is item else o for o in scene.objects))
 
 
+def works_as_stated(query: PlacementQuery, scene: Scene, advice: str) -> bool:
+    """Ask directly in the changed room, and at the base pose that the advice states."""
+    stated = re.search(r"from \((\S+), (\S+), (\S+) deg\)$", advice)
+    assert stated is not None
+    x, y, yaw = map(float, stated.groups())
+    other = replace(query, scene=scene)
+    there = check_pose(other, (x, y, float(np.radians(yaw))), how_far=False)
+    return there.motion is not None and plan_placement(other).plan.status == "solved"
+
+
 def test_the_object_that_keeps_the_robot_away_is_named(
     robots: Robots, room: Scene, tmp_path: Path
 ) -> None:
@@ -93,6 +104,8 @@ def test_the_object_that_keeps_the_robot_away_is_named(
     assert answer.query is not None
     assert set(objects_in_the_way(answer, answer.query)) == {"vase", "crate"}
     assert advice.startswith("feasible without crate, from (")
+    empty = replace(room, objects=tuple(one for one in room.objects if one.name != "crate"))
+    assert works_as_stated(answer.query, empty, advice)
     write_plan(replace(answer.plan, advice=advice), tmp_path / "plan.json")
     assert read_plan(tmp_path / "plan.json").advice == advice
 
@@ -113,8 +126,7 @@ def test_an_object_that_can_be_moved_is_moved_as_little_as_needed(
     assert np.linalg.norm(offset) == pytest.approx(distance, abs=0.008)
     assert distance <= (1.25 if fence else 0.5)
     assert answer.query is not None
-    other = moved(scene, "chair", offset)
-    assert plan_placement(replace(answer.query, scene=other)).plan.status == "solved"
+    assert works_as_stated(answer.query, moved(scene, "chair", offset), advice)
 
 
 def test_an_object_is_moved_only_where_it_is_free(robots: Robots, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 
 import numpy as np
@@ -49,12 +50,26 @@ def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(kitch
     assert plan.feasible_to is not None
     assert not plan.feasible_sure
     assert moving.startswith(
-        f"{USES[2]}the part moves at least to {np.degrees(plan.feasible_to):.0f} deg; farther: "
+        f"{USES[2]}the part moves at least to {np.degrees(plan.feasible_to):.0f} deg; no motion to "
     )
     task = make_task(kitchen, "open", *FREEZER.split("/"), plan.feasible_to)
     config = PipelineConfig(place=SAMPLED)
     again = plan_moving(PlacementQuery.of(kitchen, load_robot("stretch"), task, config=config))
     assert again.plan.base_pose == plan.feasible_from
+
+
+def test_what_a_refusal_states_is_what_direct_questions_find(kitchen: Scene) -> None:
+    """Each stated value that is reached has a plan, and each other one has none."""
+    robot, count = load_robot("stretch"), 0
+    for note in refused(kitchen, FREEZER, "auto").notes:
+        use = dict(zip(USES, ("fixed", "stops", "moving"), strict=True))[f"{note.split(', ')[0]}, "]
+        for words, number in re.findall(r"(at least|even|no motion) to ([\d.]+) deg", note):
+            task = make_task(kitchen, "open", *FREEZER.split("/"), f"{number}deg")
+            config = PipelineConfig(place=SAMPLED, base=use)
+            found = plan_base_placement(kitchen, robot, task, config=config)
+            assert (found.plan.status == "solved") == (words == "at least"), note
+            count += 1
+    assert count >= 3
 
 
 @pytest.mark.parametrize(("base", "count"), [("fixed", 0), ("stops", 2)])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +18,14 @@ from momapos.core.stopwatch import Stopwatch
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.base_pose_check import plan_at_pose
+from momapos.planning.base_pose_check import BasePoseChecks, check_pose, plan_at_pose
 from momapos.planning.base_use import plan_moving
 from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.motion_record import TaskMotion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.max_opening_plan import by_samples
+from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.tolerance import tolerance_at, with_tolerance
@@ -83,8 +87,39 @@ def test_a_moving_base_opens_a_door_by_the_bar_within_reach(tmp_path: Path, robo
 def test_without_a_bar_within_reach_the_answer_is_no(tmp_path: Path, robot: Robot) -> None:
     scene = furniture_room(tmp_path, wardrobe(HIGH, HIGH - 0.25))
     task = make_task(scene, "open", "cupboard", None, "60deg")
-    answer = plan_base_placement(scene, robot, task, config=by_samples(PipelineConfig()))
+    config = by_samples(PipelineConfig())
+    answer = plan_base_placement(scene, robot, task, config=config)
     assert answer.plan.status == "infeasible"
+    (note,) = answer.notes
+    assert note.startswith("2 handles were searched; the reasons are those of ")
+    name = note.rpartition("those of ")[2]
+    query = PlacementQuery.of(scene, robot, task, config=config)
+    direct = plan_placement(replace(query, keep_grasps=partial(holds, name)))
+    assert direct.plan.candidates.rejections == answer.plan.candidates.rejections
+
+
+def holds(name: str, motion: TaskMotion) -> np.ndarray:
+    """Return which grasps of a motion hold a handle, by its words."""
+    named = [str(handle) == name for handle in motion.grasps.handles]
+    return np.array(named, bool)[motion.grasps.handle]
+
+
+@pytest.mark.parametrize("base", [(-0.2, 0.2, -0.4), (-0.1, -0.3, 0.3), (-0.9, 0.0, 0.0)])
+def test_the_reason_at_a_base_pose_is_that_of_the_handle_that_came_farthest(
+    tmp_path: Path, robot: Robot, base: tuple[float, float, float]
+) -> None:
+    scene = furniture_room(tmp_path, wardrobe(HIGH, LOW))
+    task = make_task(scene, "open", "cupboard", None, "90deg")
+    query = PlacementQuery.of(scene, robot, task)
+    attempt = check_pose(query, base, how_far=False)
+    assert attempt.motion is None
+    names = [str(one.prepared.motion.handle) for one in BasePoseChecks(query).by_handle()]
+    assert len(names) == 2
+    alone = [
+        check_pose(replace(query, keep_grasps=partial(holds, name)), base, how_far=False)
+        for name in names
+    ]
+    assert str(attempt.outcome) == str(max(alone, key=lambda one: one.outcome.progress).outcome)
 
 
 def test_a_public_dishwasher_is_opened_by_its_next_handle(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from jaxtyping import Bool, Float
 from tests.cupboards import HINGE, carcass, furniture_room, link
-from tests.rooms import Everywhere, cabinet_room
+from tests.rooms import Everywhere, cabinet_room, kitchen_without_springs
 from tests.shapes import unchecked
 
 from momapos.apps.cli.main import main
@@ -39,16 +39,25 @@ from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
-LID = ["place", "open", "kitchen_small", "dishwasher/door_hinge", "--robot", "fetch"]
-"""The Fetch blocks the dishwasher's lid before it is fully open."""
 DOOR_WITH_BAR = link(
     "door", ((0.02, 0.59, 0.88), (0, 0.295, 0)), handle=((0.02, 0.02, 0.16), (-0.05, 0.53, 0.1))
 )
 
 
 @pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
+def kitchen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return kitchen_without_springs(tmp_path_factory.mktemp("kitchen"))
+
+
+@pytest.fixture(scope="module")
+def lid(kitchen_file: Path) -> list[str]:
+    """Return a question: the Fetch blocks the dishwasher's lid before it is fully open."""
+    return ["place", "open", str(kitchen_file), "dishwasher/door_hinge", "--robot", "fetch"]
+
+
+@pytest.fixture(scope="module")
+def kitchen(kitchen_file: Path) -> Scene:
+    return load_scene(kitchen_file)
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +66,13 @@ def fetch() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def refused_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def refused_file(
+    lid: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Any]]:
     """Ask for the whole opening of the lid; return the file and the output of the answer."""
     path, out = tmp_path_factory.mktemp("refused") / "plan.json", io.StringIO()
     with redirect_stdout(out):
-        assert main([*LID, "--json", "--out", str(path)]) == 3
+        assert main([*lid, "--json", "--out", str(path)]) == 3
     return path, json.loads(out.getvalue())
 
 
@@ -72,24 +83,27 @@ def refused(refused_file: tuple[Path, dict[str, Any]]) -> PlacementPlan:
 
 
 def test_an_infeasible_opening_is_answered_with_one_that_works(
-    refused_file: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]
+    lid: list[str],
+    kitchen: Scene,
+    refused_file: tuple[Path, dict[str, Any]],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path, shown = refused_file
-    goal = make_task(load_scene("kitchen_small"), "open", "dishwasher", "door_hinge").to
+    goal = make_task(kitchen, "open", "dishwasher", "door_hinge").to
     assert goal is not None
     assert 0.2 * goal < shown["feasible_to"] < 0.8 * goal
     plan = read_plan(path)
     assert plan.feasible_to == shown["feasible_to"]
     assert plan.feasible_from == tuple(shown["feasible_from"].values())
     degrees = f"{np.degrees(shown['feasible_to']):.0f}"
-    assert main([*LID, "--to", f"{degrees}deg"]) == 0
+    assert main([*lid, "--to", f"{degrees}deg"]) == 0
     assert f"to {degrees} deg: solved" in capsys.readouterr().out
 
 
 def test_the_output_states_the_feasible_opening_and_its_base_pose(
-    capsys: pytest.CaptureFixture[str], refused: PlacementPlan
+    lid: list[str], capsys: pytest.CaptureFixture[str], refused: PlacementPlan
 ) -> None:
-    assert main(LID) == 3
+    assert main(lid) == 3
     assert refused.feasible_to is not None
     assert refused.feasible_from is not None
     x, y, yaw = refused.feasible_from
@@ -219,10 +233,10 @@ def test_the_stated_base_pose_opens_to_the_stated_value(
 
 
 def test_the_maximum_opening_has_a_valid_plan_and_one_degree_more_has_none(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kitchen: Scene, fetch: Robot
+    lid: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], kitchen: Scene, fetch: Robot
 ) -> None:
     path = tmp_path / "plan.json"
-    assert main([*LID, "--to", "max", "--out", str(path)]) == 0
+    assert main([*lid, "--to", "max", "--out", str(path)]) == 0
     assert "deg (largest found): solved" in capsys.readouterr().out
     plan = read_plan(path)
     assert plan.motion is not None
@@ -271,22 +285,22 @@ def test_the_check_of_a_base_pose_returns_how_far_the_part_opens_from_it(
 
 
 def test_a_given_base_pose_is_answered_with_its_plan_or_the_reason(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: PlacementPlan
+    lid: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: PlacementPlan
 ) -> None:
     assert refused.feasible_from is not None
     assert refused.feasible_to is not None
     at = ["--at", ",".join(f"{v:.9f}" for v in refused.feasible_from)]
-    assert main([*LID, *at, "--json"]) == 3
+    assert main([*lid, *at, "--json"]) == 3
     no = json.loads(capsys.readouterr().out)
     assert tuple(no["base_pose"].values()) == pytest.approx(refused.feasible_from)
     assert no["feasible_to"] >= refused.feasible_to - 1e-9
     assert no["feasible_from"] == no["base_pose"]
     assert list(no["candidates"]["rejections"].values()) == [1]
     to, path = f"{math.degrees(refused.feasible_to):.0f}deg", tmp_path / "plan.json"
-    assert main([*LID, *at, "--to", to, "--out", str(path)]) == 0
+    assert main([*lid, *at, "--to", to, "--out", str(path)]) == 0
     assert verify_files(path).valid
     capsys.readouterr()
-    assert main([*LID, "--at", "0.6,-0.3,90deg"]) == 3
+    assert main([*lid, "--at", "0.6,-0.3,90deg"]) == 3
     line = "from (0.600, -0.300, 90.0 deg): the hand hits the floor in every grasp\n"
     assert line in capsys.readouterr().out
 

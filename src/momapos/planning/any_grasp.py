@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from .narrower_hands import with_narrower_hand
-from .other_handles import with_next_handle
+from .other_handles import with_any_handle
 from .query import PlacementQuery
 from .result import PlacementResult
 
@@ -21,13 +21,10 @@ def with_any_grasp(query: PlacementQuery, with_first_handle: Answer) -> Placemen
         with_first_handle: Answers a question with the first handle in which the hand is free.
     """
 
-    def with_any_handle(query: PlacementQuery) -> PlacementResult:
-        answer = with_first_handle(query)
-        if answer.plan.status == "infeasible":
-            return with_next_handle(query, answer, with_any_handle)
-        return answer
+    def with_each_handle(query: PlacementQuery) -> PlacementResult:
+        return with_any_handle(query, with_first_handle)
 
-    answer = with_any_handle(query)
+    answer = with_each_handle(query)
     if answer.plan.status == "infeasible":
-        return with_narrower_hand(query, answer, with_any_handle)
+        return with_narrower_hand(query, answer, with_each_handle)
     return answer

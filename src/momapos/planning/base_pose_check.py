@@ -197,22 +197,21 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
 def _with_any_handle(
     checks: BasePoseChecks, attempt_with: Callable[[BasePoseChecks], Attempt]
 ) -> _Look:
-    """Check a base pose with a part's handles in turn; else give the first reason.
+    """Check a base pose with a part's handles in turn; else give the reason that came farthest.
 
     Args:
         checks: The checks with the first handle.
         attempt_with: Checks the base pose with the handle of the given checks.
     """
-    first: _Look | None = None
+    failed: list[Attempt] = []
     for one in checks.by_handle():
-        look = _Look(one.prepared, attempt_with(one))
-        if look.attempt.motion is not None:
-            return look
-        first = first or look
-        if look.attempt.outcome.status in _SAME_FOR_ALL_HANDLES:
+        attempt = attempt_with(one)
+        if attempt.motion is not None:
+            return _Look(one.prepared, attempt)
+        failed.append(attempt)
+        if attempt.outcome.status in _SAME_FOR_ALL_HANDLES:
             break
-    assert first is not None
-    return first
+    return _Look(checks.prepared, max(failed, key=lambda one: one.outcome.progress))
 
 
 class BasePoseChecks:

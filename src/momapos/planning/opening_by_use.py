@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.planning.grasps import FULL_DOF
+from momapos.planning.grasps import FULL_DOF, slides
 
 from .base_use import plan_moving
 from .config import PipelineConfig
@@ -17,6 +17,9 @@ from .max_opening_plan import MIN_TIMEOUT, answer_on_watch, by_samples
 from .query import PlacementQuery
 from .result import PlacementResult
 from .several_stops import MAX_STOPS, STRETCHES, plan_stops
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 
@@ -30,7 +33,7 @@ class Reached:
     best: PlacementResult | None
     """The answer for the farthest value that was found; None if there is none."""
     refused: PlacementResult | None
-    """The answer for a farther value that has no motion; None if the part does not stay there."""
+    """The answer for the next value, which has no motion."""
     start: float
     """Where the part is now [rad] or [m]."""
 
@@ -41,78 +44,140 @@ class Reached:
         return 0.0 if to is None else abs(to - self.start)
 
     def __str__(self) -> str:
-        why = "the part does not stay where the hand would let go"
-        if self.refused is not None:
-            why = _why_not(self.refused)
-        known = self.best or self.refused
-        if known is None or known.plan.task.to is None:
-            return f"{self.use}, no motion was found: {why}"
-        value = known.value_words(known.plan.task.to)
+        to, farther = (
+            "" if one is None or one.plan.task.to is None else one.value_words(one.plan.task.to)
+            for one in (self.best, self.refused)
+        )
+        why = "" if self.refused is None else f"{farther} was found: {_why_not(self.refused)}"
         if self.best is None:
-            return f"{self.use}, no motion even to {value} was found: {why}"
-        return f"{self.use}, the part moves at least to {value}; farther: {why}"
+            return f"{self.use}, no motion even to {why}"
+        return f"{self.use}, the part moves at least to {to}" + (why and f"; no motion to {why}")
 
 
-def reached_by_use(query: PlacementQuery, answer: Answer) -> list[Reached]:
+def reached_by_use(
+    query: PlacementQuery, infeasible: PlacementResult, answer: Answer
+) -> list[Reached]:
     """Find how far each use of the base moves the part, to an eighth of its way.
 
-    Few searches estimate it, for most robots by samples alone; the query's stopwatch counts their
-    time.
+    Few searches estimate it. What is then stated is asked directly, with the query's whole
+    configuration: that the part moves to a value, and that it does not move an eighth farther, with
+    the reason. The query's stopwatch counts the time.
 
     Args:
         query: A question that has no answer, with the uses that it allows.
+        infeasible: Its answer.
         answer: Answers a question from one base pose.
     """
-    use, quick, task = query.config.base, by_samples(query.config), query.task
-    assert task.joint is not None
-    start = query.scene.object(task.object).values()[task.joint]
-    best, refused = _farthest(query, quick, answer, start)
-    every = [Reached("from one base pose", best, refused, start)]
+    use = query.config.base
+    ask = _Questions(query, answer, {STRETCHES - 1: infeasible})
+    every = [ask.farthest("from one base pose", ask.from_one_pose, ask.estimate(answer))]
     if use in ("stops", "auto"):
-        found = plan_stops(query, refused, answer, how_far=True)
-        last = found.stretches[-1] if found.stretches else None
-        failed = found.refused if last else found.refused or refused
-        every.append(Reached(f"from up to {MAX_STOPS} stops", last, failed, start))
+        known = plan_stops(query, infeasible, answer, how_far=True).stretches
+        guess = ask.index_of(known[-1]) if known else -1
+        name = f"from up to {MAX_STOPS} stops"
+        every.append(ask.farthest(name, ask.from_stops, max(guess, ask.index_of(every[0].best))))
     if use in ("moving", "auto"):
-        # The base poses of a short arm are on a surface, which samples miss.
-        how = query.config if query.robot.chain.size < FULL_DOF else quick
-        every.append(
-            Reached("with a moving base", *_farthest(query, how, plan_moving, start), start)
-        )
+        guess = max(ask.estimate(plan_moving), ask.index_of(every[0].best))
+        every.append(ask.farthest("with a moving base", ask.with_moving_base, guess))
     return every
 
 
-def _farthest(
-    query: PlacementQuery, config: PipelineConfig, answer: Answer, start: float
-) -> tuple[PlacementResult | None, PlacementResult]:
-    """Return the answer for the farthest value that has one, and that for the next, by bisection.
+@dataclass
+class _Questions:
+    """Direct questions about eighths of the way, those from one base pose asked once."""
 
-    The first try is the task's own value, which shows why it has no answer.
-    """
-    task = query.task
-    assert task.to is not None
-    values = np.linspace(start, task.to, STRETCHES + 1)[1:]
+    query: PlacementQuery
+    answer: Answer
+    """Answers a question from one base pose."""
+    known: dict[int, PlacementResult]
+    """Answers from one base pose, by eighth."""
 
-    def answer_to(index: int) -> PlacementResult:
-        left = max(query.config.timeout - query.watch.total, MIN_TIMEOUT)
-        one = replace(task, to=float(values[index]), farthest=False)
-        again = replace(query, task=one, config=replace(config, timeout=left))
-        return answer_on_watch(query, again, answer)
+    @property
+    def start(self) -> float:
+        """Return where the part is now [rad] or [m]."""
+        task = self.query.task
+        assert task.joint is not None
+        return self.query.scene.object(task.object).values()[task.joint]
 
-    refused = answer_to(len(values) - 1)
-    if refused.plan.feasible:
-        return refused, refused
+    @property
+    def values(self) -> Float[np.ndarray, " k"]:
+        """Return the values that are asked for, whole degrees or centimeters [rad] or [m]."""
+        task = self.query.task
+        assert task.to is not None
+        unit = 0.01 if slides(self.query.scene, task) else np.radians(1.0)
+        every = np.linspace(self.start, task.to, STRETCHES + 1)[1:]
+        return np.append(unit * np.round(every[:-1] / unit), task.to)
 
-    def moved_to(index: int) -> PlacementResult | None:
-        nonlocal refused
-        found = answer_to(index)
-        if found.plan.feasible:
-            return found
-        refused = found
-        return None
+    def index_of(self, found: PlacementResult | None) -> int:
+        """Return which value an answer reaches; -1 for none."""
+        to = None if found is None else found.plan.task.to
+        return -1 if to is None else int(np.abs(self.values - to).argmin())
 
-    _, best = last_that_works(moved_to, -1, len(values) - 1)
-    return best, refused
+    def estimate(self, answer: Answer) -> int:
+        """Return the last value that few searches reach, -1 for none, by bisection.
+
+        The base poses of a short arm that drives are on a surface, which samples miss.
+        """
+        config = self.query.config
+        if answer is not plan_moving or self.query.robot.chain.size >= FULL_DOF:
+            config = by_samples(config)
+
+        def reaches(index: int) -> bool | None:
+            return self._ask(index, answer, config).plan.feasible or None
+
+        return last_that_works(reaches, -1, STRETCHES - 1)[0]
+
+    def farthest(self, use: str, ask: Callable[[int], PlacementResult], guess: int) -> Reached:
+        """Return how far a use moves the part by direct questions, starting from an estimate."""
+        best, refused, at = None, None, guess
+        while at >= 0 and best is None:
+            found = ask(at)
+            if found.plan.feasible:
+                best = found
+            else:
+                refused, at = found, at - 1
+        while at + 1 < STRETCHES and refused is None:
+            found = ask(at + 1)
+            if found.plan.feasible:
+                best, at = found, at + 1
+            else:
+                refused = found
+        return Reached(use, best, refused, self.start)
+
+    def from_one_pose(self, index: int) -> PlacementResult:
+        """Answer the question for a value from one base pose."""
+        if index not in self.known:
+            self.known[index] = self._ask(index, self.answer, self.query.config)
+        return self.known[index]
+
+    def from_stops(self, index: int) -> PlacementResult:
+        """Answer the question for a value from one base pose, or else from several stops."""
+        one = self.from_one_pose(index)
+        if one.plan.status != "infeasible":
+            return one
+        found = plan_stops(self._to(index), one, self.answer)
+        refused = found.refused or one
+        return found.answer or replace(
+            refused, plan=replace(refused.plan, task=one.plan.task, feasible_to=None)
+        )
+
+    def with_moving_base(self, index: int) -> PlacementResult:
+        """Answer the question for a value from one base pose, or else with a moving base."""
+        one = self.from_one_pose(index)
+        if one.plan.status != "infeasible":
+            return one
+        return self._ask(index, plan_moving, self.query.config)
+
+    def _to(self, index: int) -> PlacementQuery:
+        """Return the question for a value."""
+        task = replace(self.query.task, to=float(self.values[index]), farthest=False)
+        return replace(self.query, task=task)
+
+    def _ask(self, index: int, answer: Answer, config: PipelineConfig) -> PlacementResult:
+        """Answer the question for a value; the query's stopwatch counts the time."""
+        left = max(self.query.config.timeout - self.query.watch.total, MIN_TIMEOUT)
+        again = replace(self._to(index), config=replace(config, timeout=left))
+        return answer_on_watch(self.query, again, answer)
 
 
 def _why_not(answer: PlacementResult) -> str:

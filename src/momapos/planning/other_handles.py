@@ -22,27 +22,35 @@ if TYPE_CHECKING:
     from momapos.planning.grasps import Handle
 
 
-def with_next_handle(
-    query: PlacementQuery,
-    answer: PlacementResult,
-    plan: Callable[[PlacementQuery], PlacementResult],
+def with_any_handle(
+    query: PlacementQuery, with_first_handle: Callable[[PlacementQuery], PlacementResult]
 ) -> PlacementResult:
-    """Return the answer for the next handle in which the hand is free, if there is one.
+    """Return the first answer with a plan, by the part's handles in turn.
+
+    If none has one, the answer is that for the first handle, with the reasons of the handle whose
+    search came farthest, which a note names.
 
     Args:
         query: The question.
-        answer: Its infeasible answer, with every object modeled.
-        plan: Answers a question.
+        with_first_handle: Answers a question with the first handle in which the hand is free, in a
+            fully modeled scene if it is infeasible.
     """
-    other = with_other_handles_only(query, answer.prepared)
-    if other is None:
-        return answer
-    found = plan(other)
-    if found.plan.feasible:
+    first = found = with_first_handle(query)
+    every = [first]
+    while found.plan.status == "infeasible":
+        other = with_other_handles_only(query, found.prepared)
+        if other is None:
+            break
+        query, found = other, with_first_handle(other)
+        every.append(found)
+    if found.plan.feasible or len(every) == 1:
         return found
-    if found.plan.status != "timeout":
-        return answer
-    return with_note(answer, cut_short("the search with another handle"))
+    if found.plan.status == "timeout":
+        return with_note(first, cut_short("the search with another handle"))
+    best = max(every, key=lambda one: one.search.progress)
+    first = replace(first, plan=replace(first.plan, candidates=best.plan.candidates))
+    words = f"{len(every)} handles were searched; the reasons are those of"
+    return with_note(first, f"{words} {best.prepared.motion.handle}")
 
 
 def with_other_handles_only(query: PlacementQuery, prepared: PreparedTask) -> PlacementQuery | None:

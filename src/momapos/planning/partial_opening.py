@@ -46,7 +46,7 @@ def with_max_opening(
         best, sure = _largest(query, limit)
     else:
         every = reached_by_use(
-            replace(query, config=replace(config, timeout=limit)), _from_one_pose
+            replace(query, config=replace(config, timeout=limit)), answer, _from_one_pose
         )
         best, sure = max(every, key=lambda one: one.way).best, False
         words = [str(one) for one in every]

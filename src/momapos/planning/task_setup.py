@@ -188,7 +188,8 @@ def _with_free_grasp(
 ) -> tuple[TaskMotion, CollisionWorld, str]:
     """Return the motion for the first handle with a free grasp, its world, and "".
 
-    If no handle has one, return the given motion, its world, and the reason.
+    If no handle has one, return the motion, the world and the reason of the first handle that may
+    be used.
     """
     found: list[tuple[TaskMotion, CollisionWorld, str]] = []
     passed: list[Handle] = []
@@ -196,7 +197,8 @@ def _with_free_grasp(
     while other is not None:
         world = collision_world(robot, other, config)
         is_free, obstacle = collision_free_grasps(robot, world, other)
-        allowed = is_free if keep_grasps is None else is_free & keep_grasps(other)
+        kept = np.ones(len(is_free), bool) if keep_grasps is None else keep_grasps(other)
+        allowed = is_free & kept
         if allowed.any():
             rows = other.grasps.deepest(allowed)
             if config.motion.grasps.count is not None:
@@ -210,10 +212,11 @@ def _with_free_grasp(
             why = f"{names} the hand in every grasp"
         else:
             why = NO_OTHER_GRASP if is_free.any() else _all_collide(other, obstacle)
-        found.append((other, world, other.refusal or why))
+        found.append((other, world, (other.refusal or why) if kept.any() else NO_OTHER_GRASP))
         passed += other.grasps.handles
         other = with_other_handle(motion, scene, robot, config.motion, passed)
-    return found[0]
+    # The handle of a grasp that the caller excludes is not the one that is searched.
+    return next((one for one in found if one[2] != NO_OTHER_GRASP), found[0])
 
 
 def _all_collide(motion: TaskMotion, obstacle: str) -> str:

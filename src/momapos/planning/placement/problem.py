@@ -143,6 +143,12 @@ class Search:
             feasible = PoseOutcome(PoseStatus.FEASIBLE)
             self.note(other.base[None], np.array([feasible], object))
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Return how far the checks of any base pose came, see `PoseOutcome.progress`."""
+        distinct = {id(one): one for group in self.outcomes for one in group.tolist()}
+        return max((one.progress for one in distinct.values()), default=(-1, 0))
+
     def candidates(self) -> Candidates:
         """Count the outcomes for the plan."""
         every = np.concatenate([np.zeros(0, object), *self.outcomes]).tolist()
