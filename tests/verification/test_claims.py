@@ -127,6 +127,11 @@ def weight_of_the_door(case: Case) -> None:
     case.plan["resistance"] = {"cupboard": {"hinge": {"friction": 0.1}}}
 
 
+def friction_of_the_file(case: Case) -> None:
+    case.cupboard = case.cupboard.replace("</joint>", '<dynamics friction="5"/></joint>')
+    case.plan["resistance"] = {"cupboard": {"hinge": {"friction": 0.1}}}
+
+
 WRONG: dict[str, tuple[Callable[[Case], None], str, str]] = {
     "finger beyond its limit": (
         rest(jaw=0.5), "rest values within joint limits (excess)", "jaw at 0.5; limits 0 to 0.05",
@@ -166,6 +171,9 @@ WRONG: dict[str, tuple[Callable[[Case], None], str, str]] = {
     ),
     "friction below the scene's": (
         weight_of_the_door, "resistance and mass are as the scene states", "friction 0.1",
+    ),
+    "friction below that of the furniture's file": (
+        friction_of_the_file, "resistance and mass are as the scene states", "friction 0.1",
     ),
 }  # fmt: skip
 

@@ -12,6 +12,7 @@ from momapos.model.scene import (
     SceneObject,
     known_resistance,
     object_mass,
+    stated_resistance,
 )
 
 from .report import Check, verdict
@@ -103,7 +104,7 @@ def _stated(item: SceneObject, task: Task) -> dict[str, float]:
         mass = all(item.model.urdf.links[link].mass > 0.0 for link in links)
         stated = {} if item.mass is None else {"mass": item.mass}
         return stated or ({"mass": object_mass(item, ResistanceConfig())[0]} if mass else {})
-    known = item.resistance.get(task.joint, JointResistance()).members()
+    known = stated_resistance(item, task.joint).members()
     links = item.model.moved_by(task.joint)
     if "mass" not in known and all(item.model.urdf.links[link].mass > 0.0 for link in links):
         mass_of = known_resistance(item, task.joint, ResistanceConfig()).mass

@@ -6,6 +6,7 @@ from .joint_resistance import known_resistance as known_resistance
 from .joint_resistance import object_mass as object_mass
 from .joint_resistance import part_masses as part_masses
 from .joint_resistance import resistance_along as resistance_along
+from .joint_resistance import stated_resistance as stated_resistance
 from .joint_resistance import stays_in_place as stays_in_place
 from .joint_values import joint_value as joint_value
 from .joint_values import set_joints as set_joints

@@ -148,21 +148,30 @@ def stays_in_place(
     return np.abs(weight_at(item, joint, values, config)) < friction
 
 
+def stated_resistance(item: SceneObject, joint: str) -> JointResistance:
+    """Return what the scene states about a joint, else friction and damping of its file."""
+    given = item.resistance.get(joint, JointResistance())
+    found = _file_values(item.model, joint)
+    friction, damping = (
+        found[key] or None if value is None else value
+        for key, value in (("friction", given.friction), ("damping", given.damping))
+    )
+    return replace(given, friction=friction, damping=damping)
+
+
 @owner_cache()
 def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) -> JointResistance:
     """Return the resistance of a joint with assumed values where the scene gives none.
 
     All fields but `lever` have a value.
     """
-    given = item.resistance.get(joint, JointResistance())
+    given = stated_resistance(item, joint)
     record = item.joint(joint)
     if record.kind == "prismatic":
         friction, damping = config.slide_friction, config.slide_damping
     else:
         friction, damping = config.hinge_friction, config.hinge_damping
     sealed = record.kind != "prismatic" and has_seal(item, joint, config)
-    by_file = _file_values(item.model, joint)
-    friction, damping = by_file["friction"] or friction, by_file["damping"] or damping
     assumed: dict[str, Any] = {
         "seal_force": config.seal_force if sealed else config.latch_force,
         "seal_travel": config.seal_travel, "friction": friction, "damping": damping,
