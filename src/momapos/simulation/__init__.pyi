@@ -2,6 +2,7 @@ from .config import BaseTrackingConfig as BaseTrackingConfig
 from .config import ComplianceConfig as ComplianceConfig
 from .config import ExecutionConfig as ExecutionConfig
 from .config import FurnitureConfig as FurnitureConfig
+from .exact_run import run_exactly as run_exactly
 from .execute import AttemptOutcome as AttemptOutcome
 from .execute import RetryState as RetryState
 from .execute import attempt as attempt

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from momapos.core.geometry import compose, local_points
@@ -44,9 +45,9 @@ class BaseDrive:
         world: Simulation,
         robot: Robot,
         first: Float[np.ndarray, "3"],
-        config: BaseTrackingConfig,
+        config: BaseTrackingConfig | None,
         step: float,
-        rng: np.random.Generator,
+        rng: np.random.Generator | None = None,
     ) -> None:
         """Start at a path's first pose, for which the world was built.
 
@@ -54,14 +55,15 @@ class BaseDrive:
             world: The world.
             robot: The robot, with the limits of its base.
             first: The first pose of the base's path.
-            config: How it follows its path.
+            config: How it follows its path; None to be where it is sent, at once.
             step: Time between updates [s].
             rng: Draws the slip of the wheels.
         """
         self._whole_turns = first - initial_base_pose(world)
         self._whole_turns = np.round(self._whole_turns / (2.0 * np.pi)) * [0.0, 0.0, 2.0 * np.pi]
-        self._world, self._robot, self._config = world, robot, config
-        self._step, self._rng = step, rng
+        self._world, self._robot = world, robot
+        self._exact, self._config = config is None, config or BaseTrackingConfig(0.0, 0.0)
+        self._step, self._rng = step, rng or np.random.default_rng(0)
         self.goal = np.zeros(3)
         """Commanded pose."""
         self.odometry, self.velocity = np.zeros(3), np.zeros(3)
@@ -69,11 +71,19 @@ class BaseDrive:
         self.traveled = 0.0
         """Length of its way so far, by odometry [m]."""
         self._true, self._slip, self._late = np.zeros(3), np.zeros(3), np.zeros(3)
-        waiting = 1 + round(config.delay / step)
+        waiting = 1 + round(self._config.delay / step)
         self._sent = deque([np.zeros(3)] * waiting, maxlen=waiting)
         self.moves = False
         self._aside, self._relieves = np.zeros(3), False
         """Offset from the path by which the base relieves the hand, and whether it does now."""
+
+    def put(self, pose: Float[np.ndarray, "3"]) -> None:
+        """Put the base at a pose in the world, before a run begins."""
+        self.go(pose)
+        self.odometry = self._late = self._true = self.goal.copy()
+        self._world.data.qpos[self._world.base_q] = self.goal
+        self._world.data.ctrl[self._world.base_motor] = self.goal
+        mujoco.mj_forward(self._world.model, self._world.data)
 
     def go(self, pose: Float[np.ndarray, "3"]) -> None:
         """Send the base to a pose in the world: x [m], y [m], yaw [rad], without jumps of a turn.
@@ -129,6 +139,12 @@ class BaseDrive:
         """Advance by one step: what was commanded before the delay moves the wheels."""
         if not self.moves:
             return
+        if self._exact:
+            self.velocity, before = (self.goal - self.odometry) / self._step, self.odometry
+            self.odometry = self._true = self.goal
+            self.traveled += float(np.hypot(*(self.goal - before)[:2]))
+            self._command(self.velocity)
+            return
         self._sent.append(self.goal)
         late, before, h = self._sent[0], self._late, self._step
         self._late = late
@@ -146,8 +162,12 @@ class BaseDrive:
         self.traveled += h * float(np.hypot(*self.velocity[:2]))
         true = _in_world(wish * (1.0 + self._slip), self._true[2])
         self._true = self._true + h * true
+        self._command(true)
+
+    def _command(self, velocity: Float[np.ndarray, "3"]) -> None:
         # The motors push in proportion to the error; this lead makes them follow without lag.
-        self._world.data.ctrl[self._world.base_motor] = self._true + 2.0 / BASE_BANDWIDTH * true
+        lead = 2.0 / BASE_BANDWIDTH * velocity
+        self._world.data.ctrl[self._world.base_motor] = self._true + lead
 
     def _within_limits(self, wish: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Return a velocity in the base's frame that the base can have [m/s], [m/s], [rad/s]."""

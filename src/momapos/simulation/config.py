@@ -51,6 +51,7 @@ RECOVERABLE = (
 class Stage(StrEnum):
     """Stage of a run. Run records contain these strings."""
 
+    DRIVE = "drive"
     SETTLE = "settle"
     APPROACH = "approach"
     GRIP = "grip"

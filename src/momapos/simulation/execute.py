@@ -142,7 +142,7 @@ def attempt(
     there = worlds.room
     item = there.scene.object(there.task.object)
     believed = scene if again is None else again.scene
-    belief = _belief(believed.object(task.object), task.joint)
+    belief = believed_joint(believed.object(task.object), task.joint)
     touched = None if again is None else again.collisions
     base = None
     if motion.base is not None:
@@ -200,31 +200,45 @@ def _effort_notes(robot: Robot, dynamics: Dynamics, world: Simulation) -> list[s
     return notes
 
 
-def _stretches(
-    robot: Robot, motion: Motion, task: Task, config: ExecutionConfig, room: Simulation
-) -> list[Stretch]:
-    """Cut the motion where the hand grasps and lets go."""
-    step = config.timestep * SUBSTEPS
+def cuts_of(motion: Motion) -> list[tuple[int, int, Hold | None]]:
+    """Cut a motion where the hand grasps and lets go.
+
+    Returns:
+        First and last state of each section, and the hold; None for a free hand. A hand that turns
+        a latch holds in two sections, before and after the part moves.
+    """
     cuts: list[tuple[int, int, Hold | None]] = []
     for hold in motion.grasps:
         before = cuts[-1][1] if cuts else 0
         if cuts or hold.first > 0:
             cuts.append((before, hold.first, None))
         cuts.append((hold.first, hold.last, hold))
-    latched = motion.latch_q is not None
-    if latched:  # the hand turns the latch, and holds on as the part moves
+    if motion.latch_q is not None:  # the hand turns the latch, and holds on as the part moves
         first, last, held = cuts.pop(0)
         turned = motion.holds[0].first
         cuts[:0] = [(first, turned, held), (turned, last, held)]
+    return cuts
+
+
+def section_of(motion: Motion, first: int, last: int) -> Motion:
+    """Return the states of a section of a motion."""
+    states = slice(first, last + 1)
+    return replace(
+        motion, approach=motion.q[states], q=motion.q[states],
+        object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
+        approach_times=None, times=None, holds=(), latch_q=None,
+        base=None if motion.base is None else motion.base[states],
+    )  # fmt: skip
+
+
+def _stretches(
+    robot: Robot, motion: Motion, task: Task, config: ExecutionConfig, room: Simulation
+) -> list[Stretch]:
+    """Time the sections of a motion."""
+    step, latched = config.timestep * SUBSTEPS, motion.latch_q is not None
     stretches = []
-    for index, (first, last, held) in enumerate(cuts):
-        states = slice(first, last + 1)
-        part = replace(
-            motion, approach=motion.q[states], q=motion.q[states],
-            object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
-            approach_times=None, times=None, holds=(), latch_q=None,
-            base=None if motion.base is None else motion.base[states],
-        )  # fmt: skip
+    for index, (first, last, held) in enumerate(cuts_of(motion)):
+        part = section_of(motion, first, last)
         speed = config.speed
         if held is not None and held.family == "push":
             most = min(speed.tool_speed, PUSH_SPEED)
@@ -264,7 +278,8 @@ def _approach(
     return pace_trajectory(plan, path, tool, room, config, careful=careful)
 
 
-def _belief(item: SceneObject, name: str | None) -> BelievedJoint | None:
+def believed_joint(item: SceneObject, name: str | None) -> BelievedJoint | None:
+    """Return the joint of a part as the robot believes it; None for a movable object."""
     if name is None:
         return None
     joint = item.model.joint(name)

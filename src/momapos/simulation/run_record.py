@@ -195,6 +195,8 @@ class RunRecord:
     assumed: str = ""
     """Assumed kind of the part if the simulated room is only an assumption, because the plan is
     `assumed` and no true scene was given; "" otherwise."""
+    exact: bool = False
+    """Whether the plan's own states were followed, without replanning; see `run_exactly`."""
 
     @property
     def success(self) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from momapos.core.geometry import rotation_angle
+from momapos.model.records import Hold, Motion
 
 from .approach import PacedTrajectory
 from .config import AT_END, DWELL_TIME, GRIP_TIME, SETTLE_TIME, WELD_REACH, Ending, Stage
@@ -32,17 +33,28 @@ def carry_out(run: ExecutionRun, approach: PacedTrajectory, stretches: Sequence[
         free = place or (stretch.hold is None and run.belief is not None)
         comes = stretch.hold is None and index == 0  # the hand has held nothing yet
         if not (stretch.goes_on or comes):
-            ending = ending or (run.let_go() if free else _grasp(run, stretch))
+            ending = ending or (
+                run.let_go() if free else grasp_here(run, stretch.motion, stretch.hold)
+            )
         ending = ending or _move(run, stretch)
     if ending not in (None, *AT_END):
         return ending
     return run.rest(Stage.DWELL, DWELL_TIME) or ending or Ending.DONE
 
 
-def _grasp(run: ExecutionRun, stretch: Stretch) -> Ending | None:
-    """Weld, or close the fingers, if the arm is at the planned grasp."""
+def grasp_here(
+    run: ExecutionRun, motion: Motion, hold: Hold | None, *, searches: bool = True
+) -> Ending | None:
+    """Weld, or close the fingers, if the arm is at the planned grasp.
+
+    Args:
+        run: The run.
+        motion: The section of the motion that begins with the grasp.
+        hold: The hold; None for a movable object.
+        searches: Let the hand search ahead if nothing is between the fingers.
+    """
     T, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
-    planned = stretch.motion.Ts_world_tool[0]
+    planned = motion.Ts_world_tool[0]
     # For the first grasp the hand comes in offset from the plan; for later ones it is back on the
     # plan, and closing fingers shift it again: the part is still where the hand found it.
     goals = planned[:3, 3], run.offset_pose(planned)[:3, 3]
@@ -52,12 +64,13 @@ def _grasp(run: ExecutionRun, stretch: Stretch) -> Ending | None:
         run.detail = f"it is off by {100 * off:.1f} cm and {np.degrees(angle):.0f} deg"
         return Ending.ASTRAY
     run.observer.reaching = False
+    family = "" if hold is None else hold.family
     if run.config.hold == "contact":
-        if stretch.pushes:
+        if family == "push":
             return None
-        q, one_sided = stretch.motion.q[0], stretch.one_sided
+        q, one_sided = motion.q[0], family == "hook"
         ending = run.close_fingers(q, one_sided=one_sided)
-        if ending is Ending.NOTHING_HELD and run.belief is not None:
+        if searches and ending is Ending.NOTHING_HELD and run.belief is not None:
             run.command_fingers(0.0)
             ending = run.rest(Stage.GRIP, GRIP_TIME)
             ending = ending or reach_on(run, q) or run.close_fingers(q, one_sided=one_sided)
@@ -66,8 +79,7 @@ def _grasp(run: ExecutionRun, stretch: Stretch) -> Ending | None:
         if gap > WELD_REACH:
             run.detail = f"the gripper is {100 * gap:.1f} cm from it"
             return Ending.OUT_OF_REACH
-        turns = stretch.hold is not None and stretch.hold.turn_axis is not None
-        run.world.attach(turns=turns)
+        run.world.attach(turns=hold is not None and hold.turn_axis is not None)
         ending = run.rest(Stage.GRIP, GRIP_TIME)
     run.held = True
     run.observer.hold()

@@ -80,7 +80,8 @@ def judge(
     reasons = [text for text in (stopped, reason) if text]
     # Collisions within one object do not count as hard: hulls of hollow shapes overlap where the
     # shapes pass each other.
-    hard = [c for c in observer.hardest() if c.force > config.touch_force and not _of_one(c)]
+    touched = [c for c in observer.hardest() if not is_of_one_object(c)]
+    hard = [c for c in touched if c.force > config.touch_force]
     hit = (hard or observer.hardest())[:1]
     if hit and (reasons or hard):
         reasons.append(f"{hit[0].one} hit {hit[0].other} with {hit[0].force:.0f} N")
@@ -118,7 +119,7 @@ def _judge_object(
     return reason, start, start + lift, reached
 
 
-def _of_one(hit: Collision) -> bool:
+def is_of_one_object(hit: Collision) -> bool:
     """Return whether two elements belong to the same piece of furniture."""
     one, other = hit.one.rpartition("/")[0], hit.other.rpartition("/")[0]
     return one == other != ""

@@ -102,6 +102,29 @@ def test_zero_tries_are_refused(
     refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries must be between 1", capsys)
 
 
+def test_what_an_exact_run_cannot_regard_is_refused(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    for option in (["--start", "1,0,0"], ["--tries", "2"], ["--world", "kitchen_small"]):
+        words = f"--exact follows the plan as it is; leave out {option[0]}"
+        refused([str(tmp_path / "plan.json"), "--exact", *option], words, capsys)
+
+
+def test_an_exact_run_reports_and_writes_its_record(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    out = tmp_path / "run.json"
+    assert main(["run", str(tmp_path / "plan.json"), "--exact", "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["exact"] is True
+    record = read_run(out)
+    assert record.exact
+    assert record.motion is not None
+    np.testing.assert_allclose(record.motion.bases[0], plan.start, atol=1e-3)
+    assert record.visits[0].planned == plan.base_pose
+
+
 def test_a_missing_world_or_a_pose_without_world_is_refused(
     plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

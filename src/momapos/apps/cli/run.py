@@ -27,6 +27,10 @@ from .options import (
 from .plan_sources import numbered, open_plans, plans_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from momapos.model.records import PlacementPlan
+    from momapos.model.robots import Robot
     from momapos.model.scene import Scene
     from momapos.simulation import Execution, RunRecord, RunTrace
 
@@ -46,6 +50,7 @@ def run(
     world: Annotated[Text, optional("SCENE")] = None,
     world_at: PoseArg = None,
     hold: Literal["contact", "weld"] = "contact",
+    exact: Flag = False,
     noise: Flag = True,
     tries: OptionalCount = None,
     allow_assumed: Flag = False,
@@ -65,6 +70,10 @@ def run(
     returns home and another grasp or base pose is tried; with --world also another hypothesis of
     the joint type.
 
+    With --exact nothing is replanned, avoided or random: base and arm follow the states of the
+    file, from its start to its path home. The run fails if the part does not move as planned, or
+    anything touches what it must not.
+
     Exit status: 0 task done; 1 task failed; 2 unusable file or start pose.
 
     Args:
@@ -78,6 +87,7 @@ def run(
         world_at: Pose of the true scene's origin in the plan's scene [m, m, rad or deg].
         hold: contact: the fingers close and hold by friction; weld: a compliant, breakable weld at
             the grasp, for robots without fingers.
+        exact: Follow the plan's own states, without replanning.
         noise: No sensor noise of the base, and furniture exactly as heavy as modeled.
         tries: Maximum number of executed motions (default: 3; with --world one more for each
             further hypothesis of the joint type).
@@ -91,6 +101,11 @@ def run(
     # Mistakes are reported before anything heavy is imported.
     check_seed(seed)
     files = _check_files(plan, world, out, out_scene, record)
+    if exact:
+        refused = {"--start": start, "--world": world, "--tries": tries, "--out-scene": out_scene}
+        for name, value in refused.items():
+            if value is not None:
+                raise InputError(f"--exact follows the plan as it is; leave out {name}")
     if tries is not None:
         check_count("--tries", tries, 1, MAX_TRIES)
     if world is None and world_at is not None:
@@ -107,6 +122,8 @@ def run(
     from .console import progress
 
     opened = open_plans(files.plans, scene_root, robot, "to execute", allow_assumed=allow_assumed)
+    if exact:
+        return _run_exactly(opened, files, hold, json=json)
     with require("physics"):
         from momapos.planning.navigation import DriveConfig
         from momapos.simulation import (
@@ -143,6 +160,35 @@ def run(
         if not result.success:
             break
         begin = None if result.final_base_pose is None else list(result.final_base_pose)
+    return _finish(done, files, json=json)
+
+
+def _run_exactly(
+    opened: Sequence[tuple[PlacementPlan, Scene, Robot]],
+    files: _Files,
+    hold: Literal["contact", "weld"],
+    *,
+    json: bool,
+) -> int:
+    """Follow the states of plans in order, until one fails."""
+    from momapos.core import require
+
+    with require("physics"):
+        from momapos.simulation import ExecutionConfig, RunTrace, run_exactly
+
+    done: list[RunRecord] = []
+    for k, (content, scene, machine) in enumerate(opened):
+        trace = RunTrace()
+        result = run_exactly(
+            content, scene, machine, ExecutionConfig(hold=hold),
+            watch=trace if files.recorded else None,
+        )  # fmt: skip
+        done.append(result)
+        _write_outputs(result, trace, scene, files, k, None, [])
+        if not json:
+            print(summary(result))
+        if not result.success:
+            break
     return _finish(done, files, json=json)
 
 
