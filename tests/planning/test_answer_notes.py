@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ from tests.cupboards import LATCHES, carcass, furniture_room, joint, link
 from momapos.model.records.resistances import JointResistance
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
+from momapos.planning.advice import with_advice
 from momapos.planning.answer_notes import SPRINGS
 from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import GraspConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.result import PlacementResult
@@ -57,6 +60,26 @@ def test_a_yes_names_the_springs_on_which_it_depends_and_no_others(
     assert not any(SPRINGS in note for note in answer_of(robot, borne, "hinge", 0.9).notes)
     light = furniture_room(tmp_path, [carcass(), flap(side, 0.5), hinge])
     assert not any(SPRINGS in note for note in answer_of(robot, light, "hinge", 0.9).notes)
+
+
+def test_a_no_that_is_due_to_assumed_springs_says_so(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    """The weight of a lift-up door helps to close it against its friction."""
+    hinge = UP.replace("</joint>", '<dynamics friction="45"/></joint>')
+    parts = [carcass(), flap(-1, 16.0), hinge]
+    scene = furniture_room(tmp_path, parts).with_joint("cupboard", "hinge", 1.2)
+    grasps = GraspConfig(families=("pinch",))
+    config = replace(QUICK, motion=replace(QUICK.motion, grasps=grasps))
+    task = make_task(scene, "close", "cupboard", "hinge", 0.9)
+    answer = plan_base_placement(scene, robots("fetch"), task, config=config)
+    assert answer.plan.status == "infeasible"
+    words = "feasible without springs that bear the weight of cupboard/hinge, from"
+    assert with_advice(answer).plan.advice.startswith(words)
+    weighed = scene.with_resistance({"cupboard": {"hinge": JointResistance(balanced=False)}})
+    assert (
+        plan_base_placement(weighed, robots("fetch"), task, config=config).plan.status == "solved"
+    )
 
 
 @pytest.mark.parametrize("kind", ["a lever", "a sliding bolt"])

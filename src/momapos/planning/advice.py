@@ -11,9 +11,16 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.core import Clock, Stopwatch
-from momapos.model.records import ANYWHERE, RULED_OUT, ReachScorer, is_text_of
+from momapos.model.records import (
+    ANYWHERE,
+    RULED_OUT,
+    JointResistance,
+    PoseStatus,
+    ReachScorer,
+    is_text_of,
+)
 from momapos.model.robots import Robot
-from momapos.model.scene import SceneObject
+from momapos.model.scene import SceneObject, assumes_springs
 from momapos.planning.grasps import hand_path
 
 from .moved_objects import smallest_move
@@ -37,6 +44,7 @@ MAX_JOINTS = 6
 """Maximum number of joints that are put at another end for a trial, one at a time [-]."""
 SAME_VALUE = 0.01
 """A joint that would move less is there already [rad] or [m]."""
+_FORCES = (PoseStatus.OVERLOAD, PoseStatus.TIPS_OVER)
 _FIXED = ("wall", "floor", "ceiling", "window")
 """Categories that no user removes."""
 
@@ -51,7 +59,8 @@ def with_advice(
 ) -> PlacementResult:
     """Add to an infeasible answer the first change with which a plan exists.
 
-    The changes, in this order: a wider restriction of the base pose; a door or drawer of
+    The changes, in this order: a wider restriction of the base pose; no springs, where they are
+    assumed and forces refuse the task; a door or drawer of
     furniture that is hit at its other end; one of the objects near the part moved, as little as
     trials show, or else removed; another robot. Each trial is a search by samples, whose plan
     passes the exact check. Their number is limited, and the time limit of the answer includes them.
@@ -87,6 +96,7 @@ def _changes(
         relaxed = relaxed_restriction(query, trials)
         if relaxed is not None:
             yield relaxed
+    yield from _without_springs(answer, query, trials)
     yield from _with_other_joints(query, " ".join(rejections), trials)
     for name in objects_in_the_way(answer, query):
         without = trials.solve(_without(query, name))
@@ -101,6 +111,28 @@ def _changes(
             found = trials.solve(replace(query, robot=robot, reach=reach))
             if found is not None:
                 yield f"with {name}", found
+
+
+def _without_springs(
+    answer: PlacementResult, query: PlacementQuery, trials: Trials
+) -> Iterator[Change]:
+    """Yield an answer without the springs that are assumed, if forces are what refuses the task.
+
+    The weight of a part may help to move it, against friction for example.
+    """
+    task, known = query.task, answer.prepared.motion.resistance
+    if task.joint is None or known is None:
+        return
+    forces = bool(answer.prepared.motion.refusal) or any(
+        one.status in _FORCES for group in answer.search.outcomes for one in group.tolist()
+    )
+    item, config = query.scene.object(task.object), query.config.motion.grasps.resistance
+    if forces and assumes_springs(item, task.joint, config):
+        stated = item.resistance.get(task.joint, JointResistance())
+        weighed = {task.object: {task.joint: replace(stated, balanced=False)}}
+        found = trials.solve(replace(query, scene=query.scene.with_resistance(weighed)))
+        if found is not None:
+            yield f"without springs that bear the weight of {task.object}/{task.joint}", found
 
 
 def _with_other_joints(query: PlacementQuery, reasons: str, trials: Trials) -> Iterator[Change]:
