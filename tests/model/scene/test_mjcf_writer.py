@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from benchmarks.mjcf_support import Truth, compare
 from numpy.testing import assert_allclose
+from tests.cupboards import DOOR, HINGE, carcass, furniture_room
 
 from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
@@ -108,6 +109,20 @@ def test_plans_are_the_same_after_a_round_trip(target: tuple[str, str], tmp_path
     if plans[0].base_pose is not None:
         assert plans[1].base_pose == pytest.approx(plans[0].base_pose, abs=1e-6)
     assert plans[0].candidates == plans[1].candidates
+
+
+def test_friction_and_damping_of_joints_are_the_same_after_a_round_trip(tmp_path: Path) -> None:
+    room = furniture_room(
+        tmp_path,
+        [
+            carcass(),
+            DOOR,
+            HINGE.replace("</joint>", '<dynamics friction="3" damping="2"/></joint>'),
+        ],
+    )
+    (item,) = round_trip(room, tmp_path).objects
+    (joint,) = item.model.joints.values()
+    assert (joint.friction, joint.damping) == (3.0, 2.0)
 
 
 def test_the_command_writes_mjcf_and_refuses_unknown_formats(

@@ -111,9 +111,8 @@ class _Writer:
             return
         if math.isfinite(joint.lower) and math.isfinite(joint.upper):
             words["range"] = numbers([joint.lower, joint.upper])
-        for key, value in (("frictionloss", joint.friction), ("damping", joint.damping)):
-            if value:
-                words[key] = numbers([value])
+        resists = {"frictionloss": joint.friction, "damping": joint.damping}
+        words |= {key: numbers([known]) for key, known in resists.items() if known}
         SubElement(body, "joint", words, name=f"{name}/{joint.name}")
         if joint.mimic is not None:
             other = joint.mimic.joint
