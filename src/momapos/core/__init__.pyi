@@ -18,6 +18,7 @@ from .cache import default_cache_dir as default_cache_dir
 from .equality import compare_by_content as compare_by_content
 from .errors import FileFormatError as FileFormatError
 from .errors import InputError as InputError
+from .errors import MissingExtraError as MissingExtraError
 from .errors import MomaposError as MomaposError
 from .errors import RobotError as RobotError
 from .errors import SceneError as SceneError
@@ -25,7 +26,6 @@ from .errors import TaskDoneError as TaskDoneError
 from .errors import TaskError as TaskError
 from .errors import UnknownNameError as UnknownNameError
 from .errors import UrdfError as UrdfError
-from .errors import one_line as one_line
 from .errors import require as require
 from .errors import unknown_name as unknown_name
 from .files import check_outputs as check_outputs
@@ -44,6 +44,13 @@ from .temporary import incomplete as incomplete
 from .temporary import remove_if_incomplete as remove_if_incomplete
 from .temporary import temporary_folder as temporary_folder
 from .temporary import write_atomic as write_atomic
+from .texts import escape_html as escape_html
+from .texts import escape_markdown as escape_markdown
+from .texts import is_name as is_name
+from .texts import label as label
+from .texts import one_line as one_line
+from .texts import printable as printable
+from .texts import say as say
 from .torch_files import load_tensors as load_tensors
 from .units import ANGLES as ANGLES
 from .units import GRAVITY as GRAVITY

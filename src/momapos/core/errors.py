@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
+from .texts import one_line
+
 Extra = Literal[
     "bench", "film", "hdf5", "kitchens", "parquet", "physics", "scan", "torch", "usd", "view",
     "xacro",
@@ -30,20 +32,6 @@ REQUIREMENTS: dict[Extra, tuple[str, ...]] = {
     "xacro": ("xacrodoc>=2.0",),
 }
 """Packages of each extra, as in pyproject.toml."""
-
-MAX_MESSAGE_LENGTH = 500
-"""Largest number of characters in a message; longer ones lose their middle [-]."""
-
-
-def one_line(text: str) -> str:
-    """Convert a message to one printable line of limited length."""
-    longest = MAX_MESSAGE_LENGTH
-    if len(text) > 8 * longest:  # text quoted from a file may have millions of characters
-        text = f"{text[: 4 * longest]} ... {text[-4 * longest :]}"
-    text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
-    if len(text) <= longest:
-        return text
-    return f"{text[: longest * 3 // 5]} ... {text[-longest // 3 :]}"
 
 
 class MomaposError(Exception):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from momapos.core import FileFormatError, InputError, read_bytes_bounded, write_atomic
+from momapos.core import FileFormatError, InputError, read_bytes_bounded, resolved, write_atomic
 from momapos.model.records import Task
 
 from .run_motion import RunMotion, Triple
@@ -279,7 +279,7 @@ def with_files(
     """
 
     def seen(path: Path) -> str:
-        return os.path.relpath(path.resolve(), out.resolve().parent)
+        return os.path.relpath(resolved(path), resolved(out).parent)
 
     there = "" if world is None else seen(Path(world)) if Path(world).is_file() else world
     at = None

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect
+from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect, resolved
 from momapos.model.plan_files import changed_files, read_plan
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import Robot, read_srdf
@@ -70,7 +70,7 @@ def verify_files(
     if not plan.feasible or plan.motion is None or plan.base_pose is None:
         detail = f"status is {plan.status!r}; only solved plans can be verified"
         return Report((verdict("status is solved", False, detail),))
-    folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
+    folders = [resolved(plan_path).parent, *([scene_root] if scene_root else []), Path()]
     scene_file = find_file("scene", plan.scene, folders, plan_path)
     filed = read_scene(scene_file, scene_root, cache)
     assumed = _assumed(filed, plan)
@@ -154,7 +154,7 @@ def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path
     shipped = _shipped_file(name)
     if shipped is not None:
         return shipped
-    looked = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
+    looked = ", ".join(dict.fromkeys(str(resolved(folder)) for folder in folders))
     raise FileFormatError(
         f"{plan_path}: {key} {name!r} does not exist (searched in {looked}); give scene_root"
     )
@@ -173,7 +173,7 @@ def _shipped_file(name: str) -> Path | None:
 
 def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = USER_CACHE) -> Scene:
     """Load a scene; `scene_root` applies if the scene is inside it or is a BestMan list."""
-    if scene_root is not None and path.resolve().is_relative_to(scene_root.resolve()):
+    if scene_root is not None and resolved(path).is_relative_to(resolved(scene_root)):
         return load_scene(path, root=scene_root, cache=cache)
     if scene_root is None:
         return load_scene(path, cache=cache)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from momapos.apps.cli.main import main
+from momapos.core.errors import InputError
 
 COMMANDS = {
     "place --out": ["place", "open", "kitchen_small", "fridge/door_hinge", "--out", "{}"],
@@ -93,3 +95,65 @@ def test_an_input_that_is_not_a_regular_file_is_refused(
         ["robot", "show", "/dev/zero"],
     ):
         refused(args, tmp_path, capsys, "/dev/zero")
+
+
+ROOM = {
+    "format": "momapos-scene", "version": 1, "name": "room_$x^2^3$",
+    "start": {"x": 1.5, "y": 0, "yaw": 3.14},
+    "objects": [
+        {"name": "box", "pose": {"xyz": [0, 0, 0.4]}, "box": [0.6, 0.6, 0.8]},
+        {"name": "$x^2^3$", "pose": {"xyz": [0, 1.5, 0.4]}, "box": [0.6, 0.6, 0.8]},
+        {"name": "can_$a$", "pose": {"xyz": [0.1, 0, 0.86]}, "box": [0.06, 0.06, 0.12]},
+    ],
+}  # fmt: skip
+
+
+def test_a_plan_is_written_before_it_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, plan, plot = (tmp_path / name for name in ("room.json", "plan.json", "plan.png"))
+    path.write_text(json.dumps(ROOM))
+    words = ["place", "pick", str(path), "can_$a$", "--robot", "fetch", "--out", str(plan)]
+    assert main([*words, "--plot", str(plot)]) == 0
+    assert plot.stat().st_size > 10_000
+    before = plan.read_text()
+
+    def fails(*_: object) -> None:
+        raise InputError("no figure")
+
+    plan.unlink()
+    monkeypatch.setattr("momapos.apps.plots.draw_answer", fails)
+    assert main([*words, "--plot", str(plot)]) == 2
+    assert json.loads(plan.read_text())["base_pose"] == json.loads(before)["base_pose"]
+
+
+def test_a_category_with_commands_of_a_terminal_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "room.json"
+    for category in ("a\x1b[2Jb", "\u202e", "a" * 2000, 3):
+        objects = [{**ROOM["objects"][0], "category": category}]
+        path.write_text(json.dumps({**ROOM, "objects": objects}))
+        refused(["scene", "show", str(path)], tmp_path, capsys, "category must be")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["scene", "convert", "{room}", "{folder}/out.xml", "--root", "{loop}"],
+        ["scene", "show", "{loop}"],
+        ["verify", "{loop}"],
+        ["scan", "{loop}", "--out", "{folder}/scene.json"],
+        ["robot", "check", "{loop}"],
+        ["place", "open", "{loop}", "fridge"],
+        ["scene", "convert", "{room}", "{loop}/out.json"],
+    ],
+)
+def test_a_cycle_of_links_is_refused_in_one_line(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, room = tmp_path / "loop.urdf", tmp_path / "room.json"
+    loop.symlink_to(loop)
+    room.write_text(json.dumps(ROOM))
+    assert main([word.format(loop=loop, room=room, folder=tmp_path) for word in words]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -23,7 +23,7 @@ from momapos.apps.web.page import Page
 from momapos.apps.web.playback import Story
 from momapos.apps.web.scan_view import COARSE_POINTS
 from momapos.apps.web.static import write_page
-from momapos.apps.web.texts import escaped
+from momapos.core.texts import escape_markdown
 from momapos.model.records.scans import Cloud
 from momapos.perception.records import Modeled
 
@@ -288,7 +288,7 @@ def test_a_clicked_candidate_shows_its_outcome_and_the_speed_can_be_chosen(
     assert until(lambda: bool(page.panel.clicked.content))
     every = [outcome for block in answer.search.outcomes for outcome in block]
     away = np.linalg.norm(np.concatenate(answer.search.poses)[:, :2] - point[:2], axis=1)
-    reasons = {escaped(str(every[k])) for k in np.flatnonzero(away < 0.1)}
+    reasons = {escape_markdown(str(every[k])) for k in np.flatnonzero(away < 0.1)}
     assert page.panel.clicked.content in {f"This candidate: **{words}**" for words in reasons}
     tab.get_by_text("This candidate:").wait_for(timeout=LONG)
     tab.get_by_label("Candidates", exact=True).click(force=True)

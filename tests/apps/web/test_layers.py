@@ -10,10 +10,10 @@ import pytest
 
 from momapos.apps.web.map_layers import box_edges, covered, free_area
 from momapos.apps.web.playback import Story
-from momapos.apps.web.texts import escaped
 from momapos.apps.web.words import answer_card
 from momapos.core.geometry.planar import place_points
 from momapos.core.geometry.transforms import pose_planar
+from momapos.core.texts import escape_markdown
 from momapos.model.records.outcomes import Tolerance
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
@@ -105,9 +105,9 @@ def test_the_hull_encloses_tightly_the_footprints_of_all_poses_within_a_toleranc
     assert (beyond.max(0) > -0.012).all()
 
 
-def test_text_from_files_is_escaped() -> None:
-    assert escaped("<img src=x>") == "\\<img src=x\\>"
-    assert escaped("a*b_c") == "a\\*b\\_c"
+def test_text_from_files_is_escape_markdown() -> None:
+    assert escape_markdown("<img src=x>") == "\\<img src=x\\>"
+    assert escape_markdown("a*b_c") == "a\\*b\\_c"
 
 
 def test_a_picked_object_moves_with_the_hand_after_it_is_grasped(

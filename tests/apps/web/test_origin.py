@@ -12,8 +12,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
+from momapos.apps.web import serve
 from momapos.apps.web.origin import allowed
 from momapos.apps.web.serve import open_server
+from momapos.core.errors import MissingExtraError
 
 SPOKEN = [Subprotocol(f"viser-v{viser.__version__}")]
 
@@ -83,3 +85,21 @@ def test_a_request_is_served_if_its_origin_is_the_requested_host(
 ) -> None:
     headers = Headers([("Host", host), ("Origin", origin)])
     assert allowed(headers, loopback=loopback) is served
+
+
+def test_a_server_that_cannot_be_guarded_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A viser that starts its server in another way must not serve without the guard."""
+    stopped = []
+
+    class Other:
+        """A server that does not use the function that the guard replaces."""
+
+        def __init__(self, **_: object) -> None: ...
+
+        def stop(self) -> None:
+            stopped.append(True)
+
+    monkeypatch.setattr(serve, "Server", Other)
+    with pytest.raises(MissingExtraError, match="cannot guard against other websites"):
+        open_server("127.0.0.1", 0)
+    assert stopped == [True]

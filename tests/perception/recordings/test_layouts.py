@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 
@@ -326,3 +327,22 @@ def test_a_link_within_the_folder_of_a_scan_is_followed(tmp_path: Path) -> None:
     frame.rename(folder / "pose")
     frame.symlink_to("pose")
     assert len(read_scan(folder).frames) == len(shots(6))
+
+
+def test_one_empty_depth_image_does_not_end_a_scan(tmp_path: Path) -> None:
+    taken = shots(24)
+    taken[5].depth[:] = 0
+    scan = read_scan(write_seven_scenes(tmp_path / "scan", taken))
+    assert len(scan.frames) == 23
+    assert "left out 1 of 24 frames whose depth images are empty (frame-000005)" in scan.warnings
+    for shot in taken:
+        shot.depth[:] = 0
+    with pytest.raises(FileFormatError, match="no depth image has a measured pixel"):
+        read_scan(write_seven_scenes(tmp_path / "dark", taken))
+
+
+def test_a_cycle_of_links_in_a_recording_is_no_error_of_the_program(tmp_path: Path) -> None:
+    folder = write_seven_scenes(tmp_path / "scan", shots(12))
+    (folder / "depth.txt").symlink_to("depth.txt")
+    with suppress(FileFormatError):  # or the link is ignored
+        read_scan(folder)

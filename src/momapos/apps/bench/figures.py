@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from html import escape
+
+from momapos.core import escape_html
 
 from .bench_records import Row
 from .metrics import grouped, share, succeeded
@@ -32,7 +33,7 @@ def success_figure(rows: Sequence[Row]) -> str:
         width = bar * part.count / max(part.of, 1)
         lines.append(
             f'<rect x="{left}" y="{y}" width="{width:.1f}" height="16" fill="{color}">'
-            f"<title>{escape(method)}: {part.count} of {part.of}</title></rect>"
+            f"<title>{escape_html(method)}: {part.count} of {part.of}</title></rect>"
         )
         lines.append(_line(left + bar * part.low, y + 8, left + bar * part.high, y + 8, "#111"))
         lines.append(_text(left + bar + 8, y + 12, f"{part.count}/{part.of}"))
@@ -76,8 +77,8 @@ def scatter_figure(rows: Sequence[Row], anchors: dict[str, str]) -> str:
         y = bottom - (bottom - top) * length / longest
         lines.append(
             f'<a href="#{anchors[row.key]}"><circle cx="{x:.1f}" cy="{y:.1f}" r="3" '
-            f'fill="{colors[row.method]}" fill-opacity="0.6"><title>{escape(row.method)}, '
-            f"{escape(row.task)}: {seconds:.3f} s, {length:.2f} m</title></circle></a>"
+            f'fill="{colors[row.method]}" fill-opacity="0.6"><title>{escape_html(row.method)}, '
+            f"{escape_html(row.task)}: {seconds:.3f} s, {length:.2f} m</title></circle></a>"
         )
     for k, (method, color) in enumerate(colors.items()):
         y = top + 12 + 18 * k
@@ -103,7 +104,7 @@ def pie_figure(named: Mapping[str, Mapping[str, float]]) -> str:
             part = share_of / total if total > 0 else 0.0
             lines.append(
                 f'<path d="{_sector(x, y, radius, begin, begin + part)}" fill="{colors[stage]}">'
-                f"<title>{escape(name)}, {escape(stage)}: {100 * part:.1f} %</title></path>"
+                f"<title>{escape_html(f'{name}, {stage}')}: {100 * part:.1f} %</title></path>"
             )
             begin += part
         lines.append(_text(x, y + radius + 16, name[:24], "middle"))
@@ -132,8 +133,8 @@ def bar_figure(named: Mapping[str, Mapping[str, float]], unit: str) -> str:
             width = bar * value / most if most > 0 else 0.0
             lines.append(
                 f'<rect x="{left}" y="{y}" width="{width:.1f}" height="14" '
-                f'fill="{COLORS[i % len(COLORS)]}"><title>{escape(name)}, {escape(one)}: '
-                f"{value:.2f} {escape(unit)}</title></rect>"
+                f'fill="{COLORS[i % len(COLORS)]}"><title>{escape_html(name)}, {escape_html(one)}: '
+                f"{value:.2f} {escape_html(unit)}</title></rect>"
             )
             lines.append(_text(left + width + 6, y + 12, f"{value:.2f} {unit}, {name[:26]}"))
     return "".join([*lines, "</svg>"])
@@ -168,4 +169,4 @@ def _line(x0: float, y0: float, x1: float, y1: float, color: str) -> str:
 
 
 def _text(x: float, y: float, text: str, anchor: str = "start") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape_html(text)}</text>'

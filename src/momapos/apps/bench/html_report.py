@@ -5,7 +5,8 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
+
+from momapos.core import escape_html
 
 from .bench_records import Row
 from .cells import Cell, Table
@@ -45,7 +46,10 @@ def page(
     anchors = {row.key: f"r{number}" for number, row in enumerate(rows)}
     names = {row.key: row.task for row in rows}
     numbers = _Numbers(anchors, names)
-    parts = [f"<h1>{escape(heading[0])}</h1>", *(f"<p>{escape(line)}</p>" for line in heading[1:])]
+    parts = [
+        f"<h1>{escape_html(heading[0])}</h1>",
+        *(f"<p>{escape_html(line)}</p>" for line in heading[1:]),
+    ]
     for k, table in enumerate(tables):
         parts.append(numbers.table(table))
         if k == 0:
@@ -62,7 +66,7 @@ def page(
     body = "\n".join(parts)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>'
-        f"{escape(heading[0])}</title><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"{escape_html(heading[0])}</title><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
 
@@ -85,17 +89,17 @@ class _Numbers:
         self.known: dict[tuple[str, ...], str] = {}
 
     def table(self, table: Table) -> str:
-        head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
+        head = "".join(f"<th>{escape_html(name)}</th>" for name in table.columns)
         lines = [
             "<tr>" + "".join(f"<td>{self.cell(cell, table, line)}</td>" for cell in line) + "</tr>"
             for line in table.lines
         ]
-        note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+        note = f'<p class="note">{escape_html(table.note)}</p>' if table.note else ""
         content = f"<table><tr>{head}</tr>{''.join(lines)}</table>" if lines else "<p>None.</p>"
-        return f"<h2>{escape(table.title)}</h2>\n{content}{note}"
+        return f"<h2>{escape_html(table.title)}</h2>\n{content}{note}"
 
     def cell(self, cell: Cell, table: Table, line: tuple[Cell, ...]) -> str:
-        text = escape(cell.text)
+        text = escape_html(cell.text)
         keys = tuple(key for key in cell.keys if key in self.anchors)
         if not keys or not text:
             return text
@@ -104,21 +108,21 @@ class _Numbers:
         if keys not in self.known:
             self.known[keys] = f"n{len(self.known)}"
             links = ", ".join(
-                f'<a href="#{self.anchors[key]}">{escape(self.names[key])}</a>' for key in keys
+                f'<a href="#{self.anchors[key]}">{escape_html(self.names[key])}</a>' for key in keys
             )
-            what = escape(f"{table.title}, {line[0].text}: {cell.text}")
+            what = escape_html(f"{table.title}, {line[0].text}: {cell.text}")
             self.lists.append(f'<p class="rows" id="{self.known[keys]}"><b>{what}</b>: {links}</p>')
         return f'<a href="#{self.known[keys]}">{text}</a>'
 
 
 def _image(shown: AnswerMap, anchors: Mapping[str, str]) -> str:
-    data, title = b64encode(shown.png).decode(), escape(shown.title)
+    data, title = b64encode(shown.png).decode(), escape_html(shown.title)
     link = f'<a href="#{anchors[shown.key]}">{title}</a>'
     return f'<p>{link}<br><img src="data:image/png;base64,{data}" alt="{title}"></p>'
 
 
 def _row_table(rows: Sequence[Row], anchors: Mapping[str, str]) -> str:
-    head = "".join(f"<th>{escape(name)}</th>" for name in ROW_COLUMNS)
+    head = "".join(f"<th>{escape_html(name)}</th>" for name in ROW_COLUMNS)
     lines = [f'<table class="rows"><tr>{head}</tr>']
     for row in rows:
         bases = "; ".join(f"({x:.2f}, {y:.2f}, {yaw:.2f})" for x, y, yaw in row.bases)
@@ -128,7 +132,7 @@ def _row_table(rows: Sequence[Row], anchors: Mapping[str, str]) -> str:
             "" if row.checked is None else str(row.checked), _number(row.clearance, "m"), bases,
             row.host,
         )  # fmt: skip
-        cells = "".join(f"<td>{escape(text)}</td>" for text in texts)
+        cells = "".join(f"<td>{escape_html(text)}</td>" for text in texts)
         lines.append(f'<tr id="{anchors[row.key]}">{cells}</tr>')
     return "\n".join([*lines, "</table>"])
 

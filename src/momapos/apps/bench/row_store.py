@@ -10,7 +10,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from momapos.core import FileFormatError, InputError
+from momapos.core import FileFormatError, InputError, resolved
 
 from .bench_records import Row, from_plain, to_plain
 
@@ -89,7 +89,7 @@ def read_rows(path: Path) -> list[Row]:
     """
     try:
         connection = sqlite3.connect(
-            path.resolve().as_uri() + "?mode=ro", uri=True, timeout=LOCK_TIMEOUT
+            resolved(path).as_uri() + "?mode=ro", uri=True, timeout=LOCK_TIMEOUT
         )
         try:
             _refuse_foreign(connection, path)

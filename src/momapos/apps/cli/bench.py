@@ -23,7 +23,7 @@ from momapos.apps.bench import (
     protocols_of,
     refuse_unknown,
 )
-from momapos.core import InputError, check_outputs
+from momapos.core import InputError, check_outputs, resolved, say
 
 from .console import busy, progress
 from .options import Flag, OptionalFolder, Text, check_count, check_seed, optional
@@ -143,7 +143,7 @@ def bench_run(
     from .compile import ANSWER, RANK, WALKS, compile_once
 
     compile_once((*ANSWER, *RANK, *WALKS))
-    folder = "" if problems is None else str(problems.resolve())
+    folder = "" if problems is None else str(resolved(problems))
     settings = Settings(timeout, task_limit, execute, scan, disturbances, protocols, folder)
     with locked(out), _executor(workers, scheduler) as (executor, width, do):
         with busy(f"{suite}: preparing the tasks"):
@@ -164,12 +164,12 @@ def bench_run(
     rows = [row for row in all_rows(out) if row.key in keys]
     facts = {"suite": suite, "out": str(out), "jobs": len(jobs), "new": left, **_counts(rows)}
     if json:
-        print(json_format.dumps(facts))
+        say(json_format.dumps(facts))
     else:
-        print(f"{suite}: {len(jobs)} results, {left} of them new, in {out}")
+        say(f"{suite}: {len(jobs)} results, {left} of them new, in {out}")
         for method, counts in facts["outcomes"].items():
-            print(f"  {method}: " + ", ".join(f"{n} {what}" for what, n in counts.items()))
-        print(f"Show tables with 'momapos bench report {out}'.")
+            say(f"  {method}: " + ", ".join(f"{n} {what}" for what, n in counts.items()))
+        say(f"Show tables with 'momapos bench report {out}'.")
     return 0
 
 
@@ -201,12 +201,12 @@ def _run_arms(
     outcomes = dict(arm_outcomes(found))
     if json:
         facts = {"suite": ARM_SUITE, "out": str(out), "problems": len(found.rows)}
-        print(json_format.dumps({**facts, "results": outcomes}))
+        say(json_format.dumps({**facts, "results": outcomes}))
     else:
-        print(f"{ARM_SUITE}: {len(found.rows)} results, in {out}")
+        say(f"{ARM_SUITE}: {len(found.rows)} results, in {out}")
         for run, counts in outcomes.items():
-            print(f"  {run}: " + ", ".join(f"{n} {what}" for what, n in counts.items()))
-        print(f"Show tables with 'momapos bench report {out}'.")
+            say(f"  {run}: " + ", ".join(f"{n} {what}" for what, n in counts.items()))
+        say(f"Show tables with 'momapos bench report {out}'.")
     return 0
 
 

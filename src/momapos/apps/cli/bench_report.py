@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from momapos.apps.bench import ARM_SUITE
-from momapos.core import InputError, MomaposError, check_outputs
+from momapos.core import InputError, MomaposError, check_outputs, say
 
 from .console import busy
 from .options import Flag, OptionalFile, OptionalFolder, check_count
@@ -81,11 +81,11 @@ def bench_report(
     if json:
         from momapos.apps.bench import to_plain
 
-        print(json_format.dumps({**to_plain(found), "rows": to_plain(rows)}))
+        say(json_format.dumps({**to_plain(found), "rows": to_plain(rows)}))
     else:
         from momapos.apps.bench import markdown
 
-        print(markdown(heading, tables))
+        say(markdown(heading, tables))
     return 0
 
 
@@ -95,9 +95,9 @@ def _report_arms(folder: Path, *, json: bool) -> int:
 
     found = read_arm_results(folder)
     if json:
-        print(json_format.dumps(to_plain(found)))
+        say(json_format.dumps(to_plain(found)))
     else:
-        print(markdown(arm_heading(found), arm_tables(found)))
+        say(markdown(arm_heading(found), arm_tables(found)))
     return 0
 
 
@@ -111,7 +111,7 @@ def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[An
         with busy("drawing"):
             return draw_maps(folder, found, rows, count)
     except MomaposError as error:
-        print(f"note: no potential maps: {error}", file=sys.stderr)
+        say(f"note: no potential maps: {error}", file=sys.stderr)
         return []
 
 

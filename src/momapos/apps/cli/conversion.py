@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from momapos.apps.export import write_scene
-from momapos.core import InputError, SceneError, temporary_folder
+from momapos.core import InputError, SceneError, resolved, temporary_folder
 from momapos.model.robots import expand_xacro, is_xacro
 from momapos.model.scene import Scene, copied, load_scene, model_files, save_scene
 from momapos.model.scene.formats import (
@@ -94,8 +94,8 @@ def _write_foreign(scene: Scene, out: Path) -> Scene:
 
 def _refuse_outside(scene: Scene, out: Path) -> None:
     """Refuse an output whose folder does not contain the models; suggest a folder that does."""
-    files = [file.resolve() for item in scene.objects for file in model_files(item.model)]
-    folder = out.resolve().parent
+    files = [resolved(file) for item in scene.objects for file in model_files(item.model)]
+    folder = resolved(out).parent
     if all(file.is_relative_to(folder) for file in files):
         return
     place = Path(os.path.commonpath([file.parent for file in files])) / out.name

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from momapos.core import InputError, check_outputs
+from momapos.core import InputError, check_outputs, resolved, say
 
 from .export_episodes import SETS, export_episodes
 from .options import OptionalFile, OptionalFolder, OptionalRobot, PlanArg
@@ -79,12 +79,12 @@ def export(
     for content, target in zip(opened, targets, strict=True):
         own = content.robot.srdf
         if own is not None and any(
-            file.resolve() == own.resolve() for file in _output_files(target, to)
+            resolved(file) == resolved(own) for file in _output_files(target, to)
         ):
             raise InputError(f"{own}: is the robot's own file; choose another name with --out")
     for content, target in zip(opened, targets, strict=True):
         for path in _write(content, to, frame, target):
-            print(path)
+            say(path)
     return 0
 
 
@@ -112,7 +112,7 @@ def _check(target: Path, to: str, sources: list[Path]) -> None:
         InputError: It is a source, exists, or can't be written.
     """
     for path in sources:
-        if target.resolve() == path.resolve():
+        if resolved(target) == resolved(path):
             raise InputError(f"{target}: is the input file; choose another name with --out")
     if to == "mcap":
         check_outputs(folders=[target.absolute().parent])

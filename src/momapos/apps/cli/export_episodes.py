@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.core import InputError, MomaposError, check_outputs, temporary_folder
+from momapos.core import InputError, MomaposError, check_outputs, resolved, say, temporary_folder
 
 from .loading import print_warnings
 from .plan_sources import file_format, open_run
@@ -35,7 +35,7 @@ def export_episodes(
     """
     chosen, pixels = _cameras(cameras), _size(size)
     runs = _runs(source)
-    target = Path(source.resolve().stem + SETS[to]) if out is None else out
+    target = Path(resolved(source).stem + SETS[to]) if out is None else out
     if target.exists() or target.is_symlink():
         raise InputError(f"{target}: exists already; remove it, or choose another name with --out")
     check_outputs(folders=[target.absolute().parent])
@@ -70,7 +70,7 @@ def export_episodes(
     if without_arm:
         ended = f"{source}: {without_arm} of {len(runs)} runs ended before the arm moved"
         print_warnings([f"{ended}; they are left out"])
-    print(f"{target}: {count} episodes")
+    say(f"{target}: {count} episodes")
 
 
 def _episode(

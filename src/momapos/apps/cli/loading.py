@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
+from momapos.core import say
+
 if TYPE_CHECKING:
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 def print_warnings(warnings: Iterable[str]) -> None:
     """Print warnings on stderr, one per line."""
     for warning in warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+        say(f"momapos: {warning}", file=sys.stderr)
 
 
 def load_scene_with_joints(name: str, joints: Sequence[str]) -> Scene:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from momapos.core import InputError, unknown_name
+from momapos.core import InputError, say, unknown_name
 
 from .options import Text, optional
 
@@ -40,7 +40,7 @@ def models_get(
         model = MODELS[name]
     else:
         raise unknown_name("model", name, MODELS, "momapos models list")
-    print(fetch(model, default_cache_dir()))
+    say(fetch(model, default_cache_dir()))
     return 0
 
 
@@ -54,5 +54,5 @@ def models_list() -> int:
     for name in dict.fromkeys([*MODELS, *kept]):
         about = MODELS[name].about if name in MODELS else "downloaded from a given address"
         state = str(cached_path(name, cache)) if name in kept else f"momapos models get {name}"
-        print(f"  {name:<16} {about}\n  {'':<16} {state}")
+        say(f"  {name:<16} {about}\n  {'':<16} {state}")
     return 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from momapos.apps.plots import check_figure_path
-from momapos.core import MAX, InputError, TaskError, check_outputs, parse_quantity
+from momapos.core import MAX, InputError, TaskError, check_outputs, parse_quantity, say
 from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene, refuse_unknown_object
 from momapos.planning.placement import OURS
@@ -40,7 +40,7 @@ from .options import (
     check_samples,
     exit_status,
 )
-from .place_output import deliver, draw, with_all_time
+from .place_output import draw, show, with_all_time, write
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -331,7 +331,7 @@ def _answer(
     try:
         task = make_task(scene, verb, name, joint or None, to)
     except TaskDoneError as done:
-        print(json.dumps({"status": "done", "detail": str(done)}) if options.json else done)
+        say(json.dumps({"status": "done", "detail": str(done)}) if options.json else done)
         return EXIT_STATUS["solved"]
     query = _read_query(options, scene, config)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
@@ -359,12 +359,14 @@ def _answer(
     if options.tolerance:
         with busy(f"{chosen[0].name}: tolerance"):
             answer = with_tolerance(answer, samples=options.tolerance_samples)
-    # Files first: the reader of the output may close it at any line.
+    # Files first: the reader of the output may close it at any line. The plan before the figures:
+    # they can fail, and take long.
+    written = write(answer, options.out, as_json=options.json)
     draw(
         scene, task, chosen, answer, config, plot=options.plot, map_file=map_file,
         seed=options.seed,
     )  # fmt: skip
     tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=True)]
     several = ", ".join(tried) if len(arms) > 1 else ""
-    deliver(answer, options.out, as_json=options.json, most=to == MAX, tried=several)
+    show(written, options.out, as_json=options.json, most=to == MAX, tried=several)
     return exit_status(answer.plan.status, allow_assumed=options.allow_assumed)

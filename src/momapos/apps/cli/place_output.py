@@ -6,6 +6,8 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from momapos.core import say
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -64,10 +66,30 @@ def draw(
         draw_opening_map(scene, answer, farthest, map_file)
 
 
-def deliver(
+def write(answer: PlacementResult, out: Path | None, *, as_json: bool) -> PlacementResult:
+    """Write the plan file, if there is one; return the answer with what files and JSON hold.
+
+    Args:
+        answer: The answer.
+        out: The plan file; None for no file.
+        as_json: Whether the plan is to be printed as JSON.
+    """
+    from momapos.model import with_times
+    from momapos.model.plan_files import write_plan
+
+    if out is not None or as_json:
+        # Executors need the time of each state.
+        plan = answer.with_notes().plan
+        answer = replace(answer, plan=with_times(plan, answer.prepared.robot))
+    if out is not None:
+        write_plan(answer.plan, out)
+    return answer
+
+
+def show(
     answer: PlacementResult, out: Path | None, *, as_json: bool, most: bool, tried: str
 ) -> None:
-    """Write the plan file, and print the answer.
+    """Print the answer.
 
     Args:
         answer: The answer.
@@ -76,18 +98,11 @@ def deliver(
         most: Whether the largest value was asked for.
         tried: Statuses of all arms; "" for a robot with one arm.
     """
-    from momapos.model import with_times
-    from momapos.model.plan_files import plan_to_dict, write_plan
+    from momapos.model.plan_files import plan_to_dict
 
     from .console import summary
 
-    if out is not None or as_json:
-        # Executors need the time of each state.
-        plan = answer.with_notes().plan
-        answer = replace(answer, plan=with_times(plan, answer.prepared.robot))
-    if out is not None:
-        write_plan(answer.plan, out)
     if as_json:
-        print(json.dumps(plan_to_dict(answer.plan)))
+        say(json.dumps(plan_to_dict(answer.plan)))
     else:
-        print(summary(answer, out, most=most, tried=tried))
+        say(summary(answer, out, most=most, tried=tried))

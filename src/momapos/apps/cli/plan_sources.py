@@ -8,7 +8,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.core import FileFormatError, InputError, MomaposError, open_regular, owner_cache
+from momapos.core import (
+    FileFormatError,
+    InputError,
+    MomaposError,
+    open_regular,
+    owner_cache,
+    resolved,
+)
 
 from .loading import print_warnings
 
@@ -129,7 +136,7 @@ def open_plan(
         )
     if not content.feasible:
         raise InputError(f"{plan}: the plan is {content.status!r}; there is nothing {purpose}")
-    folders = [plan.resolve().parent, *([scene_root] if scene_root else []), Path()]
+    folders = [resolved(plan).parent, *([scene_root] if scene_root else []), Path()]
     scene_file = find_file("scene", content.scene, folders, plan)
     urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
     check_unchanged(plan, scene_file, urdf)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from momapos.apps.plots import check_figure_path
-from momapos.core import check_outputs
+from momapos.core import check_outputs, say
 from momapos.model.scene import find_scene, refuse_unknown_object
 
 from .configuration import NO_SETTINGS, AlphaOption, ConfigArgs, ScorerOption, load_config
@@ -83,9 +83,9 @@ def rank_objects(
         with busy(f"drawing {plot.name}"):
             draw_importance(loaded, result, plot)
     if json:
-        print(encoder.dumps(importance_to_dict(loaded, result, config), allow_nan=False))
+        say(encoder.dumps(importance_to_dict(loaded, result, config), allow_nan=False))
     else:
-        print(table(loaded, result))
+        say(table(loaded, result))
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from momapos.apps.plots import check_figure_path
+from momapos.core import say
 from momapos.model.robots import find_named_robot
 
 from .options import (
@@ -85,10 +86,10 @@ def reach_build(
     facts = {"path": str(where), "seconds": seconds, "processor_seconds": worked}
     if json:
         arms = [machine.arm for machine in machines if machine.arm]
-        print(encoder.dumps({"robot": machines[0].name, "arms": arms, **facts}))
+        say(encoder.dumps({"robot": machines[0].name, "arms": arms, **facts}))
     else:
         names = ", ".join(machine.title for machine in machines)
-        print(
+        say(
             f"reachability map of {names}: ready in {seconds:.1f} s "
             f"({worked:.1f} s of processor time), in {where}"
         )
@@ -141,11 +142,11 @@ def reach_eval(
     shares = ("accuracy", "false_positives", "misses", "reachable")
     facts = {f"{name}_near_reach": near[name] for name in shares} | ball
     if json:
-        print(encoder.dumps({"robot": machine.name, "arm": machine.arm, **facts}))
+        say(encoder.dumps({"robot": machine.name, "arm": machine.arm, **facts}))
     else:
         width = max(len(name) for name in facts)
         for name, value in facts.items():
-            print(f"{name:<{width}}  {value:.4g}")
+            say(f"{name:<{width}}  {value:.4g}")
     return 0
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from momapos.apps.plots import check_figure_path
-from momapos.core import RobotError, check_outputs, unknown_name
+from momapos.core import RobotError, check_outputs, say, unknown_name
 from momapos.model.robots import LIBRARY, MAP_JOINTS, find_named_robot, library_file, library_names
 
 from .bounds import within_bounds
@@ -39,13 +39,13 @@ def robot_list(*, json: Flag = False) -> int:
     """
     robots = [_in_short(name) for name in library_names()]
     if json:
-        print(json_format.dumps({"robots": robots}, indent=1))
+        say(json_format.dumps({"robots": robots}, indent=1))
         return SOLVED
-    print(_ROW.format("name", "arms", "joints", "reach [m]", "payload [kg]", "drive", "map"))
+    say(_ROW.format("name", "arms", "joints", "reach [m]", "payload [kg]", "drive", "map"))
     for robot in robots:
         cells = {key: "-" if value is None else value for key, value in robot.items()}
-        print(_ROW.format(*(str(value) for value in cells.values())))
-    print("Use a name or a robot file as --robot; 'momapos robot check FILE.urdf' writes one.")
+        say(_ROW.format(*(str(value) for value in cells.values())))
+    say("Use a name or a robot file as --robot; 'momapos robot check FILE.urdf' writes one.")
     return SOLVED
 
 
@@ -84,7 +84,7 @@ def robot_show(name: RobotArg, /, *, json: Flag = False) -> int:
 
     facts = describe(load_robot(name))
     lines = [as_text(facts), *(f"  note      {text}" for text in facts["notes"])]
-    print(json_format.dumps(facts, indent=1) if json else "\n".join(lines))
+    say(json_format.dumps(facts, indent=1) if json else "\n".join(lines))
     return SOLVED
 
 
@@ -172,7 +172,7 @@ def robot_check(
         "arms": {robot.arm: describe(robot) for robot in arms if robot.arm}, "next": _next(arms[0]),
     }  # fmt: skip
     if json:
-        print(json_format.dumps(facts, indent=1))
+        say(json_format.dumps(facts, indent=1))
         return SOLVED
     _print_checked(arms, guesses, tests, doubts, shares, plot)
     return SOLVED
@@ -190,25 +190,25 @@ def _print_checked(
     important = [text for text in guesses if text.startswith("IMPORTANT")]
     first = [*failed, *important]
     if first:
-        print("\n".join(first) + "\n")
+        say("\n".join(first) + "\n")
     for robot in arms:
-        print(as_text(describe(robot)))
+        say(as_text(describe(robot)))
     notes = () if guesses else arms[0].model.urdf.notes  # the guesses include them
-    print("\n".join(f"  note      {text}" for text in notes), end="\n" * bool(notes))
+    say("\n".join(f"  note      {text}" for text in notes), end="\n" * bool(notes))
     if guesses:
-        print(f"\nwritten to {arms[0].path}; please check these assumptions:")
-        print("\n".join(f"  - {text}" for text in guesses if text not in important))
-    print("\nself-test:")
-    print("\n".join(f"  {_mark(test)} {_of_test(test)}" for test in tests))
+        say(f"\nwritten to {arms[0].path}; please check these assumptions:")
+        say("\n".join(f"  - {text}" for text in guesses if text not in important))
+    say("\nself-test:")
+    say("\n".join(f"  {_mark(test)} {_of_test(test)}" for test in tests))
     if shares:
-        print("\nlink pairs that collide in most arm configurations:")
-        print("\n".join(f"  - {text}" for text in shares))
+        say("\nlink pairs that collide in most arm configurations:")
+        say("\n".join(f"  - {text}" for text in shares))
     if doubts:
-        print("\nlikely errors:")
-        print("\n".join(f"  - {text}" for text in doubts))
+        say("\nlikely errors:")
+        say("\n".join(f"  - {text}" for text in doubts))
     if plot is not None:
-        print(f"\nplot: {plot}")
-    print(f"\nnext: {_next(arms[0])}")
+        say(f"\nplot: {plot}")
+    say(f"\nnext: {_next(arms[0])}")
 
 
 def _of_test(test: RobotTest) -> str:
@@ -280,7 +280,7 @@ def robot_export(name: RobotArg, dir: Annotated[Positional[Path], arg(metavar="D
             shutil.copyfile(path, target)
         except OSError as error:
             raise RobotError(f"{target}: cannot be written ({error.strerror})") from error
-        print(target)
+        say(target)
     return SOLVED
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from momapos.core import InputError, check_outputs
+from momapos.core import InputError, check_outputs, say
 
 from .base_pose_words import parse_pose
 from .options import (
@@ -156,7 +156,7 @@ def run(
         done.append(result)
         _write_outputs(result, trace, scene, files, k, world, at)
         if not json:
-            print(summary(result))
+            say(summary(result))
         if not result.success:
             break
         begin = None if result.final_base_pose is None else list(result.final_base_pose)
@@ -249,18 +249,18 @@ def _write_outputs(
         there = None if world is None else np.array(at)
         named = with_files(result, out, files.plans[k], world, there)
         write_run(replace(named, motion=trace.motion()), out)
-    if film is not None:
-        if result.execution is None:
-            print(f"momapos: {film}: not written: nothing was executed", file=sys.stderr)
-        else:
-            title = f"{result.robot}: {result.task.verb} {result.task.object}"
-            write_film(trace, film, ending=result.reason or result.verdict, title=title)
     if files.out_scene is not None and save_learned(result, scene, files.out_scene) is None:
-        print(
+        say(
             f"momapos: {files.out_scene}: not written: no joint was moved as planned, or only in a "
             "room that is an assumption",
             file=sys.stderr,
         )
+    if film is not None:
+        if result.execution is None:
+            say(f"momapos: {film}: not written: nothing was executed", file=sys.stderr)
+        else:
+            title = f"{result.robot}: {result.task.verb} {result.task.object}"
+            write_film(trace, film, ending=result.reason or result.verdict, title=title)
 
 
 def _finish(done: list[RunRecord], files: _Files, *, json: bool) -> int:
@@ -270,10 +270,10 @@ def _finish(done: list[RunRecord], files: _Files, *, json: bool) -> int:
 
     if json:
         records = [run_to_dict(result) for result in done]
-        print(dumps(records if len(files.plans) > 1 else records[0]))
+        say(dumps(records if len(files.plans) > 1 else records[0]))
     left = len(files.plans) - len(done)
     if left:
-        print(f"momapos: {left} of {len(files.plans)} tasks were not started", file=sys.stderr)
+        say(f"momapos: {left} of {len(files.plans)} tasks were not started", file=sys.stderr)
     return 0 if done[-1].success else 1
 
 

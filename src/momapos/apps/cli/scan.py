@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 from tyro.conf import Positional, arg
 
+from momapos.core import say
+
 from .configuration import (
     NO_SETTINGS,
     AlphaOption,
@@ -108,7 +110,7 @@ def scan_room(
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
     if later is not None and not any(decision.moved for decision in result.decisions):
-        print(f"momapos: {after}: no part moved since {source}", file=sys.stderr)
+        say(f"momapos: {after}: no part moved since {source}", file=sys.stderr)
     return _shown(result, scan, out, pictures=pictures, json=json)
 
 
@@ -122,7 +124,7 @@ def _shown(result: Modeled, scan: Scan, out: Path, *, pictures: bool, json: bool
     print_warnings(text for decision in result.decisions for text in decision.warnings)
     data = report_to_dict(result, scan, result.target)
     folder = write_report(result, data, out, pictures=pictures)
-    print(encoder.dumps(data, allow_nan=False) if json else table(result, data, out, folder))
+    say(encoder.dumps(data, allow_nan=False) if json else table(result, data, out, folder))
     return 0
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from momapos.core import check_outputs
+from momapos.core import check_outputs, say
 from momapos.model.scene import find_scene
 
 from .console import progress
@@ -66,9 +66,9 @@ def scene_scan(
             "objects": len(loaded.objects),
             "warnings": list(loaded.warnings),
         }
-        print(json_format.dumps(facts, indent=1))
+        say(json_format.dumps(facts, indent=1))
         return SOLVED
     for text in loaded.warnings:
-        print(f"note: {text}", file=sys.stderr)
-    print(f"{out}: {frames} frames of {len(loaded.objects)} objects, and truth.json")
+        say(f"note: {text}", file=sys.stderr)
+    say(f"{out}: {frames} frames of {len(loaded.objects)} objects, and truth.json")
     return SOLVED

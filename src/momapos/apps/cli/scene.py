@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from momapos.apps.plots import check_figure_path
-from momapos.core import check_outputs
+from momapos.core import check_outputs, say
 from momapos.model.scene import builtin_names, builtin_size, find_scene
 
 from .console import busy
@@ -47,8 +47,8 @@ def scene_list(*, json: Flag = False) -> int:
         return SOLVED
     for name in builtin_names():
         objects, joints = builtin_size(name)
-        print(f"{name:20} {objects:3} objects, {joints:3} joints")
-    print("Use a name or a file as SCENE; 'momapos scene new LAYOUT' generates more.")
+        say(f"{name:20} {objects:3} objects, {joints:3} joints")
+    say("Use a name or a file as SCENE; 'momapos scene new LAYOUT' generates more.")
     return SOLVED
 
 
@@ -84,25 +84,25 @@ def scene_show(
         findings = {"findings": findings_to_list(report)}
         _print_json({**facts, **findings, "plot": None if plot is None else str(plot)})
         return SOLVED
-    print(f"{loaded.name} ({loaded.path})")
-    print("\n".join(lines_in_short(report, scene)))
+    say(f"{loaded.name} ({loaded.path})")
+    say("\n".join(lines_in_short(report, scene)))
     for item in facts["objects"]:
         low, high = item["bounds"]
         size = " x ".join(f"{b - a:.2f}" for a, b in zip(low, high, strict=True))
         x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
-        print(f"  {item['name']:20} {item['category']:14} {size} m at ({x:.2f}, {y:.2f}, {z:.2f})")
+        say(f"  {item['name']:20} {item['category']:14} {size} m at ({x:.2f}, {y:.2f}, {z:.2f})")
         for moving in item["joints"]:
-            print(f"      {_joint_line(moving)}")
+            say(f"      {_joint_line(moving)}")
         if "latch" in item:
-            print(f"      {_latch_line(item)}")
+            say(f"      {_latch_line(item)}")
     floor = facts["floor_area"]
-    print(f"  floor: {'unknown' if floor is None else f'{floor:.1f} m^2'}")
+    say(f"  floor: {'unknown' if floor is None else f'{floor:.1f} m^2'}")
     start = facts["start"]
     place = "none" if start is None else f"({start[0]:.2f}, {start[1]:.2f}), yaw {start[2]:.2f} rad"
-    print(f"  start: {place}")
+    say(f"  start: {place}")
     _warn(loaded, listed=set(map(str, loaded.ignored_keys)))
     if plot is not None:
-        print(f"  plot: {plot}")
+        say(f"  plot: {plot}")
     return SOLVED
 
 
@@ -132,7 +132,7 @@ def scene_new(
         _print_json({**facts, "layout": layout, "seed": seed})
         return SOLVED
     joints = sum(len(item["joints"]) for item in facts["objects"])
-    print(f"{path}: {len(facts['objects'])} objects, {joints} joints")
+    say(f"{path}: {len(facts['objects'])} objects, {joints} joints")
     return SOLVED
 
 
@@ -170,9 +170,9 @@ def scene_convert(
         _print_json({**describe(scene), "warnings": list(scene.warnings), **reported})
         return SOLVED
     count = len(scene.objects)
-    print(f"{out}: {count} object{'' if count == 1 else 's'}")
+    say(f"{out}: {count} object{'' if count == 1 else 's'}")
     for line in [] if report is None else report.lines():
-        print(f"  {line}")
+        say(f"  {line}")
     _warn(scene)
     return SOLVED
 
@@ -236,11 +236,11 @@ def _latch_line(item: dict[str, Any]) -> str:
 
 
 def _print_json(data: dict[str, Any]) -> None:
-    print(json_format.dumps(data, indent=1, allow_nan=False))
+    say(json_format.dumps(data, indent=1, allow_nan=False))
 
 
 def _warn(scene: Scene, listed: Collection[str] = ()) -> None:
     """Print the warnings of a scene on stderr, without those that are listed already."""
     for text in scene.warnings:
         if text not in listed:
-            print(f"note: {text}", file=sys.stderr)
+            say(f"note: {text}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_format
 from typing import TYPE_CHECKING, Any
 
+from momapos.core import say
 from momapos.model.scene import find_scene
 
 from .console import busy
@@ -49,9 +50,9 @@ def scene_check(
     with busy(f"checking {loaded.name}"):
         report = check_scene(loaded, load_robot(robot))
     if json:
-        print(json_format.dumps(report_to_dict(report), indent=1, allow_nan=False))
+        say(json_format.dumps(report_to_dict(report), indent=1, allow_nan=False))
     else:
-        print("\n".join(report_lines(report)))
+        say("\n".join(report_lines(report)))
     return USABLE if report.usable else UNUSABLE
 
 

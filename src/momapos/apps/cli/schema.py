@@ -7,7 +7,7 @@ from typing import Annotated, Optional
 
 from tyro.conf import Positional, arg
 
-from momapos.core import unknown_name
+from momapos.core import say, unknown_name
 
 from .options import Flag
 
@@ -31,10 +31,10 @@ def schema(
     if name is not None and name not in SCHEMAS:
         raise unknown_name("format", name, SCHEMAS, "momapos")
     if fields:
-        print(field_list(tuple(SCHEMAS) if name is None else (name,)), end="")
+        say(field_list(tuple(SCHEMAS) if name is None else (name,)), end="")
     elif name is None:
         for one, (title, _) in SCHEMAS.items():
-            print(f"{one:<10} {title}")
+            say(f"{one:<10} {title}")
     else:
-        print(json.dumps(schema_of(name), indent=1))
+        say(json.dumps(schema_of(name), indent=1))
     return 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from momapos.core import MAX, InputError, check_outputs, parse_quantity, require
+from momapos.core import MAX, InputError, check_outputs, parse_quantity, require, say
 from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene
 
@@ -106,7 +106,7 @@ def solve(
     answer, record = _solve(source, verb, target, out, options, config)
     data = _to_dict(answer, record, options)
     write_text_atomic(out / RECORD, dumps(data, indent=1, allow_nan=False) + "\n")
-    print(dumps(data, allow_nan=False) if options.json else _summary(answer, record, data, out))
+    say(dumps(data, allow_nan=False) if options.json else _summary(answer, record, data, out))
     if record is not None and not record.success:
         return 1
     return exit_status(answer.result.plan.status, allow_assumed=options.allow_assumed)
@@ -175,13 +175,14 @@ def _solve(
         )  # fmt: skip
     print_warnings(answer.modeled.warnings)
     data = report_to_dict(answer.modeled, scan, name)
-    write_report(answer.modeled, data, out / SCENE, pictures=options.pictures)
-    write_cloud(answer.modeled.cloud, out / CLOUD)
     if options.tolerance:
         answer = replace(answer, result=with_tolerance(answer.result))
     result = answer.result
     robot = result.prepared.robot
     write_plan(with_times(result.with_notes().plan, robot), out / PLAN)
+    # After the plan: these figures and clouds can fail.
+    write_report(answer.modeled, data, out / SCENE, pictures=options.pictures)
+    write_cloud(answer.modeled.cloud, out / CLOUD)
     executable = result.plan.status == "solved" or (
         result.plan.status == "assumed" and options.allow_assumed
     )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
-from momapos.core import TaskError, unknown_name
+from momapos.core import TaskError, say, unknown_name
 from momapos.model.records import Verb
 from momapos.planning.placement import OURS
 
@@ -191,9 +191,9 @@ def _deliver(tour: Tour, options: Options) -> None:
         write_tour(options.out, plans, tour.stops, tour.assumed)
     if options.json:
         record = tour_of(options.out or Path("tour.json"), plans, tour.stops, tour.assumed)
-        print(json.dumps(tour_to_dict(record, [plan_to_dict(plan) for plan in plans])))
+        say(json.dumps(tour_to_dict(record, [plan_to_dict(plan) for plan in plans])))
     else:
-        print(_summary(tour, options))
+        say(_summary(tour, options))
 
 
 def _summary(tour: Tour, options: Options) -> str:

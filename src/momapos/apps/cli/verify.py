@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from momapos.core import say
+
 from .options import Flag, OptionalFolder, PlanArg
 from .plan_sources import check_plan_file
 
@@ -44,14 +46,14 @@ def verify(
         valid = all(report.valid for report in reports.values())
         if json:
             files = {name: report_to_dict(report) for name, report in reports.items()}
-            print(dumps({"valid": valid, "files": files}))
+            say(dumps({"valid": valid, "files": files}))
         else:
             for name, report in reports.items():
-                print("\n".join([f"{name}:", *report_lines(report)]))
+                say("\n".join([f"{name}:", *report_lines(report)]))
         return 0 if valid else 1
     report = verify_files(plan, scene_root, allow_assumed=allow_assumed)
     if json:
-        print(dumps(report_to_dict(report)))
+        say(dumps(report_to_dict(report)))
     else:
-        print("\n".join(report_lines(report)))
+        say("\n".join(report_lines(report)))
     return 0 if report.valid else 1

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from momapos.core import InputError, check_outputs, require
+from momapos.core import InputError, check_outputs, require, say
 from momapos.model.robots import find_named_robot, library_names
 from momapos.model.scene import builtin_names, find_scene
 
@@ -79,7 +79,7 @@ def _write(opened: Opened | OpenedScan | None, static: Path) -> None:
         opened.scene, opened.robot, opened.plan, static, story=opened.story(),
         active=opened.question.target, card=opened.card,
     )  # fmt: skip
-    print(f"{static}: {static.stat().st_size / 1e6:.1f} MB; open it in any browser")
+    say(f"{static}: {static.stat().st_size / 1e6:.1f} MB; open it in any browser")
 
 
 def _serve(
@@ -91,7 +91,7 @@ def _serve(
     from .compile import ANSWER, RANK, compile_once
 
     if host not in LOOPBACK:
-        print(
+        say(
             f"momapos: {host} is not a loopback address: anyone who can reach this machine can use "
             "the page, and write plans and scenes into this folder",
             file=sys.stderr,
@@ -103,7 +103,7 @@ def _serve(
         scenes=tuple(dict.fromkeys((source, *builtin_names(), *scenes_in(Path.cwd())))),
         robots=tuple(dict.fromkeys((machine, *library_names()))), opened=opened,
     ) as (page, address):  # fmt: skip
-        print(f"momapos: {address} shows {source} (Ctrl-C stops it)", flush=True)
+        say(f"momapos: {address} shows {source} (Ctrl-C stops it)", flush=True)
         with contextlib.suppress(KeyboardInterrupt):  # the way to stop it
             page.server.sleep_forever()
     return 0

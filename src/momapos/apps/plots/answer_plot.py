@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.core import label
 from momapos.core.geometry import apply, contains, place_points
 from momapos.model.records import Hold, ReachScorer
 from momapos.model.scene import Scene
@@ -281,12 +282,12 @@ def _draw_drive(
     if length is None:
         return
     angle = np.degrees(np.arctan2(*(line[1] - line[0])[::-1]))
-    label = axes.text(
-        *line.mean(0), f"{length:.2f} m", size=7, color=INK, ha="center", va="bottom",
+    words = axes.text(
+        *line.mean(0), label(f"{length:.2f} m"), size=7, color=INK, ha="center", va="bottom",
         rotation=(angle + 90) % 180 - 90, rotation_mode="anchor", zorder=16,
         path_effects=[withStroke(linewidth=2, foreground="white")],
     )  # fmt: skip
-    box = label.get_window_extent(axes.figure.canvas.get_renderer())
+    box = words.get_window_extent(axes.figure.canvas.get_renderer())
     in_pixels = np.ptp(axes.transData.transform(line), axis=0)
     if np.hypot(*in_pixels) < 2.2 * max(box.width, box.height):
-        label.remove()  # a line this short lies under the robot
+        words.remove()  # a line this short lies under the robot

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from momapos.core import label
 from momapos.model.scene import Scene
 from momapos.planning.importance import KINDS, Importance
 
@@ -170,7 +171,7 @@ def draw_node(
         markeredgewidth=1.8 if target else 0.7, linestyle="none", zorder=zorder, clip_on=False,
     )  # fmt: skip
     axes.text(
-        *xy, words, ha="center", va="center_baseline", size=5.2, weight="bold",
+        *xy, label(words), ha="center", va="center_baseline", size=5.2, weight="bold",
         color="white" if chosen else INK, zorder=zorder + 5e-5, clip_on=True,
     )  # fmt: skip
 

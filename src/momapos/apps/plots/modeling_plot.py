@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
+from momapos.core import label
 from momapos.core.geometry import apply, invert
 from momapos.model.records import Cloud, Detection, Frame, Part
 from momapos.model.scene import SceneObject
@@ -60,7 +61,7 @@ def draw_modeled(
     """
     figure = Figure(figsize=SIZE, layout="constrained")
     image, face, front, side = figure.subplots(1, 4, width_ratios=(1.45, 1.0, 1.0, 1.0))
-    figure.suptitle(caption, fontsize=CAPTION, fontweight="bold")
+    figure.suptitle(label(caption), fontsize=CAPTION, fontweight="bold")
     if view is not None:
         _frame(image, frames[view.frame], detection, np.degrees(view.angle))
         _face(face, view)
@@ -68,7 +69,7 @@ def draw_modeled(
     else:
         for axes, text in ((image, "no image shows a front"), (face, "no parts")):
             axes.set_axis_off()
-            axes.set_title(text, fontsize=TITLE)
+            axes.set_title(label(text), fontsize=TITLE)
         axis = None
     _fit(front, side, detection, axis, cloud, model)
     save_figure(figure, path, dpi=RESOLUTION)
@@ -86,7 +87,7 @@ def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None
     height, width = frame.color.shape[:2]
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.set_axis_off()
-    axes.set_title(f"image, {angle:.0f}° off the normal", fontsize=TITLE)
+    axes.set_title(label(f"image, {angle:.0f}° off the normal"), fontsize=TITLE)
 
 
 def _face(axes: Axes, view: FrontView) -> None:
@@ -100,10 +101,11 @@ def _face(axes: Axes, view: FrontView) -> None:
         size = ((right - left) * width, (bottom - top) * height)
         axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=4))
         axes.plot(*_hinge(part, width, height), color=color, linewidth=9, alpha=0.6)
-        label = f"{part.kind.replace('_', ' ')} {part.score:.2f}"
+        words = f"{part.kind.replace('_', ' ')} {part.score:.2f}"
         low = (corner[0] + size[0] / 2, corner[1] + LABEL_MARGIN * height)
         axes.text(
-            *low, label, color=color, fontsize=LABEL, weight="bold", ha="center", va="bottom",
+            *low, label(words), color=color, fontsize=LABEL, weight="bold", ha="center",
+            va="bottom",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 3.0},
         )  # fmt: skip
         if part.handle is not None:
@@ -113,7 +115,7 @@ def _face(axes: Axes, view: FrontView) -> None:
             axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=HANDLE, linewidth=3.0))
     axes.set(xlim=(-0.05, width + 0.05), ylim=(-0.05, height + 0.05))
     axes.tick_params(labelsize=TICKS)
-    axes.set_title(f"front, probability {view.front.score:.2f}", fontsize=TITLE)
+    axes.set_title(label(f"front, probability {view.front.score:.2f}"), fontsize=TITLE)
 
 
 def _hinge(part: Part, width: float, height: float) -> tuple[list[float], list[float]]:
@@ -149,7 +151,7 @@ def _fit(
             _outline(axes, model, T_face_world, columns)
         axes.set_aspect("equal")
         axes.tick_params(labelsize=TICKS)
-        axes.set_title(f"model, from the {side_name}", fontsize=TITLE)
+        axes.set_title(label(f"model, from the {side_name}"), fontsize=TITLE)
 
 
 def _face_frame(detection: Detection, face: Face | None) -> Float[np.ndarray, "4 4"]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.core import label
 from momapos.core.geometry import place_points
 from momapos.model.scene import Scene
 from momapos.planning import YAWS, OpeningMap, PlacementResult
@@ -198,7 +199,7 @@ def _write(figure: Any, what: str, lines: Sequence[str]) -> None:
         what: Beginning of the title.
         lines: The frame that stands in a cell, and what else is drawn.
     """
-    title = figure.text(_MAP[0], 0.94, f"{what}, by base position", size=11, weight="bold")
+    title = figure.text(_MAP[0], 0.94, label(f"{what}, by base position"), size=11, weight="bold")
     width = title.get_window_extent(figure.canvas.get_renderer()).width
     title.set(color=INK, size=11 * min(1.0, _MAX_TITLE_WIDTH * SIZE[0] * DPI / width))
     base, *further = lines
@@ -206,4 +207,4 @@ def _write(figure: Any, what: str, lines: Sequence[str]) -> None:
             "cannot be moved"]  # fmt: skip
     for line in further:
         text += ["", line]
-    figure.text(_BAR[0], 0.27, "\n".join(text), size=7.5, color=SOFT_INK, va="top")
+    figure.text(_BAR[0], 0.27, label("\n".join(text)), size=7.5, color=SOFT_INK, va="top")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.core import label
 from momapos.model.records import ReachScorer
 
 from .image_files import save_figure
@@ -100,7 +101,9 @@ def draw_reach(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
-    figure.suptitle(f"{title}: share of directions the tool can come from", size=11, color=INK)
+    figure.suptitle(
+        label(f"{title}: share of directions the tool can come from"), size=11, color=INK
+    )
     rows = -(-len(HEIGHTS) // COLUMNS)
     grid = figure.subplots(rows, COLUMNS, sharex=True, sharey=True)
     for axes, height in zip(grid.flat, HEIGHTS, strict=True):
@@ -109,7 +112,7 @@ def draw_reach(
         if footprint is not None:
             axes.fill(*footprint.T, facecolor="none", edgecolor=INK, linewidth=1.2)
         axes.plot(0.0, 0.0, "+", color=INK, markersize=6)
-        axes.set_title(f"{height:.1f} m above the floor", size=9, color=INK)
+        axes.set_title(label(f"{height:.1f} m above the floor"), size=9, color=INK)
     for axes in grid[-1]:
         axes.set_xlabel("x [m], forward", size=8)
     for axes in grid[:, 0]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import label
 from momapos.model.robots import Robot
 
 from .image_files import save_figure
@@ -45,7 +46,7 @@ def draw_robot(robot: Robot, path: Path, others: Sequence[Robot] = ()) -> None:
     above.set_title("from above, dashed: footprint, red: forward")
     side.set_title("from the right")
     figure.suptitle(
-        f"{robot.name} at home; orange: gripper, black: approach, green: across the fingers"
+        label(f"{robot.name} at home; orange: gripper, black: approach, green: across the fingers")
     )
     save_figure(figure, path, dpi=110)
 

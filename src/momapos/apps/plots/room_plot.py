@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.core import label
 from momapos.core.geometry import apply
 from momapos.model.scene import Scene, SceneObject
 
@@ -140,7 +141,7 @@ def _text(axes: Any, words: str, size: float, bold: bool) -> Any:
     from matplotlib.patheffects import withStroke
 
     return axes.text(
-        0, 0, words, ha="center", va="center", size=size, zorder=NAME_LAYER, clip_on=True,
+        0, 0, label(words), ha="center", va="center", size=size, zorder=NAME_LAYER, clip_on=True,
         color=palette.INK if bold else palette.SOFT_INK, weight="bold" if bold else "normal",
         path_effects=[withStroke(linewidth=1.6, foreground="white", alpha=0.75)],
     )  # fmt: skip

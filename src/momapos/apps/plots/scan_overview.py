@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from momapos.core import label
 from momapos.core.geometry import apply, invert
 from momapos.model.records import UNKNOWN, Frame, Part
 from momapos.perception import Decision, Modeled
@@ -95,7 +96,7 @@ def _draw(frame: Frame, objects: Sequence[Decision], path: Path) -> None:
                 _part(axes, frame, one, part)
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.set_axis_off()
-    figure.suptitle(f"{frame.name}: yellow opens, blue is a box")
+    figure.suptitle(label(f"{frame.name}: yellow opens, blue is a box"))
     save_figure(figure, path, dpi=100)
 
 
@@ -116,7 +117,7 @@ def _outline(axes: Axes, frame: Frame, one: Decision) -> None:
     x, y = np.clip(ring[np.argmin(ring @ [0.3, 1.0])], (4, 14), last)
     text = one.detection.name if one.model is None else f"{one.detection.name}: {_kinds(one)}"
     axes.text(
-        x, y, text, fontsize=10, color="black", va="bottom",
+        x, y, label(text), fontsize=10, color="black", va="bottom",
         bbox={"facecolor": color, "edgecolor": "none", "pad": 1.5, "alpha": 0.9},
     )  # fmt: skip
 
@@ -150,7 +151,7 @@ def _part(axes: Axes, frame: Frame, one: Decision, part: Part) -> None:
     axes.add_patch(Polygon(pixels, fill=False, edgecolor=color, linewidth=2.5))
     x, y = pixels.mean(axis=0).tolist()
     axes.text(
-        x, y, f"{part.kind.replace('_', ' ')}\n{part.score:.2f}", fontsize=9, color="white",
+        x, y, label(f"{part.kind.replace('_', ' ')}\n{part.score:.2f}"), fontsize=9, color="white",
         ha="center", va="center", clip_on=True,
         bbox={"facecolor": color, "edgecolor": "none", "pad": 1.0, "alpha": 0.75},
     )  # fmt: skip

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import label
 from momapos.core.geometry import apply
 from momapos.model.scene import Scene
 
@@ -39,7 +40,7 @@ def draw_scene(scene: Scene, path: Path) -> None:
                     shapes.append((float(points[:, 2].max()), xy, f"C{index % 10}"))
         if len(scene.objects) <= MAX_NAMED_OBJECTS:
             x, y = item.bounds.mean(0)[:2]
-            axes.text(x, y, item.name, ha="center", va="center", size=7, zorder=99)
+            axes.text(x, y, label(item.name), ha="center", va="center", size=7, zorder=99)
     shapes.sort(key=lambda shape: shape[0])  # higher shapes are drawn over lower ones
     colors = [color for _, _, color in shapes]
     axes.add_collection(
@@ -54,5 +55,5 @@ def draw_scene(scene: Scene, path: Path) -> None:
         axes.plot(x, y, "ko")
         axes.arrow(x, y, 0.4 * np.cos(yaw), 0.4 * np.sin(yaw), width=0.02, color="k")
     axes.autoscale_view()
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=scene.name)
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=label(scene.name))
     save_figure(figure, path, dpi=110)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.core import label
 from momapos.model.records import PoseStatus
 from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
@@ -40,7 +41,7 @@ class TextColumn:
     ) -> None:  # fmt: skip
         """Write one line, reduced to a width `fit` [in] where it is too long, then move down."""
         look = {"color": palette.INK, "va": "baseline", **look}
-        line = self.axes.text(x, self.y, words, size=size, **look)
+        line = self.axes.text(x, self.y, label(words), size=size, **look)
         if fit is not None:
             box = line.get_window_extent(self.axes.figure.canvas.get_renderer())
             line.set_size(size * min(1.0, fit * self.axes.figure.dpi / max(box.width, 1.0)))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from momapos.apps import plots
-from momapos.core import Clock
+from momapos.core import Clock, escape_markdown
 from momapos.model.records import ReachScorer
 from momapos.model.scene import Scene
 from momapos.planning import PlacementResult, opening_map, with_tolerance
@@ -21,7 +21,6 @@ from . import map_layers as draw
 from .legend import legend
 from .panel import LAYERS
 from .state import PageState
-from .texts import escaped
 from .words import answer_card
 from .work import LatestWorker
 
@@ -124,7 +123,7 @@ class AnswerLayers:
         self.changed()
 
     def _fail(self, reason: str) -> None:
-        self._panel.clicked.content = f"**Cannot draw this layer:** {escaped(reason)}"
+        self._panel.clicked.content = f"**Cannot draw this layer:** {escape_markdown(reason)}"
 
     def _update(self, clock: Clock, keys: Sequence[str]) -> None:
         of = self._of
@@ -239,7 +238,7 @@ class AnswerLayers:
         draw.draw_importance(self._api, name, ranked)
 
     def _clicked(self, words: str) -> None:
-        self._panel.clicked.content = f"This candidate: **{escaped(words)}**"
+        self._panel.clicked.content = f"This candidate: **{escape_markdown(words)}**"
         self._panel.guide.done("why")
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Literal, TypeAlias
+
+from momapos.core import escape_html
 
 from .colors import FEASIBLE, INFEASIBLE, PARTLY, UNKNOWN
 
@@ -62,11 +63,11 @@ class Card:
     @property
     def html(self) -> str:
         """Return the card as HTML."""
-        title = f'<div class="t d">{escape(self.title)}</div>' if self.title else ""
-        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        title = f'<div class="t d">{escape_html(self.title)}</div>' if self.title else ""
+        notes = "".join(f"<li>{escape_html(note)}</li>" for note in self.notes)
         return (
             f'{STYLE}<div class="mm-card" style="border-left-color:{TONES[self.tone]}">'
-            f"<h4>{escape(self.headline)}</h4>{title}{self._bar()}"
+            f"<h4>{escape_html(self.headline)}</h4>{title}{self._bar()}"
             + table(self.facts)
             + (f"<ul>{notes}</ul>" if notes else "")
             + self._counts()
@@ -76,7 +77,7 @@ class Card:
     def _bar(self) -> str:
         if self.progress is None:
             return ""
-        done = " · ".join(f"{escape(name)} {1000 * t:.0f} ms" for name, t in self.stages)
+        done = " · ".join(f"{escape_html(name)} {1000 * t:.0f} ms" for name, t in self.stages)
         bar = (
             '<i class="w"></i>'
             if self.progress == WORKING
@@ -88,7 +89,7 @@ class Card:
         if not self.counts and not self.details:
             return ""
         rows = "".join(
-            f'<span class="n">{count}</span><span>{escape(reason)}</span>'
+            f'<span class="n">{count}</span><span>{escape_html(reason)}</span>'
             for count, reason in self.counts
         )
         # Why not elsewhere is the reason of a "no", and a detail of a "yes".
@@ -102,7 +103,8 @@ class Card:
 def table(rows: tuple[tuple[str, str], ...]) -> str:
     """Return names and values as HTML."""
     cells = "".join(
-        f'<span class="d">{escape(name)}</span><span>{escape(value)}</span>' for name, value in rows
+        f'<span class="d">{escape_html(name)}</span><span>{escape_html(value)}</span>'
+        for name, value in rows
     )
     return f'<div class="f">{cells}</div>' if cells else ""
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.apps.plots import room_bounds
+from momapos.core import escape_markdown
 from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
 
@@ -17,7 +18,6 @@ from .playback import Story, values_at_end
 from .robot_view import RobotView, joint_values
 from .room_view import RoomView
 from .state import PageState
-from .texts import escaped
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -182,7 +182,7 @@ def comparison(answers: list[PlacementResult]) -> str:
     for color, answer in zip(NAMES, answers, strict=False):
         plan = answer.plan
         drive = "-" if plan.navigation_cost is None else f"{plan.navigation_cost:.2f}"
-        what = escaped(f"{plan.robot_name}, {plan.method}, {plan.seed}")
+        what = escape_markdown(f"{plan.robot_name}, {plan.method}, {plan.seed}")
         took = 1000 * plan.timing.get("total", 0.0)
         lines.append(f"| {color} | {what} | {plan.status} | {drive} | {took:.0f} |")
     return "\n".join(lines)

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from momapos.core import Clock
+from momapos.core import Clock, escape_markdown
 
 from .motion_view import MotionView
 from .saving import save_plan, save_room, send_film, send_image
 from .state import PageState
-from .texts import escaped
 from .work import LatestWorker, Stopped
 
 
@@ -42,7 +41,7 @@ class FileActions:
         self._state.panel.files.content = text
 
     def _fail(self, reason: str) -> None:
-        self._show_text(f"**Error:** {escaped(reason)}")
+        self._show_text(f"**Error:** {escape_markdown(reason)}")
 
     def _put(self, work: Callable[[Clock], str]) -> None:
         self.work.put(lambda clock: self._show_text(work(clock)))
@@ -98,4 +97,4 @@ class FileActions:
 
 
 def _saved(name: str) -> str:
-    return f"Saved as {escaped(name)}."
+    return f"Saved as {escape_markdown(name)}."

@@ -18,6 +18,8 @@ from urllib.parse import urlsplit
 import viser
 from websockets.asyncio import server as sockets
 
+from momapos.core import MissingExtraError
+
 if TYPE_CHECKING:
     from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
@@ -57,13 +59,17 @@ def allowed(headers: Headers, *, loopback: bool) -> bool:
 def own_pages_only(host: str, admits: Callable[[object], bool] = lambda _: True) -> Iterator[None]:
     """Make servers that viser starts in the context refuse requests of other websites (403).
 
-    viser passes no options to its websocket server, so the context replaces its constructor.
+    viser passes no options to its websocket server, so the context replaces its constructor. A
+    viser that starts its server in another way is refused.
 
     Args:
         host: Address that the server listens on.
         admits: Returns whether viser may read a message.
+
+    Raises:
+        MissingExtraError: No server was started that the context could guard.
     """
-    loopback = host in LOOPBACK
+    loopback, started = host in LOOPBACK, list[bool]()
 
     def guarded(
         handler: Callable[..., Any], *args: Any, process_request: Callable[..., Any], **options: Any
@@ -88,6 +94,7 @@ def own_pages_only(host: str, admits: Callable[[object], bool] = lambda _: True)
             connection.recv = admitted
             await handler(connection)
 
+        started.append(True)
         return serve(handle, *args, process_request=check, logger=LOG, **options)
 
     with _PATCHED:
@@ -97,3 +104,8 @@ def own_pages_only(host: str, admits: Callable[[object], bool] = lambda _: True)
             yield
         finally:
             sockets.serve = serve  # type: ignore[misc]
+    if not started:
+        raise MissingExtraError(
+            f"viser {viser.__version__} starts its server in a way that momapos cannot guard "
+            "against other websites; install another version: pip install 'viser>=1.1,<1.2'"
+        )

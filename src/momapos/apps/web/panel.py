@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from momapos.core import escape_markdown
 from momapos.simulation import GIF, MP4
 
 from .card import CardView
@@ -15,7 +16,6 @@ from .joint_ranges import SLIDER_RESOLUTION, SLIDER_STEP, JointRange
 from .playback import SPEEDS
 from .question import METHODS, VERBS
 from .settled import Resender
-from .texts import escaped
 
 if TYPE_CHECKING:
     from viser import GuiApi
@@ -188,7 +188,7 @@ class Panel:
         """List what is wrong in the scene."""
         self.check_folder.visible = bool(lines)
         self.check_folder.label = f"Scene check: {len(lines)}"
-        self.check.content = "\n".join(f"- {escaped(line)}" for line in lines)
+        self.check.content = "\n".join(f"- {escape_markdown(line)}" for line in lines)
 
     def show_joints(self, joints: Sequence[JointRange], moved: Callable[[], None]) -> None:
         """Show a slider for each joint of the object.

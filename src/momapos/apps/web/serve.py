@@ -11,7 +11,7 @@ from pathlib import Path
 import viser
 from viser import _messages as messages
 
-from momapos.core import Cache, InputError
+from momapos.core import Cache, InputError, MissingExtraError
 
 from .incoming import Gate
 from .opened import Opened, OpenedScan
@@ -73,11 +73,18 @@ def open_server(host: str, port: int) -> Server:
 
     Raises:
         InputError: The port is in use, or the address does not belong to this machine.
+        MissingExtraError: The installed viser cannot be guarded.
     """
     check_free(host, port)
     gate = Gate()
-    with quiet(), own_pages_only(host, gate.admits):
-        server = Server(host=host, port=port, label="momapos", verbose=False)
+    server = None
+    try:
+        with quiet(), own_pages_only(host, gate.admits):
+            server = Server(host=host, port=port, label="momapos", verbose=False)
+    except MissingExtraError:
+        if server is not None:  # it runs without a guard
+            server.stop()
+        raise
     if port and server.get_port() != port:  # taken meanwhile; viser then uses another port
         with quiet():
             server.stop()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from html import escape
+
+from momapos.core import escape_html
 
 from .card import Card
 
@@ -80,11 +81,11 @@ def with_overlay(page: str, card: Card, found: Sequence[Phase], pause: float) ->
     # A closing tag in a name would end the script.
     rows = json.dumps([[n, round(a, 3), round(b, 3)] for n, a, b in found]).replace("<", "\\u003c")
     overlay = (
-        f'{STYLE}<details id="mm-answer" open><summary>{escape(summary)}</summary>'
+        f'{STYLE}<details id="mm-answer" open><summary>{escape_html(summary)}</summary>'
         f"{content}</details>"
         f'<div id="mm-now"></div><div id="mm-phases" data-pause="{pause}"></div>{SCRIPT % rows}'
     )
     begin, end = page.index("<title>"), page.index("</title>")
     head, body = page[:begin], page[end + len("</title>") :]
     tail = body.rindex("</body>")
-    return f"{head}<title>{escape(title)}</title>{body[:tail]}{overlay}{body[tail:]}"
+    return f"{head}<title>{escape_html(title)}</title>{body[:tail]}{overlay}{body[tail:]}"

@@ -6,7 +6,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from momapos.core import InputError, read_bytes_bounded, write_atomic
+from momapos.core import InputError, read_bytes_bounded, resolved, write_atomic
 
 MAX_HASHED_BYTES = 50_000_000
 MAX_PARENTS = 3
@@ -41,7 +41,7 @@ def portable_name(name: str, plan: Path, what: str) -> str:
     Raises:
         InputError: The file does not exist, so the plan could not be verified.
     """
-    target, folder = Path(os.path.abspath(name)), plan.resolve().parent
+    target, folder = Path(os.path.abspath(name)), resolved(plan).parent
     if not target.is_file():
         raise InputError(
             f"{plan}: {what} {name!r} does not exist; load it from a file, so that the plan can be "

@@ -18,6 +18,7 @@ from momapos.core import (
     expect,
     read_bytes_bounded,
     read_text_bounded,
+    resolved,
 )
 from momapos.model.records import (
     Assumption,
@@ -299,7 +300,7 @@ def _check(data: members.Plan, path: Path, version: int) -> None:
 
 def _record(data: members.Plan, path: Path) -> PlacementPlan:
     robot = data.robot
-    folder = path.resolve().parent
+    folder = resolved(path).parent
     return PlacementPlan(
         scene=_located(data.scene, folder),
         robot_name=robot.name,

@@ -9,7 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from momapos.core import Cache, RobotError, UrdfError, parse_xml, read_text_bounded, unknown_name
+from momapos.core import (
+    Cache,
+    RobotError,
+    UrdfError,
+    parse_xml,
+    read_text_bounded,
+    resolved,
+    unknown_name,
+)
 from momapos.core.geometry import rpy_of
 from momapos.model.urdf import (
     MAX_MESH_PARENTS,
@@ -214,7 +222,7 @@ def portable(text: str, folder: Path, what: str) -> str:
         RobotError: A mesh is outside the folders that readers of the file search.
     """
     tree = parse_xml(text, Path(what), error=RobotError)
-    here = folder.resolve()
+    here = resolved(folder)
     root = [here, *here.parents][: MAX_MESH_PARENTS + 1][-1]
     for mesh in tree.iter("mesh"):
         name = Path(mesh.get("filename", ""))

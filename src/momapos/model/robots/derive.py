@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core import Cache, RobotError
+from momapos.core import Cache, RobotError, resolved
 from momapos.model.urdf import Articulated, Urdf
 
 from .amended_urdf import BOX, AddedFrame, Amendments, Mount
@@ -214,7 +214,7 @@ def _our_srdf(
     """Return the SRDF for the robot file: ours, or the user's if it is not next to the URDF."""
     ours = f"{out.stem}.srdf" if pairs else ""
     _note_pairs(pairs, srdf, ours, notes)
-    if not pairs and srdf.path is not None and srdf.path != srdf_next_to(urdf.resolve()):
+    if not pairs and srdf.path is not None and srdf.path != srdf_next_to(resolved(urdf)):
         return _relative(srdf.path, out)
     return ours
 
@@ -315,7 +315,7 @@ def _name(model: Articulated, out: Path, notes: list[str]) -> str:
 
 
 def _relative(path: Path, out: Path) -> str:
-    return Path(os.path.relpath(path.resolve(), out.resolve().parent)).as_posix()
+    return Path(os.path.relpath(resolved(path), resolved(out).parent)).as_posix()
 
 
 def _box(source: RobotSource) -> tuple[float, ...]:

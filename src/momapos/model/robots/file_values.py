@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import RobotError
+from momapos.core import RobotError, is_name
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -46,8 +46,8 @@ class TomlTable:
 
     def text(self, key: str) -> str:
         value = self._take(key)
-        if not isinstance(value, str) or not value:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a non-empty string")
+        if not is_name(value):
+            raise RobotError(f"{self.path}: {self.prefix}{key} must be a printable text, not empty")
         return value
 
     def texts(self, key: str) -> Sequence[str]:

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
-from momapos.core import FileFormatError, RobotError, read_bytes_bounded, unknown_name
+from momapos.core import FileFormatError, RobotError, read_bytes_bounded, resolved, unknown_name
 from momapos.model.urdf import Articulated, Mimic
 
 from .amended_urdf import ZERO, AddedFrame, Amendments, Mount, Triple
@@ -223,8 +223,8 @@ def resolve_path(path: Path, name: str, key: str = "urdf") -> Path:
         RobotError: The name is not a valid path.
     """
     try:
-        return (path.parent / name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # too long, a cycle of links, or a NUL
+        return resolved(path.parent / name)
+    except (FileFormatError, OSError) as error:  # too long, cyclic links, a NUL
         raise RobotError(f"{path}: {key} {name!r:.80} is not a valid path") from error
 
 

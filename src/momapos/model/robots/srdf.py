@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.core import MomaposError, RobotError, read_xml
+from momapos.core import MomaposError, RobotError, read_xml, resolved
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -78,12 +78,12 @@ def find_srdf(urdf: Path, robot: str) -> Srdf:
         urdf: The URDF.
         robot: Name of the robot in the URDF.
     """
-    here = urdf.resolve().parent
+    here = resolved(urdf).parent
     folders = [here / folder for folder in _FOLDERS]
     folders += [f for pattern in _MOVEIT for f in sorted((here / "..").glob(pattern))]
     files = [file for folder in folders for file in sorted(folder.glob("*.srdf"))[:_MAX_FILES]]
     named = [file for file in files if file.stem == urdf.stem]
-    for file in dict.fromkeys(path.resolve() for path in [*named, *files]):
+    for file in dict.fromkeys(resolved(path) for path in [*named, *files]):
         try:
             found = _open(file, robot=None if file.stem == urdf.stem else robot)
         except MomaposError:

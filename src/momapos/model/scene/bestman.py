@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from momapos.core import FileFormatError, SceneError
+from momapos.core import FileFormatError, SceneError, is_name, resolved
 from momapos.core.geometry import apply, pose_rpy
 from momapos.model.urdf import Articulated, box_urdf
 
@@ -64,7 +64,7 @@ def find_root(path: Path) -> Path:
     Raises:
         FileFormatError: No parent folder has it.
     """
-    for folder in path.resolve().parents:
+    for folder in resolved(path).parents:
         if (folder / "Asset").is_dir():
             return folder
     raise FileFormatError(
@@ -141,7 +141,7 @@ class Entry:
 
     def _text(self, item: Mapping[str, Any], key: str) -> str:
         value = item[key]
-        if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
+        if not is_name(value):
             raise SceneError(f"{self.where}: {key} must be printable, 1 to 1000 characters long")
         return value
 
@@ -162,9 +162,9 @@ class Entry:
 def _file_of(entry: Entry, root: Path) -> Path | None:
     """Return the model's file; None if it is missing."""
     try:
-        file = (root / entry.model_path).resolve()
-        inside, exists = file.is_relative_to(root.resolve()), file.is_file()
-    except (OSError, RuntimeError, ValueError) as error:  # too long, a cycle of links, or a NUL
+        file = resolved(root / entry.model_path)
+        inside, exists = file.is_relative_to(resolved(root)), file.is_file()
+    except (FileFormatError, OSError) as error:  # too long, cyclic links, a NUL
         path = f"{entry.model_path!r:.80}"
         raise SceneError(f"{entry.where}: model_path {path} is not a valid path") from error
     if not inside:

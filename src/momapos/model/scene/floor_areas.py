@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import SceneError, read_text_bounded, unknown_name
+from momapos.core import SceneError, is_name, read_text_bounded, unknown_name
 from momapos.core.geometry import signed_area
 from momapos.model.records import Outline
 
@@ -35,7 +35,7 @@ def read_areas(value: Any, where: str) -> dict[str, Outline]:
     if not isinstance(value, dict) or len(value) > MAX_AREAS:
         raise SceneError(f"{where} must be {{name: [[x, y], ...]}} with at most {MAX_AREAS} areas")
     for name in value:
-        if not name or len(name) > 1000 or not name.isprintable():
+        if not is_name(name):
             raise SceneError(f"{where}: {name!r:.80} must be printable, 1 to 1000 characters long")
     return {name: read_outline(corners, f"{where}: {name!r}") for name, corners in value.items()}
 

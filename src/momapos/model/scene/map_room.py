@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import FileFormatError
+from momapos.core import FileFormatError, resolved
 from momapos.core.geometry import apply, signed_area
 from momapos.model.scene.formats import MapGrid, find_inside, read_map
 
@@ -57,7 +57,7 @@ def read_map_scene(path: Path, root: Path | None) -> Scene:
     Raises:
         FileFormatError: As for `read_map_room`.
     """
-    room = read_map_room(path, (root or path.parent).resolve())
+    room = read_map_room(path, resolved(root or path.parent))
     return Scene(path.stem, room.walls, path, floor_polygon=room.floor, warnings=room.notes)
 
 

@@ -14,6 +14,7 @@ from momapos.core import (
     incomplete,
     read_bytes_bounded,
     remove_if_incomplete,
+    resolved,
     temporary_folder,
 )
 from momapos.model.urdf import MAX_MESH_BYTES, Articulated, Geometry, mesh_points
@@ -36,7 +37,7 @@ def package_folder(urdf: Path) -> Path:
     The package is the nearest of five folders with a `package.xml`; without one, the parent of a
     folder named `urdf` or `robots`.
     """
-    folder = urdf.resolve().parent
+    folder = resolved(urdf).parent
     for above in (folder, *folder.parents[:4]):
         if (above / "package.xml").is_file():
             return above
@@ -66,14 +67,14 @@ def copy_files(
         for file in model_files(model):
             if file != model.urdf.path and file not in files:
                 assert model.urdf.path is not None
-                within = (root or package_folder(model.urdf.path)).resolve()
-                if not file.resolve().is_relative_to(within):
+                within = resolved(root or package_folder(model.urdf.path))
+                if not resolved(file).is_relative_to(within):
                     raise SceneError(
                         f"{model.urdf.path}: mesh {file} is outside {within} and is not copied"
                     )
                 mesh_points(file)
             files[file] = None
-    sources = {file: file.resolve() for file in files}
+    sources = {file: resolved(file) for file in files}
     common = os.path.commonpath([source.parent for source in sources.values()]) if sources else ""
     copies = {file: target / source.relative_to(common) for file, source in sources.items()}
     for file, copy in copies.items():
@@ -131,7 +132,7 @@ def files_folder(out: Path) -> Path:
     Raises:
         SceneError: It exists.
     """
-    target = out.resolve().parent / f"{out.stem}_files"
+    target = resolved(out).parent / f"{out.stem}_files"
     remove_if_incomplete(target)
     if os.path.lexists(target):
         raise SceneError(f"{target}: exists already; remove it or write to another file")

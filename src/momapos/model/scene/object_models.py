@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from momapos.core import Cache
+from momapos.core import Cache, resolved
 from momapos.model.urdf import Articulated, read_furniture
 
 
@@ -16,7 +16,7 @@ class ObjectModels:
         self.read: dict[tuple[Path, float], Articulated] = {}
 
     def __call__(self, path: Path, scale: float) -> Articulated:
-        key = (path.resolve(), scale)
+        key = (resolved(path), scale)
         if key not in self.read:
             urdf = read_furniture(
                 path,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import SceneError, unknown_name
+from momapos.core import FileFormatError, SceneError, is_name, resolved, unknown_name
 from momapos.core.geometry import pose_wxyz
 from momapos.model.urdf import Articulated, box_urdf
 
@@ -54,8 +54,8 @@ class ObjectReader:
     def read(self) -> SceneObject:
         """Return the object."""
         category = self.item.get("category", "")
-        if not isinstance(category, str):
-            raise SceneError(f"{self.where}: category must be a string")
+        if category != "":
+            category = read_text(category, f"{self.where}: category")
         model = self.model()
         joints, names = self.joint_values("joints", model), list(model.joints)
         closed = self.joint_values("closed", model)
@@ -121,9 +121,9 @@ class ObjectReader:
         """Return the path of its URDF, which exists inside the root."""
         text = read_text(self.item["urdf"], f"{self.where}: urdf")
         try:
-            file = (self.folder / text).resolve()
+            file = resolved(self.folder / text)
             inside, exists = file.is_relative_to(self.root), file.is_file()
-        except (OSError, RuntimeError, ValueError) as error:  # too long, or links in a circle
+        except (FileFormatError, OSError) as error:  # too long, cyclic links, a NUL
             raise SceneError(f"{self.where}: urdf {text!r:.80} cannot be looked up") from error
         if Path(text).is_absolute() or not inside:
             raise SceneError(
@@ -174,6 +174,6 @@ def read_text(value: object, where: str) -> str:
     Raises:
         SceneError: It is none; the message starts with `where`.
     """
-    if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
+    if not is_name(value):
         raise SceneError(f"{where} must be a printable string of 1 to 1000 characters")
     return value

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from momapos.core import SceneError, UrdfError, parse_xml, read_text_bounded, write_atomic
+from momapos.core import SceneError, UrdfError, parse_xml, read_text_bounded, resolved, write_atomic
 from momapos.core.geometry import apply, invert, pose
 from momapos.model.records import Hypothesis, PartKind, PlacementPlan
 from momapos.model.urdf import (
@@ -200,7 +200,7 @@ def save_with_part_motion(
         except OSError as error:
             raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
         model = Articulated(
-            read_furniture(file, root=out.resolve().parent, scale=item.model.urdf.scale),
+            read_furniture(file, root=resolved(out).parent, scale=item.model.urdf.scale),
             item.model.held,
             closed=_closed_without(item.model, joint),
         )

@@ -22,6 +22,7 @@ from momapos.core import (
     as_path,
     expect,
     read_text_bounded,
+    resolved,
     write_atomic,
 )
 from momapos.model.scene.formats import foreign_kind, is_map
@@ -125,7 +126,7 @@ def _check_unique_names(scene: Scene) -> None:
 def _read_single(path: Path, models: ObjectModels) -> Scene:
     """Read a URDF as a scene of one object that stands on the floor."""
     model = models(path, 1.0)
-    category = bestman.category_of("", str(path.resolve()))
+    category = bestman.category_of("", str(resolved(path)))
     plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
     name = path.stem if plain else category
     item = SceneObject(name, category, np.eye(4), model)
@@ -159,7 +160,7 @@ def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> 
     items = data.get("objects")
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
-    models.root = root = (models.root or path.parent).resolve()
+    models.root = root = resolved(models.root or path.parent)
     ignored = ignored_keys(data, SCENE_KEYS, f"{path}")
     objects = []
     for index, item in enumerate(items):
@@ -256,7 +257,7 @@ def write_text_atomic(path: Path, text: str) -> None:
 
 
 def _object(item: SceneObject, path: Path) -> dict[str, Any]:
-    folder = path.resolve().parent
+    folder = resolved(path).parent
     T, urdf = item.T_world_object, item.model.urdf
     from scipy.spatial.transform import Rotation
 
@@ -273,10 +274,10 @@ def _object(item: SceneObject, path: Path) -> dict[str, Any]:
         file = save_model(item.name, urdf, folder / f"{path.stem}_files")
         return {**entry, "urdf": f"{file.parent.name}/{file.name}", "joints": dict(item.joints)}
     for file in model_files(item.model):
-        if not file.resolve().is_relative_to(folder):
+        if not resolved(file).is_relative_to(folder):
             raise SceneError(
                 f"object {item.name!r} needs {file}, which is not below {folder}; "
                 "write the scene into a folder above it, or copy the files"
             )
-    relative = urdf.path.resolve().relative_to(folder).as_posix()
+    relative = resolved(urdf.path).relative_to(folder).as_posix()
     return {**entry, "urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}

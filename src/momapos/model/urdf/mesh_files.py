@@ -10,7 +10,7 @@ from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
 
-from momapos.core import UrdfError, parse_xml, read_text_bounded
+from momapos.core import FileFormatError, UrdfError, parse_xml, read_text_bounded, resolved
 
 MAX_MESH_PARENTS = 4
 """Meshes may be up to this many folders above the URDF's; packages have them next to `urdf` [-]."""
@@ -43,8 +43,8 @@ class MeshFinder:
         try:
             found = self._look(kind, relative) or (self._elsewhere(relative) if absolute else None)
             folder, *_ = self._folders
-            outside = not self._allowed((folder / relative).resolve())
-        except (OSError, RuntimeError, ValueError) as error:  # too long, cyclic links, NUL
+            outside = not self._allowed(resolved(folder / relative))
+        except (FileFormatError, OSError) as error:  # too long, cyclic links, a NUL
             raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
         if found is not None:
             return found
@@ -63,7 +63,7 @@ class MeshFinder:
         if scheme and scheme[1] == "package" and name not in self.packages:
             package = self._package(name)
             if package is not None:
-                mesh = (package / rest).resolve()
+                mesh = resolved(package / rest)
                 if self._allowed(mesh) and mesh.is_file():
                     return mesh
                 raise UrdfError(
@@ -75,7 +75,7 @@ class MeshFinder:
                 f"{looked}); move it there, or give its folder: --package {name}=DIR of momapos "
                 "robot check, [packages] in a robot file"
             )
-        beside = self.path.resolve().parent
+        beside = resolved(self.path).parent
         where = self.packages.get(name, self._root) if scheme else beside
         raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {where}")
 
@@ -93,7 +93,7 @@ class MeshFinder:
             name = _package_of(relative) if absolute else relative.partition("/")[0]
             if not (absolute or kind == "package") or name in lost or name in self.packages:
                 continue
-            with suppress(OSError, RuntimeError, ValueError):
+            with suppress(FileFormatError, OSError):
                 found = self._elsewhere(relative) if absolute else self._package(name)
                 if found is None and self._look(kind, relative) is None:
                     lost[name] = None
@@ -113,7 +113,7 @@ class MeshFinder:
         for index, name in enumerate(parts[:-1]):
             folder = self.packages.get(name) or near.get(name)
             if folder is not None:
-                mesh = folder.joinpath(*parts[index + 1 :]).resolve()
+                mesh = resolved(folder.joinpath(*parts[index + 1 :]))
                 if self._allowed(mesh) and mesh.is_file():
                     return mesh
         return None
@@ -125,22 +125,22 @@ class MeshFinder:
                 return folder
             near = (folder, *islice(_subfolders(folder), MAX_PACKAGES))
             for one in near:
-                if self._allowed(one.resolve()) and (one.name == name or package_name(one) == name):
+                if self._allowed(resolved(one)) and (one.name == name or package_name(one) == name):
                     return one
         return None
 
     @cached_property
     def _folders(self) -> list[Path]:
-        folder = self.path.resolve().parent
+        folder = resolved(self.path).parent
         return [folder, *list(folder.parents)[:MAX_MESH_PARENTS]]
 
     @cached_property
     def _root(self) -> Path:
-        return self.root.resolve() if self.root else self._folders[-1]
+        return resolved(self.root) if self.root else self._folders[-1]
 
     @cached_property
     def _roots(self) -> list[Path]:
-        return [self._root, *(folder.resolve() for folder in self.packages.values())]
+        return [self._root, *(resolved(folder) for folder in self.packages.values())]
 
     def _allowed(self, path: Path) -> bool:
         return any(path.is_relative_to(root) for root in self._roots)
@@ -152,9 +152,9 @@ class MeshFinder:
         else:
             candidates = [f / text for f in self._folders for text in (relative, rest or relative)]
         for candidate in candidates:
-            resolved = candidate.resolve()
-            if self._allowed(resolved) and resolved.is_file():
-                return resolved
+            mesh = resolved(candidate)
+            if self._allowed(mesh) and mesh.is_file():
+                return mesh
         return None
 
 

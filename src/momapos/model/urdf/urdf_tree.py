@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from momapos.core import UrdfError, parse_xml
+from momapos.core import UrdfError, is_name, parse_xml
 
 from .link_elements import SHAPES
 from .urdf_records import Mimic
@@ -90,7 +90,7 @@ def _check_tree(path: Path, tree: Element) -> None:
             )
         if part.tag in ("link", "joint"):
             name = part.get("name", "")
-            if not name.strip() or not name.isprintable() or len(name) > 500:
+            if not is_name(name, longest=500):
                 raise UrdfError(f"{path}: a {part.tag} has no usable name: {name!r:.60}")
             _check_part(part, f"{path}: {part.tag} {name!r}")
 

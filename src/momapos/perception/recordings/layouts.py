@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from momapos.core import FileFormatError, read_bytes_bounded
+from momapos.core import FileFormatError, read_bytes_bounded, resolved
 from momapos.model.records import Frame
 
 from .images import Size, image_size, match_color, read_color, read_depth, scaled_intrinsics
@@ -325,14 +325,14 @@ def refuse_links_out(root: Path) -> None:
     Raises:
         FileFormatError: There is one, or the folder has too many files.
     """
-    inside, count = root.resolve(), 0
+    inside, count = resolved(root), 0
     for folder, folders, files in os.walk(root):
         count += len(folders) + len(files)
         if count > MAX_FILES:
             raise FileFormatError(f"{root}: has more than {MAX_FILES} files; it is no single scan")
         for name in (*folders, *files):
             path = os.path.join(folder, name)
-            if os.path.islink(path) and not Path(path).resolve().is_relative_to(inside):
+            if os.path.islink(path) and not resolved(Path(path)).is_relative_to(inside):
                 raise FileFormatError(
                     f"{path}: is a symbolic link out of the scan's folder; copy what it names into "
                     f"{root}"

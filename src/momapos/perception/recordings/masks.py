@@ -20,6 +20,7 @@ from momapos.core import (
     load_tensors,
     open_regular,
     read_bytes_bounded,
+    resolved,
 )
 from momapos.core.geometry import UprightBox
 from momapos.model.records import Instance
@@ -103,9 +104,9 @@ def _mask3d_row(row: list[str], number: int, path: Path) -> tuple[Path, int, flo
             f"{path}: line {number} must be `pred_mask/name.txt class score`"
         ) from None
     try:
-        folder = path.parent.resolve()
-        mask = (folder / name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # cyclic links, a NUL
+        folder = resolved(path.parent)
+        mask = resolved(folder / name)
+    except (FileFormatError, OSError) as error:  # too long, cyclic links, a NUL
         raise FileFormatError(f"{path}: line {number} names {name!r:.80}, not a file") from error
     if not mask.is_relative_to(folder):
         raise FileFormatError(f"{path}: line {number} names {name:.80}, outside its folder")

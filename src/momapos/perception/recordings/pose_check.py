@@ -229,6 +229,8 @@ def offset(a: Surface, b: Surface) -> float | None:
         share enough but no surfaces match.
     """
     points = a.points[a.points[..., 2] > 0]
+    if not len(points):
+        return None
     T = invert(b.T_world_camera) @ a.T_world_camera
     start = apply(T, points)
     moved = start

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,9 +15,10 @@ from momapos.core import (
     as_path,
     finite_number,
     open_regular,
+    resolved,
     whole_number,
 )
-from momapos.model.records import Scan
+from momapos.model.records import Frame, Scan
 
 from .bags import BagTopics, read_bag
 from .clouds import read_cloud
@@ -116,14 +117,15 @@ def _read_recording(
 ) -> Scan:
     scale = stated.scale or MILLIMETERS
     frames, warnings = read_bag(path, max_frames=max_frames, depth_scale=scale, topics=topics)
+    frames, empty = _with_depth(frames, path)
     frames, said = with_conventions(frames, scale, stated, str(path))
     check_depth_unit(frames, scale, str(path))
-    return _checked(Scan(name, frames, None, (*warnings, *said)))
+    return _checked(Scan(name, frames, None, (*warnings, *empty, *said)))
 
 
 def _read_folder(path: Path, max_frames: int, stated: Stated, topics: BagTopics | None) -> Scan:
     refuse_links_out(path)
-    name = path.resolve().name
+    name = resolved(path).name
     layout = find_walk(path) or find_layout(path)
     if layout is None:
         inside = path if (path / "metadata.yaml").is_file() else _only_file(path)
@@ -132,9 +134,10 @@ def _read_folder(path: Path, max_frames: int, stated: Stated, topics: BagTopics 
         return replace(_read(inside, max_frames, stated, topics), name=name)
     scale = stated.scale or layout.depth_scale
     frames, skipped = read_frames(layout, max_frames=max_frames, depth_scale=scale)
+    frames, empty = _with_depth(frames, path)
     frames, said = with_conventions(frames, scale, stated, str(path))
     check_depth_unit(frames, scale, str(path))
-    warnings = (*layout.warnings, *skipped, *said)
+    warnings = (*layout.warnings, *skipped, *empty, *said)
     file = _cloud_in(path)
     if file is None:
         if frames[0].depth is None:
@@ -143,6 +146,25 @@ def _read_folder(path: Path, max_frames: int, stated: Stated, topics: BagTopics 
     cloud, notes = read_cloud(file, np.array([frame.T_world_camera[:3, 3] for frame in frames]))
     scan = Scan(name, frames, cloud, (*warnings, *notes))
     return scan if cloud.origin is None else _moved(scan, cloud.origin)
+
+
+def _with_depth(frames: Sequence[Frame], path: Path) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
+    """Leave out frames whose depth images measure nothing; the warning names them.
+
+    A covered lens or a lost connection gives such images; recordings without depth keep all frames.
+
+    Raises:
+        FileFormatError: No frame is left.
+    """
+    empty = [f.name for f in frames if f.depth is not None and not (f.depth > 0).any()]
+    if not empty:
+        return tuple(frames), ()
+    if len(empty) == len(frames):
+        raise FileFormatError(f"{path}: no depth image has a measured pixel")
+    left = tuple(frame for frame in frames if frame.depth is None or (frame.depth > 0).any())
+    names = ", ".join(empty[:3])
+    text = f"left out {len(empty)} of {len(frames)} frames whose depth images are empty ({names})"
+    return left, (text,)
 
 
 def _moved(scan: Scan, origin: Float[np.ndarray, "3"]) -> Scan:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from momapos.core import FileFormatError
+from momapos.core import FileFormatError, resolved
 
 
 def find_inside(name: str, places: Sequence[Path], root: Path, source: Path) -> Path:
@@ -21,10 +21,9 @@ def find_inside(name: str, places: Sequence[Path], root: Path, source: Path) -> 
         FileFormatError: The file is outside the root, is missing, or has an invalid name.
     """
     try:
-        resolved = [place.resolve() for place in places]
-        inside = [place for place in resolved if place.is_relative_to(root)]
+        inside = [place for place in map(resolved, places) if place.is_relative_to(root)]
         found = next((place for place in inside if place.is_file()), None)
-    except (OSError, RuntimeError, ValueError) as error:  # too long, a cycle of links, or a NUL
+    except (FileFormatError, OSError) as error:  # too long, cyclic links, a NUL
         raise FileFormatError(f"{source}: {name!r:.80} is not a valid path") from error
     if found is not None:
         return found

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from momapos.core import open_regular
+from momapos.core import open_regular, resolved
 
 if TYPE_CHECKING:
     from .imported_room import ImportedRoom
@@ -66,7 +66,7 @@ def read_room(kind: Kind, path: Path, root: Path | None) -> ImportedRoom:
         FileFormatError: The file is invalid; one line says what is wrong and where.
         MissingExtraError: The reader of the format is not installed.
     """
-    return _reader(kind)(path, (root or path.resolve().parent))
+    return _reader(kind)(path, (root or resolved(path).parent))
 
 
 def _reader(kind: Kind) -> Callable[[Path, Path], ImportedRoom]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
-from momapos.core import FileFormatError, read_bytes_bounded, read_xml
+from momapos.core import FileFormatError, read_bytes_bounded, read_xml, resolved
 from momapos.model.urdf import MAX_MESH_BYTES
 
 from .confined_files import find_inside
@@ -73,7 +73,7 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
     tree = read_xml(path, MAX_BYTES)
     if tree.tag != "mujoco":
         raise FileFormatError(f"{path}: the root element is <{tree.tag}>; MJCF needs <mujoco>")
-    root = root.resolve()
+    root = resolved(root)
     _expand(tree, path, root)
     _check_element_count(tree, path)
     dropped: Counter[str] = Counter()
@@ -91,7 +91,7 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
 
 def _expand(tree: Element, path: Path, root: Path) -> None:
     """Replace includes by the content of their files."""
-    seen = {path.resolve()}
+    seen = {resolved(path)}
     waiting = [(tree, path.parent, 0)]
     while waiting:
         parent, folder_of_parent, depth = waiting.pop()

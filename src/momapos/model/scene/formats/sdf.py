@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from momapos.core import FileFormatError, read_xml
+from momapos.core import FileFormatError, read_xml, resolved
 
 from .confined_files import find_inside
 from .imported_room import ImportedRoom, ImportReport, Names
@@ -44,7 +44,7 @@ def read_room(path: Path, root: Path) -> ImportedRoom:
     Raises:
         FileFormatError: The file is invalid; one line says what is wrong and where.
     """
-    reader = _Reader(path, root.resolve())
+    reader = _Reader(path, resolved(root))
     reader.read(reader.open(path), np.eye(4), None, path.parent)
     objects = tuple(model.object() for model in reader.models if model.solid)
     nothing = len(reader.models) - len(objects)
@@ -128,7 +128,7 @@ class _Reader:
     def _include(self, element: Element, T: Float[np.ndarray, "4 4"], folder: Path) -> None:
         uri = text_of(element, "uri")
         file = self._file(uri, folder, whole=True)
-        if file in self.open_files or file == self.path.resolve():
+        if file in self.open_files or file == resolved(self.path):
             raise FileFormatError(f"{self.path}: {uri!r:.200} includes itself")
         self.open_files.append(file)
         tree = self.open(file)

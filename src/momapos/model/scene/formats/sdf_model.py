@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from momapos.core import FileFormatError
+from momapos.core import FileFormatError, is_name
 from momapos.core.geometry import invert, pose, rotation_of
 from momapos.model.urdf import (
     Geometry,
@@ -131,7 +131,7 @@ class Model:
 
     def _name(self, element: Element) -> str:
         name = element.get("name", "")
-        if not name.strip() or not name.isprintable() or len(name) > 200:
+        if not is_name(name, longest=200):
             raise FileFormatError(
                 f"{self.where}: the name of a {element.tag} must be printable, 1 to 200 characters "
                 f"long, not {name!r:.60}"

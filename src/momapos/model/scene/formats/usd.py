@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import FileFormatError, open_regular, require
+from momapos.core import FileFormatError, open_regular, require, resolved
 from momapos.core.geometry import invert, pose, pose_rpy, pose_wxyz
 from momapos.model.urdf import Joint, JointKind, Link, Urdf
 
@@ -50,8 +50,8 @@ def read_room(path: Path, root: Path) -> ImportedRoom:
         from pxr import Tf, Usd
 
     try:
-        _check_layers(path, root.resolve())
-        return _Reader(path, Usd.Stage.Open(str(path.resolve()))).room()
+        _check_layers(path, resolved(root))
+        return _Reader(path, Usd.Stage.Open(str(resolved(path)))).room()
     except Tf.ErrorException as error:
         text = _text(error)
         match = _USD_MESSAGE.search(text)  # without the place in USD's own source
@@ -80,7 +80,7 @@ def _check_layers(path: Path, root: Path) -> None:
     """
     from pxr import Sdf
 
-    waiting, seen = [path.resolve()], {path.resolve()}
+    waiting, seen = [resolved(path)], {resolved(path)}
     while waiting:
         file = waiting.pop()
         open_regular(file, MAX_BYTES).close()
