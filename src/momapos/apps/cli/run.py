@@ -186,7 +186,7 @@ def _run_exactly(
         done.append(result)
         _write_outputs(result, trace, scene, files, k, None, [])
         if not json:
-            print(summary(result))
+            say(summary(result))
         if not result.success:
             break
     return _finish(done, files, json=json)
