@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 PART = "part"
 """Name of the moved body, and of its joint."""
 HANDLE_WORD = "handle"
+FREE_RANGE = 1e3
+"""Range of a joint without a limit that stops at one side [rad] or [m]."""
 CATCH_PLAY = 0.1
 """Share of its travel within which the catch of a swing door pulls less than fully [-]."""
 MIN_OBJECT_MASS = 0.05
@@ -245,6 +247,7 @@ def add_part(
         added = _add_joint(body, joint, item.values()[joint.name], deviation if leads else None)
         added.name = PART if leads else f"{PART}/{joint.name}"
         if leads:
+            _add_stop(added, item, joint, task)
             added.frictionloss = resistance.friction
             added.damping = [resistance.damping, 0, 0]
         elif latch is not None and joint.name == latch.joint:
@@ -375,6 +378,22 @@ def _add_joint(body: Any, joint: Joint, value: float, deviation: Deviation | Non
     if math.isfinite(joint.lower) and math.isfinite(joint.upper) and joint.mimic is None:
         added.limited, added.range = 1, [joint.lower, joint.upper]
     return added
+
+
+def _add_stop(added: Any, item: SceneObject, joint: Joint, task: Task) -> None:
+    """Stop a part where it is closed, if its file lets it go farther and it is no swing door.
+
+    Contacts with the frame, which stop a real door, are excluded as bearings.
+    """
+    if opens_both_ways(item.model, joint.name):
+        return
+    opening, free = opening_of(item.model, joint.name), [joint.lower, joint.upper]
+    values = [item.values()[joint.name], opening.closed, *([] if task.to is None else [task.to])]
+    if opening.sign > 0:
+        free[0] = max(joint.lower, min(values))
+    else:
+        free[1] = min(joint.upper, max(values))
+    added.limited, added.range = 1, np.clip(free, -FREE_RANGE, FREE_RANGE)
 
 
 def _couple(spec: Any, joint: Joint, part: str) -> None:

@@ -15,6 +15,7 @@ from momapos.core.geometry import invert
 from momapos.model.records import Task
 from momapos.model.robots import Robot, support_outline
 from momapos.model.scene import Scene, SceneObject
+from momapos.verification import obstructing_links
 
 from .config import PAD_TIME, TOUCH_DISTANCE, WELD_TIME, ExecutionConfig
 from .dynamics import Dynamics
@@ -176,6 +177,7 @@ def build_simulation(
     Some pairs touch by design or for lack of exact models, and are excluded from collisions:
     furniture that touches the part in the scene, elements of the part's own object that touch it
     anywhere on its path while its other joints are closed, and robot links that touch at rest.
+    What the exact check says the part hits on its path stays an obstacle.
 
     Args:
         scene: The room.
@@ -208,6 +210,8 @@ def build_simulation(
         touching = _touching(model, _values(model, {PART: value}))
         if task.joint is not None:
             touching += _bearings(model, item, task.joint)
+            hit = obstructing_links(scene, task)
+            touching = [pair for pair in touching if not _names_any(pair, hit)]
         touching = list(dict.fromkeys(touching))
         apart = touching
         if deviation is not None and task.joint is not None:
@@ -334,6 +338,11 @@ def _bearings(model: Any, item: SceneObject, joint: str) -> list[tuple[str, str]
         for pair in pairs
         if any(map(is_part, pair)) and any(n.rpartition("#")[0] in own for n in pair)
     ]
+
+
+def _names_any(pair: tuple[str, str], links: frozenset[str]) -> bool:
+    """Check whether one of two bodies is an element of some links, named as object/link."""
+    return any(name.rpartition("#")[0] in links for name in pair)
 
 
 def _near_pairs(model: Any, data: Any, gap: float) -> list[tuple[int, int]]:

@@ -286,8 +286,9 @@ class PlanVerifier:
         yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
         yield paths.reach_check(part, motion, Ts_planned, limits)
         yield from self._hand.checks(motion, path, placed.Ts_tool, placed.Ts_part_body)
-        Ts_way, where = self._part_path(placed.Ts_part, path)
-        yield self._part_check(Ts_way, where)
+        Ts_body, where = self._part_path(placed.Ts_part_body, path)
+        Ts_way = self.part.placed_at(Ts_body)
+        yield self._part_check(Ts_body, where)
         yield self._part_above_floor(Ts_way, where)
         yield self._base_check(placed, Ts_way, where)
         yield self._arm_check(placed.Ts_arm, placed.Ts_part, path)
@@ -296,33 +297,33 @@ class PlanVerifier:
         yield from self._on_floor(placed)
 
     def _part_path(
-        self, Ts_part: Float[np.ndarray, "s p 4 4"], path: paths.DensePath
-    ) -> tuple[Float[np.ndarray, "w p 4 4"], Callable[[int], str]]:
-        """Return the poses of the part's shapes along its path, and a function that names them.
+        self, Ts_held: Float[np.ndarray, "s b 4 4"], path: paths.DensePath
+    ) -> tuple[Float[np.ndarray, "w b 4 4"], Callable[[int], str]]:
+        """Return the poses of the part's bodies along its path, and a function that names them.
 
         Consecutive arm states may be far apart in the joint's value, so its range is sampled, too.
         """
         if self.part.joint is None:
-            return Ts_part, path.where
+            return Ts_held, path.where
         held = path.object_q[path.approach :]
         cuts = int(paths.count_cuts(held, self.limits.step, MIN_SWEEP_STEPS))
         values = np.unique(np.concatenate([held, np.linspace(held[0], held[-1], cuts + 1)]))
         turned = self.part.turned(len(values))
         if turned is None or path.latch_q is None:
-            return self.part.placed(values), lambda state: f"object_q {values[state]:.3f}"
+            return self.part.poses(values), lambda state: f"object_q {values[state]:.3f}"
         # The latch turns first; then the part moves with the turned latch.
         latch_q = np.append(path.latch_q, turned)
         values = np.append(path.object_q, values)
-        return self.part.placed(values, latch_q), lambda state: f"object_q {values[state]:.3f}"
+        return self.part.poses(values, latch_q), lambda state: f"object_q {values[state]:.3f}"
 
     def _part_check(
-        self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
+        self, Ts_body: Float[np.ndarray, "w b 4 4"], where: Callable[[int], str]
     ) -> Check:
         """Check the moved part against the scene, relative to its overlap in the given scene."""
-        found, sweep, fixed = Overlaps(self.limits.penetration), self.part_sweep, self.fixed
+        found, sweep = Overlaps(self.limits.penetration), self.part_sweep
         found.add(
-            self.part.shapes, Ts_way, fixed, fixed.Ts_body_shape[None],
-            sweep.pairs, where, already=sweep.already,
+            sweep.moving, sweep.moving.placed(Ts_body), sweep.fixed,
+            sweep.fixed.Ts_body_shape[None], sweep.pairs, where, already=sweep.already,
         )  # fmt: skip
         return found.check("moved part collision with the scene")
 

@@ -5,17 +5,27 @@ Hollow meshes of furniture that stands still are convex pieces.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core import owner_cache
+from momapos.core import UrdfError, owner_cache
 from momapos.core.compiled import F1, F2, F3, F4, I1, entry
 from momapos.core.geometry import apply, invert
-from momapos.model.urdf import Articulated, Geometry, Hull, StaticElement, pieces_of
+from momapos.model.urdf import (
+    Articulated,
+    Geometry,
+    Hull,
+    StaticElement,
+    is_concave,
+    pieces_of,
+    triangles_of,
+)
 
 from .convex import Body
 from .link_bodies import LinkBodies, bodies_of
@@ -23,6 +33,11 @@ from .link_bodies import LinkBodies, bodies_of
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
+MAX_SURFACE_TRIANGLES = 100_000
+"""Meshes with more triangles count as their hulls [-]."""
+_SOLID = re.compile(r" \((hull|piece) of .*\)$")
+_TESTED_TRIANGLES = 20_000
+"""Meshes with more triangles count as concave; the test would take seconds [-]."""
 _RIM = 64
 """Corners of the polygon that approximates a cylinder's rim in `Shapes.outline`."""
 
@@ -136,6 +151,74 @@ def prepared_static(model: Articulated) -> tuple[LinkBodies, Shapes, Int[np.ndar
     return bodies, _pack(names, numbers, made), np.array(element, np.int64)
 
 
+def elements_of(model: Articulated) -> Iterator[tuple[str, Geometry]]:
+    """Yield each collision element of a model with its link, in the order of `shapes_of`."""
+    for name, link in model.urdf.links.items():
+        for geometry in link.collisions:
+            yield name, geometry
+
+
+@owner_cache()
+def concave_surface(model: Articulated, element: int) -> tuple[str, Float[np.ndarray, "t 3 3"]]:
+    """Return an element's link and, in its frame, its triangles; none if its hull is good enough.
+
+    That is so for primitives, nearly convex meshes, meshes with unreadable faces, and very large
+    ones.
+
+    Args:
+        model: The model.
+        element: Index in `shapes_of`.
+    """
+    link, geometry = next(islice(elements_of(model), element, None))
+    none = np.empty((0, 3, 3))
+    if geometry.kind != "mesh":
+        return link, none
+
+    def compute() -> np.ndarray:
+        try:
+            triangles = triangles_of(geometry)
+        except UrdfError:  # its faces are damaged, which its hull does not need
+            return none
+        if len(triangles) > MAX_SURFACE_TRIANGLES:
+            return none
+        concave = len(triangles) > _TESTED_TRIANGLES or (len(triangles) and is_concave(triangles))
+        return triangles if concave else none
+
+    return link, model.cached("surface", compute, element)
+
+
+def hulls_of(
+    points: Float[np.ndarray, "n 3"], first: Int[np.ndarray, " k_1"], body: int, name: str
+) -> Shapes:
+    """Return hulls of points as shapes of a body, in whose frame the points are.
+
+    Args:
+        points: Points of all hulls, one after the other; three points are a triangle [m].
+        first: Index of the first point of each hull, and the number of points.
+        body: Index of the body.
+        name: Name of the link.
+    """
+    low, high = (f.reduceat(points, first[:-1]) for f in (np.minimum, np.maximum))
+    middle = (low + high) / 2
+    Ts = np.tile(np.eye(4), (len(low), 1, 1))
+    Ts[:, :3, 3] = middle
+    return Shapes(
+        names=(name,) * len(low),
+        body=np.full(len(low), body, np.int64),
+        Ts_body_shape=Ts,
+        half=(high - low) / 2,
+        points=points - np.repeat(middle, np.diff(first), axis=0),
+        first=first,
+        disc=np.zeros(len(low)),
+        ball=np.zeros(len(low)),
+    )
+
+
+def triangle_shapes(triangles: Float[np.ndarray, "t 3 3"], body: int, name: str) -> Shapes:
+    """Return triangles as flat shapes of a body, in whose frame they are."""
+    return hulls_of(triangles.reshape(-1, 3), 3 * np.arange(len(triangles) + 1), body, name)
+
+
 def _static_elements(model: Articulated) -> Iterator[tuple[str, Geometry, StaticElement]]:
     """Yield each collision element of a model with its link, in the order of `shapes_of`."""
     for name, link in model.urdf.links.items():
@@ -170,6 +253,11 @@ def shapes_of(model: Articulated, bodies: LinkBodies) -> Shapes:
 def moving_names(model: Articulated) -> tuple[str, ...]:
     """Return a name of each of `shapes_of` for messages: its link, and whether it is a hull."""
     return tuple(solid.label(name, static=False) for name, _, solid in _static_elements(model))
+
+
+def link_of_label(label: str) -> str:
+    """Return the link that a name of a shape means, see `StaticElement.label`."""
+    return _SOLID.sub("", label)
 
 
 def join(parts: Sequence[Shapes], prefixes: Sequence[str]) -> Shapes:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import TaskError, owner_cache
-from momapos.core.geometry import invert
+from momapos.core.geometry import apply, invert
 from momapos.model.records import Task
 from momapos.model.scene import Scene, SceneObject, latch_to_turn
 from momapos.model.urdf import Joint, opening_of
@@ -18,6 +18,7 @@ from .body_paths import BodyPaths, paths_of
 from .convex import Body, overlap
 from .exact_shapes import (
     Shapes,
+    concave_surface,
     join,
     moving_names,
     of_bodies,
@@ -27,7 +28,7 @@ from .exact_shapes import (
 from .link_bodies import LinkBodies, body_poses
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,13 +127,35 @@ class MovedPart:
 
 @dataclass(frozen=True, eq=False)
 class OwnElements:
-    """The collision elements of the part's object that the task does not move, as hulls."""
+    """The collision elements of the part's object, by their index in `shapes_of`."""
 
-    hulls: Shapes
-    of_obstacle: Int[np.ndarray, " k"]
-    """Index of the element that each obstacle is, or is a piece of; -1 for other objects."""
+    item: SceneObject
+    task: Task
+    standing: Shapes
+    """Those that the task does not move, in world coordinates; hollow meshes are in pieces."""
+    of_part: Int[np.ndarray, " m"]
+    """Element of each shape of the part."""
+    of_standing: Int[np.ndarray, " k"]
+    """Element that each standing shape is, or is a piece of."""
+    movable: Bool[np.ndarray, " e"]
+    """Whether a joint of the object moves the element."""
+    displaced: Bool[np.ndarray, " e"]
+    """Whether another joint of the object has moved the element from rest."""
+    first: int = 0
+    """Index of the first standing shape among all obstacles of a scene."""
+
+    def surface(self, element: int) -> Float[np.ndarray, "t 3 3"] | None:
+        """Return an element's triangles in the world; None if its hull is good enough."""
+        link, triangles = concave_surface(self.item.model, element)
+        if not len(triangles):
+            return None
+        bodies, _ = prepared(self.item.model)
+        T = _body_poses(self.item, bodies)[bodies.of_link[link]] @ bodies.T_body_link[link]
+        return np.asarray(apply(T, triangles.reshape(-1, 3))).reshape(-1, 3, 3)
 
 
+_REST_TOLERANCE = 1e-3
+"""Largest difference from its rest value of a joint at rest [rad] or [m]."""
 _POINT = Body(np.zeros((1, 3)), 0.0, 0.0)
 
 
@@ -153,22 +176,42 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, OwnElements]:
         raise TaskError(f"task: to must be given for joint {task.joint!r} of {task.object!r}")
     if task.joint is not None:
         target.joint(task.joint)
-    bodies, hulls = prepared(target.model)
-    hulls = _in_world(target, bodies, replace(hulls, names=moving_names(target.model)))
+    part, own = split_object(target, task)
+    fixed = [own.standing if item is target else static_shapes(item) for item in scene.objects]
+    counts = [len(shapes) for shapes in fixed]
+    own = replace(own, first=sum(counts[: scene.objects.index(target)]))
+    return part, join(fixed, [f"{item.name}/" for item in scene.objects]), own
+
+
+@owner_cache()
+def split_object(item: SceneObject, task: Task) -> tuple[MovedPart, OwnElements]:
+    """Split an object into the part that a task moves and the rest, cached for all its scenes."""
+    bodies, hulls = prepared(item.model)
+    own_body = hulls.body
+    hulls = _in_world(item, bodies, replace(hulls, names=moving_names(item.model)))
     moved = _moved_shapes(task, bodies, hulls)
-    still = np.setdiff1d(np.arange(len(hulls)), moved)
-    part = _part(target, task, bodies, hulls.take(moved))
-    fixed, prefixes, of_obstacle = [], [], []
-    for item in scene.objects:
-        shapes, element = _standing(item)
-        if item is target:
-            kept = np.flatnonzero(np.isin(element, still))
-            shapes, element = shapes.take(kept), np.searchsorted(still, element[kept])
-        fixed.append(shapes)
-        prefixes.append(f"{item.name}/")
-        of_obstacle.append(element if item is target else np.full(len(shapes), -1))
-    own = OwnElements(hulls.take(still), np.concatenate(of_obstacle))
-    return part, join(fixed, prefixes), own
+    standing, element = _standing(item)
+    kept = np.flatnonzero(~np.isin(element, moved))
+    own = OwnElements(
+        item=item,
+        task=task,
+        standing=standing.take(kept),
+        of_part=moved,
+        of_standing=element[kept],
+        movable=own_body > 0,
+        displaced=np.isin(own_body, _displaced(item, task, bodies)),
+    )
+    return _part(item, task, bodies, hulls.take(moved)), own
+
+
+def _displaced(item: SceneObject, task: Task, bodies: LinkBodies) -> list[int]:
+    """Return the bodies that other joints than the task's have moved from rest."""
+    values, rest = item.values(), item.model.rest
+    moved: set[int] = set()
+    for name, value in values.items():
+        if name != task.joint and abs(value - rest[name]) > _REST_TOLERANCE:
+            moved |= bodies.moved_by(name)
+    return sorted(moved)
 
 
 def moved_part(item: SceneObject, task: Task) -> MovedPart:

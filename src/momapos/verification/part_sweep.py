@@ -3,31 +3,47 @@
 Real scenes are imprecise: doors are flush with their neighbors, drawers touch their frames, an
 object leans on a front. So the scene as given is the reference, and the part must not overlap
 anything more deeply than there, nor extend deeper below the floor. Elements of the part's own
-object that touch the closed part are its bearing and are ignored.
+object may touch the part as deep as they do where it is closed, and somewhat deeper at a hinge.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import invert
+from momapos.core import owner_cache
+from momapos.core.geometry import apply, invert
+from momapos.model.records import Task
+from momapos.model.scene import Scene, SceneObject
 
 from .convex import overlap
-from .exact_shapes import Shapes
+from .exact_shapes import Shapes, hulls_of, join, link_of_label, triangle_shapes
 from .floor_contact import floor_contact
-from .moved_part import MovedPart, OwnElements
-from .report import Limits
+from .moved_part import MovedPart, OwnElements, split, split_object
+from .report import DEFAULT, Limits
 from .sweep import all_pairs, deepest
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
-BEARING_DEPTH = -1e-3
-"""Overlap from which an element of the same object touches the closed part: 1 mm apart [m]."""
+TOUCHING = -1e-3
+"""Depth from which two elements of an object touch: 1 mm apart [m]."""
+HINGE_RADIUS = 0.06
+"""Half the edge of the square around a hinge's axis in which the part may turn into its own object:
+knuckles and the bows of a door's edge lie within it [m]."""
+MODEL_ERROR = 0.025
+"""How much deeper a part may get into its own object there. The doors of `Kitchen.json` that share
+a hinge line get 19.5 mm into each other's hulls [m]."""
+_CHUNK = 1000
+"""Number of shapes whose boxes are computed together [-]."""
+MAX_THROUGH = 0.9
+"""Largest share of its thickness by which a panel may be in another one [-]."""
+MAX_SURFACE_PAIRS = 1_000_000
+"""Largest number of close pairs of triangles of two elements; if there are more, their hulls decide
+[-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +51,45 @@ class PartSweepCheck:
     """A part, its obstacles, and the allowed overlap of each pair of their shapes."""
 
     part: MovedPart
+    moving: Shapes
+    """The shapes of the part, and triangles of some of them, by the body that carries each."""
     fixed: Shapes
+    """All other shapes, and triangles of some of them, in world coordinates."""
     pairs: Int[np.ndarray, "p 2"]
-    """Indices into the shapes of the part and of the obstacles."""
+    """Indices into the moving and the fixed shapes."""
     already: Float[np.ndarray, " p"]
     """Overlap of each pair to subtract, as the given scene has it [m]."""
     limits: Limits
+
+    def placed(
+        self, values: Float[np.ndarray, " s"], latch_q: Float[np.ndarray, " s"] | None = None
+    ) -> Float[np.ndarray, "s k 4 4"]:
+        """Return world poses of the moving shapes at values of joint and latch."""
+        return self.moving.placed(self.part.poses(values, latch_q))
+
+    def depths(
+        self, values: Float[np.ndarray, " s"], floor: float, *, turned: bool = False
+    ) -> Float[np.ndarray, " p"]:
+        """Return the deepest overlap of each pair at values of the joint [m], at least a floor.
+
+        Args:
+            values: Values of the joint [rad] or [m].
+            floor: Smallest depth of interest [m].
+            turned: Whether the latch is turned.
+        """
+        Ts = self.placed(values, self.part.turned(len(values)) if turned else None)
+        fixed = self.fixed
+        return deepest(self.moving, Ts, fixed, fixed.Ts_body_shape[None], self.pairs, floor)[0]
+
+    def path(self, goal: float) -> Float[np.ndarray, " s"]:
+        """Return values of the joint, or heights, from the start to a goal, closely spaced."""
+        span = goal - self.part.start
+        count = max(2, math.ceil(abs(span) / self.limits.step) + 1)
+        return np.linspace(self.part.start, goal, count)
+
+    def take(self, index: Int[np.ndarray, " q"]) -> PartSweepCheck:
+        """Return the check of some of the pairs."""
+        return replace(self, pairs=self.pairs[index], already=self.already[index])
 
     def first_hit(self, goal: float) -> str | None:
         """Return the first collision of the part on the path to a joint value (or a lift).
@@ -51,16 +100,10 @@ class PartSweepCheck:
         Returns:
             A description; None if the path is free.
         """
-        span = goal - self.part.start
-        count = max(2, math.ceil(abs(span) / self.limits.step) + 1)
-        values = np.linspace(self.part.start, goal, count)
-        Ts = self.part.placed(values, self.part.turned(count))
-        Ts_fixed = self.fixed.Ts_body_shape
-        limit = self.limits.penetration
-        depth, _ = deepest(
-            self.part.shapes, Ts, self.fixed, Ts_fixed[None], self.pairs, min(0.0, limit)
-        )
-        deep = np.flatnonzero(depth - self.already > limit)
+        values = self.path(goal)
+        count = len(values)
+        Ts = self.placed(values, self.part.turned(count))
+        deep = np.flatnonzero(_excess(self, goal) > 0.0)
         hits = [(self._first_state(p, Ts), p) for p in deep.tolist()]
         state, p = min(hits, default=(count - 1, -1))
         contact = floor_contact(self.part, float(values[state]), self.limits.step)
@@ -70,13 +113,18 @@ class PartSweepCheck:
         if not hits:
             return None
         i, j = self.pairs[p]
-        names = f"{self.part.shapes.names[i]} hits {self.fixed.names[j]}"
+        names = f"{self.moving.names[i]} hits {self.fixed.names[j]}"
         return f"{names} {self._at(float(values[state]), goal)}"
+
+    def obstructions(self, goal: float) -> frozenset[str]:
+        """Return the links, as object/link, that the part hits on the path to a joint value."""
+        hit = np.flatnonzero(_excess(self, goal) > 0.0)
+        return frozenset(link_of_label(self.fixed.names[j]) for j in self.pairs[hit, 1].tolist())
 
     def _first_state(self, pair: int, Ts: Float[np.ndarray, "s k 4 4"]) -> int:
         """Return the first state at which a pair overlaps too deeply; there must be one."""
         i, j = self.pairs[pair].tolist()
-        a, b = self.part.shapes.core(i), self.fixed.core(j)
+        a, b = self.moving.core(i), self.fixed.core(j)
         allowed = self.limits.penetration + self.already[pair]
         Ts_b_a = invert(self.fixed.Ts_body_shape[j]) @ Ts[:, i]
         deep = [overlap(a, b, np.ascontiguousarray(T)) > allowed for T in Ts_b_a]
@@ -100,23 +148,323 @@ def part_sweep_check(
     Args:
         part: The moved part.
         fixed: All other shapes, in world coordinates.
-        own: The elements of the same object. A hollow one is a bearing if its hull touches the
-            part, whose meshes are hulls, too.
+        own: The elements of the same object; see `own_contacts`.
         limits: Allowed overlap, also relative to the given scene.
     """
-    pairs = all_pairs(len(part.shapes), len(fixed))
-
-    def depths(
-        value: float, others: Shapes, pairs: Int[np.ndarray, "p 2"], floor: float
-    ) -> tuple[np.ndarray, ...]:
-        Ts = part.placed(np.array([value]))
-        return deepest(part.shapes, Ts, others, others.Ts_body_shape[None], pairs, floor)
-
-    ours = all_pairs(len(part.shapes), len(own.hulls))
-    _, state = depths(part.rest, own.hulls, ours, BEARING_DEPTH)
-    bearing = np.zeros((len(part.shapes), len(own.hulls) + 1), bool)  # last: of other objects
-    bearing[tuple(ours[state >= 0].T)] = True
-    pairs = pairs[~bearing[pairs[:, 0], own.of_obstacle[pairs[:, 1]]]]
+    count, ours = len(own.standing), np.arange(len(own.standing)) + own.first
+    others = np.delete(np.arange(len(fixed)), ours)
+    pairs = all_pairs(len(part.shapes), len(others))
+    pairs[:, 1] = others[pairs[:, 1]]
+    check = PartSweepCheck(part, part.shapes, fixed, pairs, np.zeros(len(pairs)), limits)
     floor = limits.penetration - limits.deeper
-    depth, _ = depths(part.start, fixed, pairs, floor)
-    return PartSweepCheck(part, fixed, pairs, depth - floor, limits)
+    check = replace(check, already=check.depths(np.array([part.start]), floor) - floor)
+    if part.joint is None:
+        return check
+    mine = own_contacts(own.item, own.task, limits)
+    extra = mine.fixed.take(np.arange(count, len(mine.fixed)))
+    at = np.concatenate([ours, len(fixed) + np.arange(len(extra))])
+    own_pairs = np.column_stack([mine.pairs[:, 0], at[mine.pairs[:, 1]]])
+    return replace(
+        check,
+        moving=mine.moving,
+        fixed=_appended(fixed, extra) if len(extra) else fixed,
+        pairs=np.concatenate([pairs, own_pairs]),
+        already=np.concatenate([check.already, mine.already]),
+    )
+
+
+@owner_cache()
+def own_contacts(item: SceneObject, task: Task, limits: Limits) -> PartSweepCheck:
+    """Return the check of a part against the rest of its own object, cached for all its scenes.
+
+    The part may overlap its object as it does in the given scene or where it is closed. A mesh is
+    decided by its triangles where its hull would say more. Where the part turns into its object at
+    a hinge, or slides along what it overlaps at rest, models are not exact.
+    """
+    part, own = split_object(item, task)
+    pairs = all_pairs(len(part.shapes), len(own.standing))
+    named = join([own.standing], [f"{item.name}/"])
+    check = PartSweepCheck(part, part.shapes, named, pairs, np.zeros(len(pairs)), limits)
+    element = own.of_standing[pairs[:, 1]]
+    resting = _resting(check, own.displaced[element])
+    error = _model_error(resting, own.movable[element])
+    check = replace(check, already=_allowed(check, resting, error))
+    excess = _excess(check)
+    suspects = (resting > limits.deeper) | (excess > 0.0)
+    if suspects.any():
+        check, resting = _surfaces(check, resting, own, np.flatnonzero(suspects))
+        check = _with_bearings(check, resting, _excess(check))
+    return check
+
+
+def _resting(check: PartSweepCheck, displaced: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+    """Return how deep pairs overlap in the given scene, or if more, where the part is closed [m].
+
+    Where another joint has moved the obstacle from rest, the closed part may hit it.
+    """
+    part, floor = check.part, min(TOUCHING, check.limits.penetration - check.limits.deeper)
+    depth = check.depths(np.array([part.start]), floor)
+    if part.rest == part.start:
+        return depth
+    closed = check.depths(np.array([part.rest]), floor)
+    return np.where(displaced, depth, np.maximum(depth, closed))
+
+
+def _allowed(
+    check: PartSweepCheck, resting: Float[np.ndarray, " p"], error: Float[np.ndarray, " p"]
+) -> Float[np.ndarray, " p"]:
+    """Return the overlap to subtract for pairs that rest so deep in each other [m].
+
+    A thin panel must not get deeper than half its thickness, nor almost through: it would come out
+    on the other side.
+
+    Args:
+        check: The pairs.
+        resting: Overlap of each pair at rest [m].
+        error: How wrong the model is there at least, see `_model_error` [m].
+    """
+    limits, (i, j) = check.limits, check.pairs.T
+    floor = limits.penetration - limits.deeper
+    thin = np.minimum(_half_thickness(check.moving)[i], _half_thickness(check.fixed)[j])
+    through = np.maximum(2.0 * MAX_THROUGH * thin - np.maximum(resting, 0.0), 0.0)
+    deeper = np.maximum(np.minimum(np.minimum(limits.deeper, thin), through), error)
+    return np.maximum(resting, floor) - floor - (limits.deeper - deeper)
+
+
+def _model_error(
+    resting: Float[np.ndarray, " p"], movable: Bool[np.ndarray, " p"]
+) -> Float[np.ndarray, " p"]:
+    """Return how much deeper pairs may get, given their overlap at rest [m].
+
+    Where the closed part overlaps the body of its object, the model is wrong by that much at least.
+    Parts that move, too, are no bearings.
+    """
+    return np.where(movable, 0.0, np.clip(resting, 0.0, MODEL_ERROR))
+
+
+def _half_thickness(shapes: Shapes) -> Float[np.ndarray, " k"]:
+    """Return half the thickness of each shape [m]; infinite for triangles, which have none."""
+    return np.where(np.diff(shapes.first) == 3, np.inf, shapes.half.min(1))
+
+
+def _excess(check: PartSweepCheck, goal: float | None = None) -> Float[np.ndarray, " p"]:
+    """Return how much deeper than allowed each pair gets on the way to a goal [m]."""
+    limit, values = check.limits.penetration, check.path(check.part.goal if goal is None else goal)
+    return check.depths(values, min(0.0, limit), turned=True) - check.already - limit
+
+
+def _surfaces(
+    check: PartSweepCheck,
+    resting: Float[np.ndarray, " p"],
+    own: OwnElements,
+    suspects: Int[np.ndarray, " q"],
+) -> tuple[PartSweepCheck, Float[np.ndarray, " p"]]:
+    """Replace pairs of hulls by pairs of triangles where a hull that bridges space would decide.
+
+    A triangle that the part crosses in the given scene is where the part comes out of its object.
+
+    Returns:
+        The check, and the overlap of each of its pairs at rest [m].
+    """
+    element = own.of_standing[check.pairs[:, 1]]
+    dropped = np.zeros(len(check.pairs), bool)
+    added = [(check.pairs[:0], resting[:0])]
+    moving, fixed = check.moving, check.fixed
+    for i, e in sorted({(int(check.pairs[p, 0]), int(element[p])) for p in suspects}):
+        a, b = own.surface(int(own.of_part[i])), own.surface(e)
+        coarse = (check.pairs[:, 0] == i) & (element == e)
+        if a is None and b is None:
+            continue
+        found = _triangle_pairs(check, i, check.pairs[coarse, 1], a, b)
+        if found is None:
+            continue
+        dropped |= coarse
+        one, other, near = found
+        pairs = near + np.array([len(moving), len(fixed)])
+        moving, fixed = _appended(moving, one), _appended(fixed, other)
+        fine = replace(check, moving=moving, fixed=fixed, pairs=pairs)
+        depth = _resting(fine, np.repeat(own.displaced[e], len(pairs)))
+        kept = depth <= check.limits.deeper
+        deepest_rest = min(float(depth.max(initial=0.0)), MODEL_ERROR)
+        added.append((pairs[kept], np.full(int(kept.sum()), deepest_rest)))
+    fine = replace(check, moving=moving, fixed=fixed, pairs=np.concatenate([p for p, _ in added]))
+    depth = np.concatenate([d for _, d in added])
+    already = _allowed(fine, depth, np.zeros(len(depth)))
+    fine = replace(
+        fine,
+        pairs=np.concatenate([check.pairs[~dropped], fine.pairs]),
+        already=np.concatenate([check.already[~dropped], already]),
+    )
+    return fine, np.concatenate([resting[~dropped], depth])
+
+
+def _triangle_pairs(
+    check: PartSweepCheck,
+    i: int,
+    obstacles: Int[np.ndarray, " o"],
+    a: Float[np.ndarray, "t 3 3"] | None,
+    b: Float[np.ndarray, "u 3 3"] | None,
+) -> tuple[Shapes, Shapes, Int[np.ndarray, "p 2"]] | None:
+    """Return the triangles of two elements that come close, and their pairs.
+
+    Args:
+        check: The check of the hulls.
+        i: The moving element.
+        obstacles: The fixed element, or its pieces.
+        a: Triangles of the moving element in the world; None if it is convex.
+        b: The same of the fixed element.
+
+    Returns:
+        None if there are too many pairs.
+    """
+    part = check.part
+    values = check.path(part.goal)
+    Ts_body = part.poses(values, part.turned(len(values)))
+    one = check.moving.take(np.array([i]))
+    body, name = int(one.body[0]), link_of_label(one.names[0])
+    lows, highs = _boxes_of(one, Ts_body)
+    if b is None:
+        other = check.fixed.take(obstacles)
+        low, high = _boxes_of(other, np.eye(4)[None, None])
+    else:
+        low, high = b.min(1), b.max(1)
+        kept = ((lows <= high) & (low <= highs)).all(1)
+        b, low, high = b[kept], low[kept], high[kept]
+        other = triangle_shapes(b, 0, link_of_label(check.fixed.names[obstacles[0]]))
+    if a is not None and len(other):
+        T_body_world = invert(part.poses(np.array([part.start]))[0, body])
+        local = np.asarray(apply(T_body_world, a.reshape(-1, 3))).reshape(-1, 3, 3)
+        one = triangle_shapes(local, body, name)
+        lows, highs = _boxes_of(one, Ts_body)
+    pairs = _meeting(lows, highs, low, high)
+    if pairs is None:
+        return None
+    used, new = np.unique(pairs[:, 0], return_inverse=True)
+    met, now = np.unique(pairs[:, 1], return_inverse=True)
+    return one.take(used), other.take(met), np.column_stack([new, now])
+
+
+def _meeting(
+    lows: Float[np.ndarray, "k 3"],
+    highs: Float[np.ndarray, "k 3"],
+    low: Float[np.ndarray, "o 3"],
+    high: Float[np.ndarray, "o 3"],
+) -> Int[np.ndarray, "p 2"] | None:
+    """Return the pairs of boxes that meet, from two sets; None if there are too many."""
+    if not len(low) or not len(lows):
+        return np.empty((0, 2), np.int64)
+    near = np.flatnonzero(((lows <= high.max(0)) & (low.min(0) <= highs)).all(1))
+    found, count = [np.empty((0, 2), np.int64)], 0
+    for rows in np.array_split(near, len(near) // _CHUNK + 1):
+        meet = (lows[rows, None] <= high[None]) & (low[None] <= highs[rows, None])
+        k, j = np.nonzero(meet.all(2))
+        found.append(np.column_stack([rows[k], j]))
+        count += len(k)
+        if count > MAX_SURFACE_PAIRS:
+            return None
+    return np.concatenate(found)
+
+
+def _boxes_of(
+    shapes: Shapes, Ts_body: Float[np.ndarray, "s b 4 4"]
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Return the lowest and highest corners of boxes around shapes over all states [m]."""
+    low, high = np.empty((len(shapes), 3)), np.empty((len(shapes), 3))
+    for rows in np.array_split(np.arange(len(shapes)), len(shapes) // _CHUNK + 1):
+        Ts = Ts_body[:, shapes.body[rows]] @ shapes.Ts_body_shape[rows]
+        extent = np.einsum("skij,kj->ski", np.abs(Ts[..., :3, :3]), shapes.half[rows])
+        low[rows] = (Ts[..., :3, 3] - extent).min(0)
+        high[rows] = (Ts[..., :3, 3] + extent).max(0)
+    return low, high
+
+
+def _appended(shapes: Shapes, others: Shapes) -> Shapes:
+    """Return two sets of shapes as one; unlike with `join`, they keep their bodies."""
+    both = join([shapes, others], ["", ""])
+    return replace(both, body=np.concatenate([shapes.body, others.body]))
+
+
+def _with_bearings(
+    check: PartSweepCheck, resting: Float[np.ndarray, " p"], excess: Float[np.ndarray, " p"]
+) -> PartSweepCheck:
+    """Allow more overlap to pairs that touch at rest and get deeper at a hinge only.
+
+    There, models are never exact. What the part does outside of the square around the axis of its
+    hinge decides whether it is one.
+
+    Args:
+        check: The check of elements of the same object.
+        resting: Overlap of each pair at rest [m].
+        excess: How much deeper than allowed each one gets on the way to the goal [m].
+    """
+    joints = check.part.paths.joints
+    turning = np.array([joint.kind != "prismatic" for joint in joints])
+    hinged = turning[check.moving.body[check.pairs[:, 0]]] & (resting >= TOUCHING)
+    suspects = np.flatnonzero(hinged & (excess > 0.0))
+    if not len(suspects):
+        return check
+    moving, rows = check.moving, [np.empty((0, 3), np.int64)]
+    for i in np.unique(check.pairs[suspects, 0]).tolist():
+        outside = _beyond_hinge(check.moving, i, joints[int(check.moving.body[i])].axis)
+        at = suspects[check.pairs[suspects, 0] == i]
+        new = len(moving) + np.arange(len(outside))
+        cut = [(k, check.pairs[p, 1], p) for p in at for k in new]
+        rows.append(np.array(cut, np.int64).reshape(-1, 3))
+        moving = _appended(moving, outside)
+    k, j, p = np.concatenate(rows).T
+    pairs, already = np.column_stack([k, j]), check.already[p]
+    deep = p[_excess(replace(check, moving=moving, pairs=pairs, already=already)) > 0.0]
+    bearings = np.setdiff1d(suspects, deep)
+    already = check.already.copy()
+    already[bearings] += MODEL_ERROR - check.limits.deeper
+    return replace(check, already=already)
+
+
+def _beyond_hinge(shapes: Shapes, i: int, axis: Float[np.ndarray, "3"]) -> Shapes:
+    """Return the parts of a shape outside of the square prism around the axis of its hinge.
+
+    Each of four planes cuts off one convex part; the axis passes through the body's origin.
+    """
+    points = np.asarray(apply(shapes.Ts_body_shape[i], shapes.outline(i)))
+    ball = float(shapes.ball[i])
+    across = points.mean(0) - (points.mean(0) @ axis) * axis
+    if np.linalg.norm(across) < 1e-9:
+        across = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        across = across - (across @ axis) * axis
+    u = across / np.linalg.norm(across)
+    v = np.cross(axis, u)
+    parts = [_beyond(points, n, HINGE_RADIUS - ball) for n in (u, -u, v, -v)]
+    parts = [part for part in parts if len(part)]
+    first = np.cumsum([0, *map(len, parts)])
+    found = hulls_of(np.concatenate([points[:0], *parts]), first, int(shapes.body[i]), "")
+    return replace(found, ball=np.full(len(parts), ball))
+
+
+def _beyond(
+    points: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], offset: float
+) -> Float[np.ndarray, "m 3"]:
+    """Return points whose hull is what a plane cuts off the hull of points."""
+    away = points @ normal - offset
+    out, into = np.flatnonzero(away > 0.0), np.flatnonzero(away <= 0.0)
+    if not len(out) or not len(into):
+        return points[out]
+    share = away[out, None] / (away[out, None] - away[None, into])
+    crossing = points[out, None] + share[..., None] * (points[None, into] - points[out, None])
+    return np.concatenate([points[out], _rim(crossing.reshape(-1, 3), normal)])
+
+
+def _rim(points: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"]) -> np.ndarray:
+    """Return the corners of the hull of points in a plane."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    kept = np.argsort(np.abs(normal))[:2]
+    try:
+        return points[ConvexHull(points[:, kept]).vertices]
+    except QhullError:  # all on one line
+        return points
+
+
+def obstructing_links(scene: Scene, task: Task, limits: Limits = DEFAULT) -> frozenset[str]:
+    """Return the links, as object/link, that stand in the way of what a task moves."""
+    part, fixed, own = split(scene, task)
+    return part_sweep_check(part, fixed, own, limits).obstructions(part.goal)

@@ -1,7 +1,9 @@
 from .articulated import Articulated as Articulated
 from .code_meshes import mesh_model as mesh_model
 from .code_meshes import trimesh_parts as trimesh_parts
+from .convex_pieces import is_concave as is_concave
 from .convex_pieces import pieces_of as pieces_of
+from .convex_pieces import triangles_of as triangles_of
 from .coupling import check_coupled as check_coupled
 from .coupling import leader_of as leader_of
 from .furniture import read_furniture as read_furniture

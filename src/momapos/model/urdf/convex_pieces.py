@@ -123,7 +123,7 @@ def triangles_of(geometry: Geometry) -> Float[np.ndarray, "t 3 3"]:
 
 def free_volume(triangles: Float[np.ndarray, "t 3 3"]) -> float:
     """Return the free space in the hull of a surface [m^3]; 0 if it is nearly convex."""
-    if not len(triangles) or not _is_concave(triangles):
+    if not len(triangles) or not is_concave(triangles):
         return 0.0
     surface = close_rims(triangles) @ fit_box(triangles.reshape(-1, 3))[1]
     free = _free_cells(surface, surface, FINE).inside(_hull_planes(surface), MIN_DEPTH)
@@ -143,7 +143,7 @@ def convex_pieces(
         Points of each piece; one piece if the surface is nearly convex or has too many triangles.
     """
     points = triangles.reshape(-1, 3)
-    if not 0 < len(triangles) <= MAX_TRIANGLES or not _is_concave(triangles):
+    if not 0 < len(triangles) <= MAX_TRIANGLES or not is_concave(triangles):
         return [points]
     rotation = fit_box(points)[1]
     surface = close_rims(triangles) @ rotation
@@ -174,7 +174,7 @@ def _hull_planes(triangles: Float[np.ndarray, "t 3 3"]) -> _HullPlanes:
     return _HullPlanes(low, high, unique_rows(np.round(hull.equations, 5)), float(hull.volume))
 
 
-def _is_concave(triangles: Float[np.ndarray, "t 3 3"]) -> bool:
+def is_concave(triangles: Float[np.ndarray, "t 3 3"]) -> bool:
     """Return whether corners or midpoints of a surface are deep inside its hull."""
     middles = (triangles + triangles[:, [1, 2, 0]]).reshape(-1, 3) / 2
     points = np.concatenate([triangles.reshape(-1, 3), middles, triangles.mean(1)])
@@ -357,7 +357,7 @@ def free_share(triangles: Float[np.ndarray, "t 3 3"]) -> tuple[float, float]:
         Volume of the hull, and of the space in it that the surface does not hide [m^3]; closed
         cavities are hidden.
     """
-    if not _is_concave(triangles):
+    if not is_concave(triangles):
         return _hull_planes(triangles).volume, 0.0
     surface = close_rims(triangles) @ fit_box(triangles.reshape(-1, 3))[1]
     piece = _piece(surface, _free_cells(surface, surface, FINE))
