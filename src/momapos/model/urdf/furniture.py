@@ -10,16 +10,31 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from momapos.core import Cache, UrdfError
 
 from .collada import turned_up, up_axis
+from .convex_pieces import triangles_of
+from .hulls import hull_of
 from .mesh_files import MeshFinder
-from .meshes import mesh_bytes, mesh_points
+from .meshes import mesh_bytes, mesh_digest, mesh_points
 from .model_cache import once
 from .reader import read_urdf
 from .urdf_records import Geometry, Link, Urdf
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MAX_MISSED = 0.03
+"""Drawn shapes that get farther out of the collision shapes of their body are added to these: more
+than what rounded edges, handles in simplified panels and overlapping fronts differ by [m]."""
+MAX_PARTS = 50
+"""Largest number of parts of a triangle's edge between sampled points [-]."""
+MAX_SAMPLES = 20_000
+"""Number of points to which those of a very detailed surface are thinned out [-]."""
 MAX_NAMED = 4
 """Number of links that a note names [-]."""
 
@@ -36,8 +51,9 @@ def read_furniture(
     """Read the URDF of furniture; its notes say what differs from the file.
 
     A body is a link with all links that fixed joints join to it. If a body has no collision shapes,
-    its visual shapes are its collision shapes. A visual mesh that does not exist or is damaged is
-    left out if its body has other shapes. COLLADA meshes are turned so that their up axis is z.
+    its visual shapes are its collision shapes. If it has some, visual shapes that get more than
+    3 cm out of them are added. A visual mesh that does not exist or is damaged is left out if its
+    body has other shapes. COLLADA meshes are turned so that their up axis is z.
 
     Args:
         path: The file.
@@ -64,6 +80,8 @@ def read_furniture(
         notes.append(f"{path}: left out visual meshes of {_names(list(visuals.lost))}: {why}")
     urdf = _turned_up(urdf, notes)
     urdf = _with_visual_collisions(urdf, visual_collisions, notes)
+    if visual_collisions:
+        urdf = _with_missed_visuals(urdf, cache, notes)
     return replace(urdf, notes=tuple(notes))
 
 
@@ -161,6 +179,123 @@ def _with_visual_collisions(urdf: Urdf, allowed: bool, notes: list[str]) -> Urdf
         name: replace(urdf.links[name], collisions=urdf.links[name].visuals) for name in bare
     }
     return replace(urdf, links={**urdf.links, **changed})
+
+
+def _with_missed_visuals(urdf: Urdf, cache: Cache | None, notes: list[str]) -> Urdf:
+    """Add the visual shapes that the collision shapes of their body miss.
+
+    What a person sees stands in the way, whatever the file says.
+    """
+    added: dict[str, tuple[Geometry, ...]] = {}
+    farthest = 0.0
+    for body, poses in zip(rigid_bodies(urdf), _poses_in_bodies(urdf), strict=True):
+        solid = [(poses[n], shape) for n in body for shape in urdf.links[n].collisions]
+        drawn = [(n, shape) for n in body for shape in _only_drawn(urdf.links[n])]
+        if not solid or not drawn:
+            continue
+        placed = [_placed(poses[n], shape) for n, shape in drawn]
+        missed = _missed_depths(placed, [_placed(T, shape) for T, shape in solid], cache)
+        for (name, shape), depth in zip(drawn, missed, strict=True):
+            if depth > MAX_MISSED:
+                added[name] = (*added.get(name, ()), shape)
+                farthest = max(farthest, depth)
+    if not added:
+        return urdf
+    words = (
+        f"the collision shapes of {_names(list(added))} miss up to {100 * farthest:.0f} cm of what "
+        "is drawn; the drawn shapes are used, too"
+    )
+    notes.append(f"{urdf.path}: {words}")
+    links = {
+        name: replace(urdf.links[name], collisions=(*urdf.links[name].collisions, *shapes))
+        for name, shapes in added.items()
+    }
+    return replace(urdf, links={**urdf.links, **links}, drawn_only=words)
+
+
+def _poses_in_bodies(urdf: Urdf) -> list[dict[str, Float[np.ndarray, "4 4"]]]:
+    """Return the poses of the links of each body in the frame of its first link."""
+    fixed = {joint.child: joint for joint in urdf.joints if not joint.movable}
+    found = []
+    for body in rigid_bodies(urdf):
+        poses = {body[0]: np.eye(4)}
+        for name in body[1:]:
+            poses[name] = poses[fixed[name].parent] @ fixed[name].T_parent_joint
+        found.append(poses)
+    return found
+
+
+def _placed(T: Float[np.ndarray, "4 4"], shape: Geometry) -> Geometry:
+    return replace(shape, T_link_geometry=T @ shape.T_link_geometry)
+
+
+def _only_drawn(link: Link) -> list[Geometry]:
+    """Return the visual shapes of a link that are not among its collision shapes."""
+
+    def key(shape: Geometry) -> tuple[object, ...]:
+        pose = np.round(shape.T_link_geometry, 6).tobytes()
+        return shape.kind, tuple(np.round(shape.size, 6)), pose, shape.mesh
+
+    solid = set(map(key, link.collisions))
+    return [shape for shape in link.visuals if key(shape) not in solid]
+
+
+def _missed_depths(
+    drawn: Sequence[Geometry], solid: Sequence[Geometry], cache: Cache | None
+) -> tuple[float, ...]:
+    """Return how far each drawn shape gets out of the hulls of solid ones [m]."""
+
+    def compute() -> tuple[float, ...]:
+        from scipy.spatial import ConvexHull
+
+        planes = [ConvexHull(hull_of(shape).vertices).equations for shape in solid]
+        return tuple(_missed_depth(shape, planes) for shape in drawn)
+
+    def content(shape: Geometry) -> object:
+        mesh = b"" if shape.mesh is None else mesh_digest(shape.mesh)
+        return shape.kind, shape.size, shape.T_link_geometry.tobytes(), mesh
+
+    key = tuple(map(content, drawn)), tuple(map(content, solid))
+    return tuple(once(cache, "missed", key, compute))
+
+
+def _missed_depth(shape: Geometry, planes: Sequence[Float[np.ndarray, "f 4"]]) -> float:
+    """Return how far points of a shape's surface are outside of all hulls [m].
+
+    The distance from the planes of a hull's faces counts, which is at most that from the hull.
+    """
+    points = surface_points(shape, MAX_MISSED)
+    if not len(points):
+        return 0.0
+    apart = np.full(len(points), np.inf)
+    for normal_offset in planes:
+        away = (points @ normal_offset[:, :3].T + normal_offset[:, 3]).max(1)
+        apart = np.minimum(apart, away)
+    return float(apart.max())
+
+
+def surface_points(shape: Geometry, spacing: float) -> Float[np.ndarray, "n 3"]:
+    """Return points on a shape's surface in the link frame, about as far apart as a spacing [m].
+
+    A mesh whose faces are unreadable has none.
+    """
+    if shape.kind == "mesh":
+        try:
+            triangles = triangles_of(shape)
+        except UrdfError:  # drawn meshes may be damaged
+            return np.empty((0, 3))
+    else:
+        hull = hull_of(shape)
+        triangles = hull.vertices[hull.faces]
+    edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(1, initial=0.0)
+    parts = np.clip(np.ceil(edges / spacing), 1, MAX_PARTS).astype(int)
+    found = [np.empty((0, 3))]
+    for n in np.unique(parts).tolist():
+        i, j = np.mgrid[: n + 1, : n + 1].reshape(2, -1)
+        weights = np.column_stack([i, j, n - i - j])[i + j <= n] / n
+        found.append(np.einsum("wk,tkc->twc", weights, triangles[parts == n]).reshape(-1, 3))
+    points = np.concatenate(found)
+    return points[:: len(points) // MAX_SAMPLES + 1]
 
 
 def _names(links: Sequence[str]) -> str:
