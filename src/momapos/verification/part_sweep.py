@@ -9,7 +9,9 @@ object may touch the part as deep as they do where it is closed, and somewhat de
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +25,7 @@ from .convex import overlap
 from .exact_shapes import Shapes, hulls_of, join, link_of_label, triangle_shapes
 from .floor_contact import floor_contact
 from .moved_part import MovedPart, OwnElements, split, split_object
+from .overlaps import Overlaps
 from .report import DEFAULT, Limits
 from .sweep import all_pairs, deepest
 
@@ -39,6 +42,9 @@ MODEL_ERROR = 0.025
 a hinge line get 19.5 mm into each other's hulls [m]."""
 _CHUNK = 1000
 """Number of shapes whose boxes are computed together [-]."""
+FINER_STEPS = 4
+"""The part's own path is sampled so many times as finely as a motion: it is checked once for a
+task, and thin panels pass each other within 5 mm [-]."""
 MAX_THROUGH = 0.9
 """Largest share of its thickness by which a panel may be in another one [-]."""
 MAX_SURFACE_PAIRS = 1_000_000
@@ -83,8 +89,8 @@ class PartSweepCheck:
 
     def path(self, goal: float) -> Float[np.ndarray, " s"]:
         """Return values of the joint, or heights, from the start to a goal, closely spaced."""
-        span = goal - self.part.start
-        count = max(2, math.ceil(abs(span) / self.limits.step) + 1)
+        span, step = goal - self.part.start, self.limits.step / FINER_STEPS
+        count = max(2, math.ceil(abs(span) / step) + 1)
         return np.linspace(self.part.start, goal, count)
 
     def take(self, index: Int[np.ndarray, " q"]) -> PartSweepCheck:
@@ -101,34 +107,58 @@ class PartSweepCheck:
             A description; None if the path is free.
         """
         values = self.path(goal)
-        count = len(values)
-        Ts = self.placed(values, self.part.turned(count))
-        deep = np.flatnonzero(_excess(self, goal) > 0.0)
-        hits = [(self._first_state(p, Ts), p) for p in deep.tolist()]
-        state, p = min(hits, default=(count - 1, -1))
+        Ts = self.placed(values, self.part.turned(len(values)))
+        state, p = len(values) - 1, -1
+        for one in np.flatnonzero(_excess(self, goal) > 0.0).tolist():
+            earlier = self._first_state(one, Ts[: state + (p < 0)])
+            if earlier is not None:
+                state, p = earlier, one
         contact = floor_contact(self.part, float(values[state]), self.limits.step)
         if contact is not None:
             value, name = contact
             return f"{name} meets the floor {self._at(value, goal)}"
-        if not hits:
+        if p < 0:
             return None
         i, j = self.pairs[p]
         names = f"{self.moving.names[i]} hits {self.fixed.names[j]}"
         return f"{names} {self._at(float(values[state]), goal)}"
+
+    @cached_property
+    def on_task(self) -> Overlaps:
+        """Return what the part overlaps on the path to the task's goal."""
+        values = self.path(self.part.goal)
+        Ts_body = self.part.poses(values, self.part.turned(len(values)))
+        return self.overlaps(Ts_body, lambda state: f"object_q {values[state]:.3f}")
+
+    def overlaps(
+        self, Ts_body: Float[np.ndarray, "s b 4 4"], where: Callable[[int], str]
+    ) -> Overlaps:
+        """Return what the part overlaps more than allowed.
+
+        Args:
+            Ts_body: World poses of the part's bodies.
+            where: Names a state by its index.
+        """
+        found, fixed = Overlaps(self.limits.penetration), self.fixed
+        found.add(
+            self.moving, self.moving.placed(Ts_body), fixed, fixed.Ts_body_shape[None],
+            self.pairs, where, already=self.already,
+        )  # fmt: skip
+        return found
 
     def obstructions(self, goal: float) -> frozenset[str]:
         """Return the links, as object/link, that the part hits on the path to a joint value."""
         hit = np.flatnonzero(_excess(self, goal) > 0.0)
         return frozenset(link_of_label(self.fixed.names[j]) for j in self.pairs[hit, 1].tolist())
 
-    def _first_state(self, pair: int, Ts: Float[np.ndarray, "s k 4 4"]) -> int:
-        """Return the first state at which a pair overlaps too deeply; there must be one."""
+    def _first_state(self, pair: int, Ts: Float[np.ndarray, "s k 4 4"]) -> int | None:
+        """Return the first state at which a pair overlaps too deeply, if there is one."""
         i, j = self.pairs[pair].tolist()
         a, b = self.moving.core(i), self.fixed.core(j)
         allowed = self.limits.penetration + self.already[pair]
         Ts_b_a = invert(self.fixed.Ts_body_shape[j]) @ Ts[:, i]
-        deep = [overlap(a, b, np.ascontiguousarray(T)) > allowed for T in Ts_b_a]
-        return int(np.argmax(deep))
+        deep = (overlap(a, b, np.ascontiguousarray(T)) > allowed for T in Ts_b_a)
+        return next((state for state, hits in enumerate(deep) if hits), None)
 
     def _at(self, value: float, goal: float) -> str:
         start, joint = self.part.start, self.part.joint
@@ -227,7 +257,11 @@ def _allowed(
     floor = limits.penetration - limits.deeper
     thin = np.minimum(_half_thickness(check.moving)[i], _half_thickness(check.fixed)[j])
     through = np.maximum(2.0 * MAX_THROUGH * thin - np.maximum(resting, 0.0), 0.0)
-    deeper = np.maximum(np.minimum(np.minimum(limits.deeper, thin), through), error)
+    deeper = np.where(
+        error > limits.deeper,
+        limits.deeper + error,
+        np.minimum(np.minimum(limits.deeper, thin), through),
+    )
     return np.maximum(resting, floor) - floor - (limits.deeper - deeper)
 
 

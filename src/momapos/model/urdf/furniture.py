@@ -15,15 +15,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import Cache, UrdfError
+from momapos.core.geometry import invert
 
 from .collada import turned_up, up_axis
-from .convex_pieces import triangles_of
-from .hulls import hull_of
+from .convex_pieces import pieces_of, triangles_of
+from .hulls import Hull, hull_of
 from .mesh_files import MeshFinder
 from .meshes import mesh_bytes, mesh_digest, mesh_points
 from .model_cache import once
 from .reader import read_urdf
-from .urdf_records import Geometry, Link, Urdf
+from .static_shapes import CUT
+from .urdf_records import Geometry, Link, Mesh, Urdf
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -194,23 +196,23 @@ def _with_missed_visuals(urdf: Urdf, cache: Cache | None, notes: list[str]) -> U
         if not solid or not drawn:
             continue
         placed = [_placed(poses[n], shape) for n, shape in drawn]
-        missed = _missed_depths(placed, [_placed(T, shape) for T, shape in solid], cache)
-        for (name, shape), depth in zip(drawn, missed, strict=True):
-            if depth > MAX_MISSED:
-                added[name] = (*added.get(name, ()), shape)
-                farthest = max(farthest, depth)
+        missed = _missed_pieces(placed, [_placed(T, shape) for T, shape in solid], cache)
+        for (name, shape), pieces in zip(drawn, missed, strict=True):
+            if pieces:
+                shapes = _as_shapes(shape, invert(poses[name]), [hull for _, hull in pieces])
+                added[name] = (*added.get(name, ()), *shapes)
+                farthest = max(farthest, *(depth for depth, _ in pieces))
     if not added:
         return urdf
-    words = (
-        f"the collision shapes of {_names(list(added))} miss up to {100 * farthest:.0f} cm of what "
-        "is drawn; the drawn shapes are used, too"
+    notes.append(
+        f"{urdf.path}: the collision shapes of {_names(list(added))} miss up to "
+        f"{100 * farthest:.0f} cm of what is drawn; the drawn shapes are used, too"
     )
-    notes.append(f"{urdf.path}: {words}")
     links = {
         name: replace(urdf.links[name], collisions=(*urdf.links[name].collisions, *shapes))
         for name, shapes in added.items()
     }
-    return replace(urdf, links={**urdf.links, **links}, drawn_only=words)
+    return replace(urdf, links={**urdf.links, **links})
 
 
 def _poses_in_bodies(urdf: Urdf) -> list[dict[str, Float[np.ndarray, "4 4"]]]:
@@ -240,53 +242,84 @@ def _only_drawn(link: Link) -> list[Geometry]:
     return [shape for shape in link.visuals if key(shape) not in solid]
 
 
-def _missed_depths(
-    drawn: Sequence[Geometry], solid: Sequence[Geometry], cache: Cache | None
-) -> tuple[float, ...]:
-    """Return how far each drawn shape gets out of the hulls of solid ones [m]."""
+def _as_shapes(
+    shape: Geometry, T_link_body: Float[np.ndarray, "4 4"], pieces: Sequence[Hull]
+) -> tuple[Geometry, ...]:
+    """Return a drawn shape, or the pieces of a drawn mesh, as shapes of a link."""
+    if shape.kind != "mesh":
+        return (shape,)
+    return tuple(
+        replace(
+            shape, size=(1.0, 1.0, 1.0), T_link_geometry=T_link_body, mesh=Mesh(h.vertices, h.faces)
+        )
+        for h in pieces
+    )
 
-    def compute() -> tuple[float, ...]:
+
+def _missed_pieces(
+    drawn: Sequence[Geometry], solid: Sequence[Geometry], cache: Cache | None
+) -> Sequence[Sequence[tuple[float, Hull]]]:
+    """Return the convex pieces of each drawn shape that get far out of the hulls of solid ones.
+
+    Returns:
+        For each drawn shape, how far each of its missed pieces gets out [m], and the piece.
+    """
+
+    def compute() -> list[list[tuple[float, Hull]]]:
         from scipy.spatial import ConvexHull
 
         planes = [ConvexHull(hull_of(shape).vertices).equations for shape in solid]
-        return tuple(_missed_depth(shape, planes) for shape in drawn)
+        return [_missed(shape, planes) for shape in drawn]
 
     def content(shape: Geometry) -> object:
         mesh = b"" if shape.mesh is None else mesh_digest(shape.mesh)
         return shape.kind, shape.size, shape.T_link_geometry.tobytes(), mesh
 
     key = tuple(map(content, drawn)), tuple(map(content, solid))
-    return tuple(once(cache, "missed", key, compute))
+    return once(cache, "missed", key, compute, (Hull,))
 
 
-def _missed_depth(shape: Geometry, planes: Sequence[Float[np.ndarray, "f 4"]]) -> float:
-    """Return how far points of a shape's surface are outside of all hulls [m].
+def _missed(
+    shape: Geometry, planes: Sequence[Float[np.ndarray, "f 4"]]
+) -> list[tuple[float, Hull]]:
+    triangles = _triangles(shape)
+    if _depth_outside(triangles, planes) <= MAX_MISSED:
+        return []
+    pieces = [(hull.vertices[hull.faces], hull) for hull in pieces_of(shape, hull_of(shape), CUT)]
+    depths = [(_depth_outside(surface, planes), hull) for surface, hull in pieces]
+    return [(depth, hull) for depth, hull in depths if depth > MAX_MISSED]
+
+
+def _depth_outside(
+    triangles: Float[np.ndarray, "t 3 3"], planes: Sequence[Float[np.ndarray, "f 4"]]
+) -> float:
+    """Return how far points of a surface are outside of all hulls [m].
 
     The distance from the planes of a hull's faces counts, which is at most that from the hull.
     """
-    points = surface_points(shape, MAX_MISSED)
-    if not len(points):
-        return 0.0
+    points = surface_points(triangles, MAX_MISSED)
     apart = np.full(len(points), np.inf)
     for normal_offset in planes:
         away = (points @ normal_offset[:, :3].T + normal_offset[:, 3]).max(1)
         apart = np.minimum(apart, away)
-    return float(apart.max())
+    return float(apart.max(initial=-np.inf))
 
 
-def surface_points(shape: Geometry, spacing: float) -> Float[np.ndarray, "n 3"]:
-    """Return points on a shape's surface in the link frame, about as far apart as a spacing [m].
-
-    A mesh whose faces are unreadable has none.
-    """
-    if shape.kind == "mesh":
-        try:
-            triangles = triangles_of(shape)
-        except UrdfError:  # drawn meshes may be damaged
-            return np.empty((0, 3))
-    else:
+def _triangles(shape: Geometry) -> Float[np.ndarray, "t 3 3"]:
+    """Return the triangles of a shape in the link frame; none of a mesh with unreadable faces."""
+    if shape.kind != "mesh":
         hull = hull_of(shape)
-        triangles = hull.vertices[hull.faces]
+        return hull.vertices[hull.faces]
+    try:
+        return triangles_of(shape)
+    except UrdfError:  # drawn meshes may be damaged
+        return np.empty((0, 3, 3))
+
+
+def surface_points(
+    triangles: Float[np.ndarray, "t 3 3"], spacing: float
+) -> Float[np.ndarray, "n 3"]:
+    """Return points on a surface, about as far apart as a spacing [m]; at most `MAX_SAMPLES`."""
     edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(1, initial=0.0)
     parts = np.clip(np.ceil(edges / spacing), 1, MAX_PARTS).astype(int)
     found = [np.empty((0, 3))]
