@@ -180,3 +180,43 @@ def test_an_invalid_mass_is_refused(value: str, tmp_path: Path) -> None:
     )
     with pytest.raises(UrdfError, match="mass"):
         read_dynamics(path)
+
+
+def own_world(folder: Path, element: str, lower: float = 0.0) -> Simulation:
+    """Build the toy cupboard with one more element that stands still, for opening its door."""
+    case = make_case()
+    case.cupboard = case.cupboard.replace("</link>", f"{element}</link>", 1).replace(
+        'lower="0"', f'lower="{lower}"'
+    )
+    t = toy(folder, case)
+    dynamics = read_dynamics(folder / "robot.urdf")
+    hand = find_hand(t.robot, dynamics.mimics)
+    config = ExecutionConfig(hold="weld")
+    return build_simulation(
+        t.scene, t.robot, (-3.0, 0.0, 0.0), t.robot.home[None], t.task, hand, dynamics, LIGHT, None,
+        config,
+    )  # fmt: skip
+
+
+def final_opening(world: Simulation, torque: float) -> float:
+    """Turn the door by a constant torque for a second [rad]."""
+    for _ in range(int(1.0 / world.model.opt.timestep)):
+        world.data.qfrc_applied[world.part_v] = torque
+        mujoco.mj_step(world.model, world.data)
+    return float(world.data.qpos[world.part_q])
+
+
+def test_a_part_that_rests_on_what_is_in_its_way_does_not_pass_it(tmp_path: Path) -> None:
+    flush = (  # with the door's front, far from its hinge
+        '<collision><origin xyz="-0.235 0.2 0"/><geometry><box size="0.02 0.1 0.5"/></geometry>'
+        "</collision>"
+    )
+    free = final_opening(own_world(tmp_path / "free", ""), 8.0)
+    blocked = final_opening(own_world(tmp_path / "blocked", flush), 8.0)
+    assert free > 0.9
+    assert blocked < 0.1
+
+
+def test_a_part_stops_where_it_is_closed_if_its_file_lets_it_go_on(tmp_path: Path) -> None:
+    closed = final_opening(own_world(tmp_path, "", lower=-0.04), -8.0)
+    assert closed == pytest.approx(0.0, abs=0.005)
