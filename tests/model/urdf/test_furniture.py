@@ -15,6 +15,7 @@ from momapos.core.errors import UrdfError
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.furniture import read_furniture
+from momapos.model.urdf.hulls import hull_of
 from momapos.model.urdf.reader import read_urdf
 
 BOX = '<geometry><box size="0.5 0.5 0.5"/></geometry>'
@@ -128,6 +129,73 @@ def test_a_package_that_exists_is_not_blamed_for_a_lost_mesh(tmp_path: Path) -> 
         read_furniture(path)
     given.write_obj(folder / "a.obj", given.triangles_of((given.PANEL,)))
     assert read_furniture(path).links["body"].collisions[0].mesh == (folder / "a.obj").resolve()
+
+
+def box(tag: str, size: str, xyz: str = "0 0 0") -> str:
+    origin, shape = f'<origin xyz="{xyz}"/>', f'<geometry><box size="{size}"/></geometry>'
+    return f"<{tag}>{origin}{shape}</{tag}>"
+
+
+@pytest.mark.parametrize(
+    ("drawn", "solid", "added"),
+    [
+        # Only the handle of a door collides.
+        (box("visual", "0.02 0.5 0.7"), box("collision", "0.02 0.02 0.2", "0.05 0.2 0"), True),
+        # A simplified front: a knob of 2 cm is not worth it, a bar of 6 cm is.
+        (box("visual", "0.02 0.03 0.03", "0.02 0 0"), box("collision", "0.02 0.5 0.7"), False),
+        (box("visual", "0.01 0.3 0.01", "0.06 0 0"), box("collision", "0.02 0.5 0.7"), True),
+        # What is drawn in the middle, between collision shapes at both ends.
+        (
+            box("visual", "0.02 1.0 0.1"),
+            box("collision", "0.02 0.1 0.1", "0 0.45 0")
+            + box("collision", "0.02 0.1 0.1", "0 -0.45 0"),
+            True,
+        ),
+        (box("visual", "0.02 0.5 0.7"), box("collision", "0.02 0.46 0.66"), False),
+    ],
+)
+def test_drawn_shapes_that_collision_shapes_miss_are_added(
+    drawn: str, solid: str, added: bool, tmp_path: Path
+) -> None:
+    path = written(tmp_path, link("body", SOLID), link("door", drawn, solid), HINGE)
+    urdf = read_furniture(path)
+    door = urdf.links["door"]
+    assert len(door.collisions) == solid.count("<collision>") + added
+    assert [("'door' miss up to" in note) for note in urdf.notes] == [True] * added
+    assert (
+        len(read_furniture(path, visual_collisions=False).links["door"].collisions)
+        == len(door.collisions) - added
+    )
+
+
+def test_shapes_of_links_that_are_fixed_together_cover_each_other(tmp_path: Path) -> None:
+    shifted = fixed("body", "shell").replace("<parent", '<origin xyz="0.3 0 0"/><parent')
+    cover = box("collision", "0.5 0.5 0.5", "-0.3 0 0")
+    assert not read_furniture(
+        written(tmp_path, link("body", DRAWN), link("shell", cover), shifted)
+    ).notes
+    elsewhere = box("collision", "0.5 0.5 0.5", "0.3 0 0")
+    parts = link("body", DRAWN), link("shell", elsewhere), shifted
+    urdf = read_furniture(written(tmp_path, *parts))
+    assert len(urdf.links["body"].collisions) == 1
+    assert urdf.links["shell"].collisions[0].size == (0.5, 0.5, 0.5)
+
+
+def test_only_the_missed_pieces_of_a_drawn_mesh_are_added(tmp_path: Path) -> None:
+    """The hull of a drawn tray with a front would fill the tray."""
+    front = ((-0.02, -0.3, 0.0), (0.0, 0.3, 0.3))
+    bottom = ((0.0, -0.3, 0.0), (0.5, 0.3, 0.02))
+    given.write_obj(tmp_path / "tray.obj", given.triangles_of((front, bottom)))
+    solid = box("collision", "0.02 0.6 0.3", "-0.01 0 0.15")
+    path = written(tmp_path, link("body", mesh("tray.obj"), solid))
+    pieces = read_furniture(path, cache=Cache(tmp_path / "cache")).links["body"].collisions[1:]
+    again = read_furniture(path, cache=Cache(tmp_path / "cache")).links["body"].collisions[1:]
+    assert pieces
+    for shape, other in zip(pieces, again, strict=True):
+        low, high = hull_of(shape).vertices.min(0), hull_of(shape).vertices.max(0)
+        assert high[0] == pytest.approx(0.5, abs=1e-3)
+        assert high[2] - low[2] < 0.05
+        assert (hull_of(other).vertices == hull_of(shape).vertices).all()
 
 
 def test_visual_shapes_of_a_robot_do_not_collide(tmp_path: Path) -> None:
