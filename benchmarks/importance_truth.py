@@ -102,11 +102,8 @@ class Question:
         scores = self.reach.min_score(self.poses[rows], geometry.Ts_world_tool) * roomy
         reached = scores.max(1, initial=0.0) > 0
         rows, scores = rows[reached], scores[reached]
-        check = Feasibility(
-            self.robot, world, motion, CONFIG.planner, lambda *_: None, 0, lambda: False
-        )
+        check = Feasibility(self.robot, world, motion, CONFIG.planner, lambda *_: None, 0)
         found = check.screen(self.poses[rows], scores, GRASPS)
-        assert found is not None
         return rows[np.array([one.q is not None for one in found], bool)]
 
     def boxed(self, group: Iterable[SceneObject]) -> Scene:

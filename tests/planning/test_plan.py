@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-import itertools
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pytest
 from tests.rooms import Everywhere, cabinet_room, move_scene
 
-from momapos.core.errors import SceneError
+from momapos.core.errors import OutOfTimeError, SceneError
+from momapos.core.stopwatch import Stopwatch, processor_time
 from momapos.model.plan_files.plan_format import plan_to_dict, write_plan
+from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import save_scene
+from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.planning.base_pose_check import plan_at_pose
+from momapos.planning.chains import plan_chain
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.keyword_forms import iter_placements, plan_base_placement
 from momapos.planning.placement.config import Method, PlaceConfig
+from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
+from momapos.planning.tolerance import with_tolerance
+from momapos.planning.tour import Request
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
@@ -150,33 +157,73 @@ def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
         assert reason == "cup/box hits board/box when lifted by 0.03 of 0.05 m"
 
 
-def test_a_search_without_time_ends_in_a_timeout(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
-    scene = cabinet_room(tmp_path)
-    task = make_task(scene, "open", "cabinet")
-    ticks = iter(np.arange(0.0, 1e6, 10.0))
-    answer = plan_base_placement(
-        scene, robots("segway_ur5e"), task, Everywhere(), config=PipelineConfig(timeout=1.0),
-        clock=lambda: float(next(ticks)),
-    )  # fmt: skip
-    assert answer.plan.status == "timeout"
-    assert answer.plan.base_pose is None
+class Ending:
+    """A clock that stands still, and is past every limit from some look on."""
+
+    def __init__(self, looks: int) -> None:
+        self.looks = looks
+
+    def __call__(self) -> float:
+        self.looks -= 1
+        return 0.0 if self.looks >= 0 else 1e6 - self.looks
 
 
-def test_reading_and_compiling_do_not_count_toward_the_timeout(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
-    scene = cabinet_room(tmp_path)
-    task = make_task(scene, "open", "cabinet")
-    waits = itertools.chain(np.arange(0.0, 8000.0, 1000.0), itertools.repeat(8000.0))
-    config = PipelineConfig(place=QUICK, timeout=120.0)
-    answer = plan_base_placement(
-        scene, robots("segway_ur5e"), task, Everywhere(), config=config,
-        clock=lambda: time.perf_counter() + float(next(waits)),
-    )  # fmt: skip
-    assert answer.plan.status == "solved"
-    assert answer.plan.timing["total"] > 7000.0
+def looks_of(scene: Scene, robot: Robot, task: Task) -> int:
+    """Return how often an answer without a limit looks at the clock."""
+    clock = Ending(10**9)
+    plan_base_placement(scene, robot, task, Everywhere(), clock=clock)
+    return 10**9 - clock.looks
+
+
+def test_the_clock_ends_an_answer_at_any_look(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("fetch")
+    task = make_task(scene, "open", "microwave")
+    number = looks_of(scene, robot, task)
+    assert number > 200, "the work is divided"
+    seen = set()
+    for share in (0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
+        clock = Ending(int(share * number) + 3)
+        try:
+            answer = plan_base_placement(scene, robot, task, Everywhere(), clock=clock)
+        except OutOfTimeError:
+            seen.add("before the search")
+        else:
+            assert (answer.plan.motion is None) == (answer.plan.status == "timeout")
+            seen.add(answer.plan.status)
+        assert clock.looks > -40, "the work goes on"
+    assert {"before the search", "timeout"} <= seen
+
+
+def test_each_further_step_ends_with_its_clock(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    task = make_task(scene, "open", "fridge/door_hinge")
+    query = PlacementQuery.of(scene, robot, task, Everywhere(), clock=Ending(10**9))
+    answer = plan_base_placement(query)
+    requests = [Request("open", "fridge", "door_hinge"), Request("close", "fridge", "door_hinge")]
+    for looks in (5, 40, 200):
+        clock = Ending(looks)
+        assert with_tolerance(answer, clock=clock).plan.tolerance is None
+        assert clock.looks > -40
+        timed = replace(query, watch=Stopwatch(Ending(looks)))
+        with suppress(OutOfTimeError):
+            assert plan_chain(timed, requests).status == "timeout"
+        assert timed.watch.clock.looks > -60
+        timed = replace(query, watch=Stopwatch(Ending(looks)))
+        assert answer.plan.base_pose is not None
+        with suppress(OutOfTimeError):
+            plan_at_pose(timed, answer.plan.base_pose)
+        assert timed.watch.clock.looks > -40
+        every = list(iter_placements(replace(query, watch=Stopwatch(Ending(looks + 900)))))
+        assert len(every) < 40
+
+
+def test_compiling_does_not_count_toward_the_time_limit() -> None:
+    began = processor_time()
+    with processor_time.stopped():
+        until = process_time() + 0.05
+        while process_time() < until:
+            pass
+    assert processor_time() - began < 0.04
 
 
 def test_a_start_inside_furniture_is_refused(

@@ -20,6 +20,7 @@ from .errors import FileFormatError as FileFormatError
 from .errors import InputError as InputError
 from .errors import MissingExtraError as MissingExtraError
 from .errors import MomaposError as MomaposError
+from .errors import OutOfTimeError as OutOfTimeError
 from .errors import RobotError as RobotError
 from .errors import SceneError as SceneError
 from .errors import TaskDoneError as TaskDoneError
@@ -40,6 +41,11 @@ from .owned_results import owner_cache as owner_cache
 from .saved_arrays import load_array as load_array
 from .stopwatch import Clock as Clock
 from .stopwatch import Stopwatch as Stopwatch
+from .stopwatch import look as look
+from .stopwatch import processor_time as processor_time
+from .stopwatch import time_left as time_left
+from .stopwatch import time_limit as time_limit
+from .stopwatch import within_limits as within_limits
 from .temporary import incomplete as incomplete
 from .temporary import remove_if_incomplete as remove_if_incomplete
 from .temporary import temporary_folder as temporary_folder

@@ -73,6 +73,10 @@ class UnknownNameError(InputError):
     """A name does not exist; the message suggests similar ones."""
 
 
+class OutOfTimeError(MomaposError):
+    """A time limit ended the work before there was an answer."""
+
+
 class MissingExtraError(MomaposError):
     """An optional package is not installed; the message tells how to install it."""
 

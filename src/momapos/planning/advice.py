@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Clock, Stopwatch
+from momapos.core import Clock, OutOfTimeError, Stopwatch, processor_time, time_limit
 from momapos.model.records import (
     ANYWHERE,
     RULED_OUT,
@@ -55,7 +55,7 @@ Robots: TypeAlias = "Iterable[tuple[str, Callable[[], tuple[Robot, ReachScorer]]
 
 
 def with_advice(
-    answer: PlacementResult, others: Robots = (), *, clock: Clock = time.perf_counter
+    answer: PlacementResult, others: Robots = (), *, clock: Clock = processor_time
 ) -> PlacementResult:
     """Add to an infeasible answer the first change with which a plan exists.
 
@@ -74,8 +74,9 @@ def with_advice(
     if query is None or answer.plan.status != "infeasible":
         return answer
     watch = Stopwatch(clock)
-    trials = Trials(clock, clock() + time_left(answer.plan, query.config.timeout))
-    with watch.stage(ADVICE):
+    left, change = time_left(answer.plan, query.config.timeout), None
+    trials = Trials(clock, clock() + left)
+    with watch.stage(ADVICE), suppress(OutOfTimeError), time_limit(left, clock):
         change = next(_changes(answer, query, others, trials), None)
     answer = replace(
         answer, plan=replace(answer.plan, timing={**answer.plan.timing, **watch.seconds})

@@ -9,6 +9,7 @@ from .narrower_hands import with_narrower_hand
 from .other_handles import with_any_handle
 from .query import PlacementQuery
 from .result import PlacementResult
+from .time_limit import unless_late
 
 Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 
@@ -26,5 +27,5 @@ def with_any_grasp(query: PlacementQuery, with_first_handle: Answer) -> Placemen
 
     answer = with_each_handle(query)
     if answer.plan.status == "infeasible":
-        return with_narrower_hand(query, answer, with_each_handle)
+        return unless_late(lambda: with_narrower_hand(query, answer, with_each_handle), answer)
     return answer

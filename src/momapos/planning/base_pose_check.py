@@ -91,9 +91,15 @@ def plan_at_pose(
         SceneError: The robot collides at its start pose.
         TaskError: The gripper cannot hold the object.
         RobotError: The robot and the task do not fit together.
+        OutOfTimeError: The time was over before.
     """
-    base, watch, task = finite_array("base_pose", base_pose, (3,)), query.watch, query.task
-    query = replace(query, region=ANYWHERE)
+    base = finite_array("base_pose", base_pose, (3,))
+    with query.in_time():
+        return _plan_at_pose(replace(query, region=ANYWHERE), base)
+
+
+def _plan_at_pose(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> PlacementResult:
+    watch, task = query.watch, query.task
     with watch.stage("search"):
         look = _look_with_any_hand(query, base)
     query = replace(query, robot=look.prepared.robot)
@@ -230,16 +236,13 @@ class BasePoseChecks:
         """Return the motion at a base pose x [m], y [m], yaw [rad], or why there is none."""
         return _with_any_handle(self, lambda one: one.with_this_handle(base)).attempt
 
-    def with_one_grasp(
-        self, base: Float[np.ndarray, "3"], *, out_of_time: Callable[[], bool] = lambda: False
-    ) -> Attempt:
+    def with_one_grasp(self, base: Float[np.ndarray, "3"]) -> Attempt:
         """Return the motion with one grasp of any handle at a base pose, or why there is none.
 
         Args:
             base: x [m], y [m], yaw [rad].
-            out_of_time: Returns whether to stop and return the outcome so far.
         """
-        return _with_any_handle(self, lambda one: one._with_one_grasp(base, out_of_time)).attempt
+        return _with_any_handle(self, lambda one: one._with_one_grasp(base)).attempt
 
     def by_handle(self) -> Iterator[BasePoseChecks]:
         """Yield these checks, then those with each further handle in which the hand is free."""
@@ -268,7 +271,7 @@ class BasePoseChecks:
 
     def with_this_handle(self, base: Float[np.ndarray, "3"]) -> Attempt:
         """Return the motion at a base pose with the first handle only, or why there is none."""
-        attempt = self._with_one_grasp(base, lambda: False)
+        attempt = self._with_one_grasp(base)
         # More grasps do not help a base that collides.
         if attempt.motion is not None or attempt.outcome in BASE_OUTCOMES.values():
             return attempt
@@ -279,9 +282,7 @@ class BasePoseChecks:
                 return again
         return attempt
 
-    def _with_one_grasp(
-        self, base: Float[np.ndarray, "3"], out_of_time: Callable[[], bool]
-    ) -> Attempt:
+    def _with_one_grasp(self, base: Float[np.ndarray, "3"]) -> Attempt:
         prepared = self.prepared
         if prepared.infeasible_reason:
             outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
@@ -289,7 +290,7 @@ class BasePoseChecks:
         status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
         if status != BaseStatus.CLEAR:
             return Attempt(None, BASE_OUTCOMES[status])
-        return _with_one_grasp(self.query, prepared, base, out_of_time)
+        return _with_one_grasp(self.query, prepared, base)
 
     def _make_variants(self) -> Iterator[SlidingHook | TwoGrasps]:
         """Yield the task with a sliding hook, then with two grasps."""
@@ -312,10 +313,9 @@ def _with_one_grasp(
     query: PlacementQuery,
     prepared: PreparedTask,
     base: Float[np.ndarray, "3"],
-    out_of_time: Callable[[], bool],
 ) -> Attempt:
     """Try all grasp modes at a free base pose, the best reached first."""
-    feasible = prepared.feasibility(query.config, query.seed, out_of_time=out_of_time)
+    feasible = prepared.feasibility(query.config, query.seed)
     # The map misses some poses: it orders the grasps and excludes none.
     scores = prepared.mode_scorers[0](query.reach, base[None]).at_least(MIN_MODE_SCORE).scores
     turning = np.full((1, prepared.motion.turning.modes - scores.shape[1]), MIN_MODE_SCORE / 2)
@@ -330,8 +330,6 @@ def _best_mode(
 ) -> Attempt:
     """Try the grasp modes at a base pose, the best reached first."""
     screened = check.screen(base[None], scores, None)
-    if screened is None:
-        return Attempt(None, PoseOutcome(PoseStatus.NOT_TRIED))
     if screened[0].q is None:
         return Attempt(None, screened[0].outcome)
     order = np.argsort(-scores[0], kind="stable")

@@ -9,12 +9,13 @@ first shows whether any value can help.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
 
-from momapos.core import SceneError, Stopwatch, TaskError
+from momapos.core import OutOfTimeError, SceneError, Stopwatch, TaskError, time_limit
 from momapos.model.records import PoseStatus, Task, is_text_of
 from momapos.model.scene import Scene
 from momapos.model.urdf import Articulated, opening_of
@@ -59,19 +60,20 @@ def plan_chain(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
         TaskError: A request makes no sense in the scene at its turn, or there are too many.
         SceneError: The robot collides at its start pose.
         UnknownNameError: There is no such object or joint.
+        OutOfTimeError: The time was over before the first task had an answer.
     """
-    best = plan_stops(query, requests)
+    with query.in_time():
+        best = plan_stops(query, requests)
     began = query.watch.clock() - best.seconds
     chain = _Chain(query, tuple(requests), began)
     if len(requests) > 1 and _fails(best, requests):
-        for other in islice(chain.others(len(best.steps) - 1), MAX_TOURS):
-            if chain.left < MIN_TIMEOUT:
-                break
-            tour = chain.plan(other)
-            if _done(tour) > _done(best):
-                best = tour
-            if not _fails(tour, requests):
-                break
+        with suppress(OutOfTimeError), time_limit(chain.left, query.watch.clock):
+            for other in islice(chain.others(len(best.steps) - 1), MAX_TOURS):
+                tour = chain.plan(other)
+                if _done(tour) > _done(best):
+                    best = tour
+                if not _fails(tour, requests):
+                    break
     return replace(best, seconds=query.watch.clock() - began)
 
 

@@ -86,7 +86,7 @@ class PipelineConfig:
     arm_clearance: float = 0.003
     """Distance that the arm's spheres keep from everything [m]."""
     timeout: float = 120.0
-    """Time limit for one answer [s], without reading files and compiling kernels."""
+    """Time limit for one answer, by default of processor time without compiling kernels [s]."""
 
     def __post_init__(self) -> None:
         refuse_below(self, 0, "expand_distance", "arm_clearance")

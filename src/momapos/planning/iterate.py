@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from momapos.core import InputError, Stopwatch
+from momapos.core import InputError, OutOfTimeError, Stopwatch
 from momapos.planning.grasps import task_motion
 from momapos.planning.placement import OURS, iter_searches
 
@@ -38,7 +39,7 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
         TaskError: The gripper cannot hold the object.
         InputError: The task requests the maximum, or the configuration another method.
     """
-    scene, robot, task, config = query.scene, query.robot, query.task, query.config
+    task, config = query.task, query.config
     if config.place.method not in OURS:
         raise InputError(f"iter_placements searches by 'ours', not by {config.place.method!r}")
     if task.farthest:
@@ -50,18 +51,24 @@ def placements(query: PlacementQuery) -> Iterator[PlacementResult]:
     first = plan_to_value(query)
     if not first.plan.feasible:
         return
-    left = clock()
-    yield first
-    away += clock() - left
-    robot = first.prepared.robot  # its hand may be less open than the query's
-    query = replace(query, robot=robot)
-    motion = task_motion(scene, robot, task, config.motion)
+    query = replace(query, robot=first.prepared.robot)  # its hand may be less open
+    others = _others(query, first)
+    answer: PlacementResult | None = first
+    while answer is not None:
+        left = clock()
+        yield answer
+        away += clock() - left
+        answer = None
+        with suppress(OutOfTimeError), query.in_time():
+            answer = next(others, None)
+
+
+def _others(query: PlacementQuery, first: PlacementResult) -> Iterator[PlacementResult]:
+    """Yield the answers with one grasp, except at the base pose of the first answer."""
+    scene, config = query.scene, query.config
+    motion = task_motion(scene, query.robot, query.task, config.motion)
     ready = prepare_search(query, scene, motion)
     for found in iter_searches(ready.problem, config.place, np.random.default_rng(query.seed)):
         result = ready.result(replace(found))
-        if result.plan.base_pose == first.plan.base_pose:
-            continue
-        result = replace(result, plan=replace(result.plan, timing=watch.timing))
-        left = clock()
-        yield result
-        away += clock() - left
+        if result.plan.base_pose != first.plan.base_pose:
+            yield replace(result, plan=replace(result.plan, timing=query.watch.timing))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Stopwatch
+from momapos.core import OutOfTimeError, Stopwatch
 from momapos.planning.grasps import slides
 from momapos.planning.placement import Method
 from momapos.verification import meets_floor_at
@@ -17,7 +17,7 @@ from .config import PipelineConfig
 from .max_opening import farthest_answer, last_of_all, values_before, values_per_waypoint
 from .query import PlacementQuery
 from .result import PlacementResult
-from .time_limit import cut_short, with_note
+from .time_limit import cut_short, unless_late, with_note
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -47,7 +47,8 @@ def plan_max_opening(query: PlacementQuery, answer: Answer) -> PlacementResult:
         if found is not None and found.plan.task.to == task.to:
             sure = True
         left = max(config.timeout - watch.total, MIN_TIMEOUT)
-        best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
+        whole, how = task.to, replace(config, timeout=left)
+        best = found or unless_late(lambda: _answer_to(query, answer, whole, how), at_once)
     known = replace(best.plan.task, farthest=sure and best.plan.feasible)
     best = replace(best, plan=replace(best.plan, task=known, timing=watch.timing))
     late = watch.total > config.timeout - MIN_TIMEOUT
@@ -92,7 +93,10 @@ def find_max_opening(
         if left < MIN_TIMEOUT or is_excluded:
             return None
         how = replace(config if thorough else by_samples(config), timeout=left)
-        result = _answer_to(query, answer, value, how)
+        try:
+            result = _answer_to(query, answer, value, how)
+        except OutOfTimeError:
+            return None
         if result.prepared.blocked:
             stopped = min(stopped, abs(value - values[0]))
         if result.plan.feasible:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import OutOfTimeError
 from momapos.planning.grasps import TaskMotion, with_other_handle
 
 from .query import PlacementQuery
@@ -37,15 +38,19 @@ def with_any_handle(
     """
     first = found = with_first_handle(query)
     every = [first]
-    while found.plan.status == "infeasible":
-        other = with_other_handles_only(query, found.prepared)
-        if other is None:
-            break
-        query, found = other, with_first_handle(other)
-        every.append(found)
-    if found.plan.feasible or len(every) == 1:
+    late = False
+    try:
+        while found.plan.status == "infeasible":
+            other = with_other_handles_only(query, found.prepared)
+            if other is None:
+                break
+            query, found = other, with_first_handle(other)
+            every.append(found)
+    except OutOfTimeError:
+        late = True
+    if not late and (found.plan.feasible or len(every) == 1):
         return found
-    if found.plan.status == "timeout":
+    if late or found.plan.status == "timeout":
         return with_note(first, cut_short("the search with another handle"))
     best = max(every, key=lambda one: one.search.progress)
     first = replace(first, plan=replace(first.plan, candidates=best.plan.candidates))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
+from contextlib import suppress
 from dataclasses import replace
 
-from momapos.core import Clock, Stopwatch
+from momapos.core import Clock, OutOfTimeError, Stopwatch, processor_time, time_limit
 from momapos.planning.grasps import slides
 from momapos.verification import meets_floor_at
 
@@ -18,9 +18,7 @@ from .result import PlacementResult
 from .time_limit import FARTHEST, cut_short, time_left
 
 
-def with_max_opening(
-    answer: PlacementResult, *, clock: Clock = time.perf_counter
-) -> PlacementResult:
+def with_max_opening(answer: PlacementResult, *, clock: Clock = processor_time) -> PlacementResult:
     """Add to an infeasible answer how far the part can be moved, and from which base pose.
 
     The value is in whole degrees or centimeters, and a plan to it exists. It is sure where the part
@@ -42,14 +40,16 @@ def with_max_opening(
     query = replace(query, task=plan.task, watch=watch)
     limit = time_left(plan, config.timeout)
     words: list[str] = []
-    if config.base == "fixed":
-        best, sure = _largest(query, limit)
-    else:
-        every = reached_by_use(
-            replace(query, config=replace(config, timeout=limit)), answer, _from_one_pose
-        )
-        best, sure = max(every, key=lambda one: one.way).best, False
-        words = [str(one) for one in every]
+    best, sure = None, False
+    with suppress(OutOfTimeError), time_limit(limit, clock):
+        if config.base == "fixed":
+            best, sure = _largest(query, limit)
+        else:
+            every = reached_by_use(
+                replace(query, config=replace(config, timeout=limit)), answer, _from_one_pose
+            )
+            best = max(every, key=lambda one: one.way).best
+            words = [str(one) for one in every]
     late = watch.total > limit - MIN_TIMEOUT
     words += [cut_short("the search for a smaller value")] if late else []
     plan = replace(plan, timing={**plan.timing, FARTHEST: watch.total}, notes=(*plan.notes, *words))

@@ -21,6 +21,7 @@ from .query import PlacementQuery
 from .refine_model import initial_selection, refine_model
 from .result import PlacementResult
 from .search_setup import prepare_search
+from .time_limit import unless_late
 
 
 def plan_placement(query: PlacementQuery) -> PlacementResult:
@@ -49,7 +50,9 @@ def plan_placement(query: PlacementQuery) -> PlacementResult:
 
 def plan_to_value(query: PlacementQuery) -> PlacementResult:
     """Answer the query for the value that its task names."""
-    answer = with_other_use(query, _from_one_pose(query), _from_one_pose)
+    with query.in_time():
+        fixed = _from_one_pose(query)
+        answer = unless_late(lambda: with_other_use(query, fixed, _from_one_pose), fixed)
     return replace(answer, plan=replace(answer.plan, timing=query.watch.timing))
 
 
@@ -68,20 +71,24 @@ def _with_first_handle(query: PlacementQuery) -> PlacementResult:
     with watch.stage("model"):
         motion = task_motion(scene.with_box_proxies({task.object}), robot, task, config.motion)
     selection = initial_selection(query, ranked, motion)
+    first = _search(query, selection, motion)
+    result = unless_late(lambda: _with_larger_models(query, selection, motion, first), first)
+    return replace(result, plan=replace(result.plan, timing=watch.timing))
+
+
+def _with_larger_models(
+    query: PlacementQuery, selection: Selection, motion: TaskMotion, result: PlacementResult
+) -> PlacementResult:
+    """Model further objects until an answer is certain."""
     while True:
-        result = _search(query, selection, motion)
         if result.plan.feasible:
-            selection, valid = refine_model(query, selection, result)
-            if valid:
-                break
-        elif result.plan.status == "timeout" or not selection.boxes:
-            break
+            selection, certain = refine_model(query, selection, result)
         else:
-            selection = selection.relax_alpha()
-    return replace(
-        result,
-        plan=replace(result.plan, key_objects=selection.record(), timing=watch.timing),
-    )
+            certain = result.plan.status == "timeout" or not selection.boxes
+            selection = selection if certain else selection.relax_alpha()
+        if certain:
+            return replace(result, plan=replace(result.plan, key_objects=selection.record()))
+        result = _search(query, selection, motion)
 
 
 def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> PlacementResult:
@@ -101,10 +108,12 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
             found.merge(ready.refine(found, config))
         found.accept_fallback()
     if found.is_no and not selection.boxes:
-        for more in ready.multi_grasp_searches(config):
-            with watch.stage("search"):
-                found.merge(more())
-            found.accept_fallback()
-            if not found.is_no:
-                break
-    return ready.result(found)
+        with found.in_time():
+            for more in ready.multi_grasp_searches(config):
+                with watch.stage("search"):
+                    found.merge(more())
+                found.accept_fallback()
+                if not found.is_no:
+                    break
+    answer = ready.result(found)
+    return replace(answer, plan=replace(answer.plan, key_objects=selection.record()))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,9 @@ from momapos.core import (
     expect,
     expect_callable,
     finite_array,
+    processor_time,
     shown,
+    time_limit,
     whole_number,
 )
 from momapos.model.records import ANYWHERE, BaseRegion, PoseOutcome, ReachScorer, Task
@@ -89,7 +91,7 @@ class PlacementQuery:
     pose_cost: PoseCost | None = None
     """Returns a further cost of base poses (n, 3), as driving lengths [m]; None for none."""
     seed: int = 0
-    watch: Stopwatch = field(default_factory=lambda: Stopwatch(time.perf_counter))
+    watch: Stopwatch = field(default_factory=lambda: Stopwatch(processor_time))
 
     def __post_init__(self) -> None:
         expect("scene", self.scene, Scene, "load_scene reads one")
@@ -127,7 +129,7 @@ class PlacementQuery:
         config: PipelineConfig = DEFAULT,
         cache_dir: str | Path | None = None,
         seed: int = 0,
-        clock: Clock = time.perf_counter,
+        clock: Clock = processor_time,
     ) -> PlacementQuery:
         """Build a query.
 
@@ -146,7 +148,9 @@ class PlacementQuery:
             config: How to search.
             cache_dir: Folder of the cached maps; the user's cache folder by default.
             seed: The same seed gives the same answer.
-            clock: Measures the stages and the timeout [s].
+            clock: Measures the stages and the time limit [s]; by default the processor time of the
+                process, without that of compiling kernels. A program that computes other things in
+                the meantime may pass `time.thread_time` or `time.monotonic`.
 
         Raises:
             InputError: An argument has the wrong type, shape or range.
@@ -160,6 +164,14 @@ class PlacementQuery:
             scene, robot, task, reach, start, config, region, keep_poses, keep_grasps,  # type: ignore[arg-type]
             pose_cost=pose_cost, seed=seed, watch=Stopwatch(clock),
         )  # fmt: skip
+
+    def in_time(self) -> AbstractContextManager[None]:
+        """Return a context that ends its work when the time of the answer is over.
+
+        Raises:
+            OutOfTimeError: It is over.
+        """
+        return time_limit(self.config.timeout - self.watch.total, self.watch.clock)
 
     @cached_property
     def nav_map(self) -> NavigationMap:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -116,17 +116,13 @@ class TwoGrasps:
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n h"], most: int | None
-    ) -> list[ArmPathResult] | None:
+    ) -> list[ArmPathResult]:
         """Search arm paths for both grasps, see `Feasibility.screen`."""
         pulled = self.first.screen(bases, scores[:, : self._pulls], most)
-        if pulled is None:
-            return None
         found = np.array([one.q is not None for one in pulled])
         if not found.any():
             return pulled
         pushed = self.second.screen(bases[found], scores[found, self._pulls :], most)
-        if pushed is None:
-            return None
         results = list(pulled)
         for i, result in zip(np.flatnonzero(found).tolist(), pushed, strict=True):
             self._pulled[bases[i].tobytes()] = pulled[i]
@@ -252,7 +248,6 @@ def iter_two_grasps(
     seed: int,
     *,
     keep_grasps: GraspFilter | None = None,
-    out_of_time: Callable[[], bool] = lambda: False,
     watch: Stopwatch | None = None,
 ) -> Iterator[TwoGrasps]:
     """Yield the task with two grasps, for each value at which the hand may let go.
@@ -263,7 +258,7 @@ def iter_two_grasps(
     pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
     pushes &= whole.motion.latch_q is None  # the hand that turned the latch keeps it turned
     for ajar in AJAR_ANGLES if pushes and not whole.blocked else ():
-        two = _two_grasps(whole, config, seed, ajar, keep_grasps, out_of_time, watch)
+        two = _two_grasps(whole, config, seed, ajar, keep_grasps, watch)
         if two is not None:
             yield two
 
@@ -298,7 +293,6 @@ def _two_grasps(
     seed: int,
     ajar: float,
     keep_grasps: GraspFilter | None,
-    out_of_time: Callable[[], bool],
     watch: Stopwatch,
 ) -> TwoGrasps | None:
     """Prepare a task with two grasps.
@@ -309,7 +303,6 @@ def _two_grasps(
         seed: The same seed gives the same motion.
         ajar: Angle to which the door is pulled, from closed [rad].
         keep_grasps: Returns which grasps may be used for pulling.
-        out_of_time: Returns whether the time is over.
         watch: Counts the stages.
 
     Returns:
@@ -349,9 +342,7 @@ def _two_grasps(
     if first.no_grasp or second.no_grasp:
         return None
     one, other = (
-        replace(
-            part.feasibility(config, seed, out_of_time=out_of_time, watch=watch), home_again=False
-        )
+        replace(part.feasibility(config, seed, watch=watch), home_again=False)
         for part in (first, second)
     )
     return TwoGrasps(whole, one, other, config, seed)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
+from momapos.core import look
 from momapos.core.geometry import pose_planar
 from momapos.model.collision import FREE, check
 from momapos.model.records import Motion
@@ -56,8 +57,6 @@ class NearbyReplanner:
     def failure(self, poses: Float[np.ndarray, "n 3"], depth: Depth) -> int | None:
         """Return the index of a pose without a motion; None if all poses have one.
 
-        The query's clock is read before each pose; an exception that it raises ends the work.
-
         Args:
             poses: x [m], y [m], yaw [rad], those that fail most often first.
             depth: How deep each pose is checked.
@@ -67,7 +66,7 @@ class NearbyReplanner:
         if len(blocked):
             return int(blocked[-1])
         for index, pose in enumerate(poses if depth != "base" else ()):
-            self.checks.query.watch.clock()
+            look()
             if not self._has_motion(pose, exact=depth == "all"):
                 return index
         return None

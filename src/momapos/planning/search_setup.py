@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 DOUBT = 1.0
 """Cells outside the map's boundary in which the grid uses exact inverse kinematics [-]."""
-_SEARCHING = ("search", "path", "exact check")
-"""Stages that count toward the timeout."""
 _MAX_REFINED_POSES = 64
 """Base poses without an arm path that finer inverse kinematics checks again, the nearest [-]."""
 
@@ -68,7 +66,7 @@ class SearchSetup:
         query = self.query
         return iter_two_grasps(
             self.prepared, query.config, query.seed, keep_grasps=query.keep_grasps,
-            out_of_time=self.problem.out_of_time, watch=query.watch,
+            watch=query.watch,
         )  # fmt: skip
 
     def multi_grasp_variants(self) -> Iterator[SlidingHook | TwoGrasps]:
@@ -163,14 +161,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         costs = cost_map(prepared, start, query.region.keep_out)
 
-    # Time for compiling and reading, once after installation, does not count.
-    spent = sum(watch.seconds.get(stage, 0.0) for stage in _SEARCHING)
-    left, begun = config.timeout - spent, watch.clock()
-
-    def out_of_time() -> bool:
-        return watch.clock() - begun > left
-
-    feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
+    feasible = prepared.feasibility(config, query.seed, watch=watch)
     areas = AreaRule(query, start, cost_map(prepared, start)) if query.region.keep_out else None
     drives, moves = BasePaths(query, start, areas), query.task.joint is not None
     required = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
@@ -187,7 +178,6 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         grasp_step=prepared.motion.grasp_step,
         infeasible_reason=infeasible_reason or passage.no_way(prepared.geometry),
         start=start,
-        out_of_time=out_of_time,
         keep_poses=None if query.keep_poses is None else query.kept,
         own_cost=None if query.pose_cost is None else query.own_cost,
         home_is_free=partial(_home_is_free, query) if moves else None,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from momapos.core import OutOfTimeError
 from momapos.core.geometry import pose_planar
 from momapos.model.records import Hold, Motion, PlacementPlan
 from momapos.model.scene import stays_in_place
@@ -141,7 +142,10 @@ def _leg(
     config = by_samples(replace(query.config, timeout=left))
     config = replace(config, motion=replace(config.motion, home_again=again))
     task = replace(query.task, to=to, farthest=False)
-    return answer_on_watch(query, replace(at, task=task, config=config), answer)
+    try:
+        return answer_on_watch(query, replace(at, task=task, config=config), answer)
+    except OutOfTimeError:
+        return None
 
 
 def _can_be_joined(leg: PlacementResult) -> bool:

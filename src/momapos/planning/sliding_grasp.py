@@ -51,7 +51,7 @@ class SlidingHook:
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n h"], most: int | None
-    ) -> list[ArmPathResult] | None:
+    ) -> list[ArmPathResult]:
         """Search arm paths, see `Feasibility.screen`."""
         return self.feasible.screen(bases, scores, most)
 

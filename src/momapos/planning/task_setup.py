@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -114,7 +114,6 @@ class PreparedTask:
         config: PipelineConfig,
         seed: int,
         *,
-        out_of_time: Callable[[], bool] = lambda: False,
         watch: Stopwatch | None = None,
     ) -> Feasibility:
         """Return the check of base poses; the watch counts its exact part as a stage."""
@@ -126,7 +125,7 @@ class PreparedTask:
                 return self.violation(base_pose, motion)
 
         return Feasibility(
-            self.robot, self.world, self.motion, config.arm_planner, violation, seed, out_of_time,
+            self.robot, self.world, self.motion, config.arm_planner, violation, seed,
             config.motion.home_again,
         )  # fmt: skip
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
+from momapos.core import OutOfTimeError
 from momapos.model.records import PlacementPlan
 
 from .result import PlacementResult
 
-MIN_LEFT = 1.0
-"""What follows the search gets this time even if the search took all of it [s]."""
 FARTHEST, ADVICE = "largest value", "advice"
 """Names of the times of steps after the search, which its total does not contain."""
 
@@ -22,7 +22,24 @@ def time_left(plan: PlacementPlan, timeout: float) -> float:
         timeout: Time limit of the whole answer [s].
     """
     spent = sum(plan.timing.get(step, 0.0) for step in ("total", FARTHEST, ADVICE))
-    return max(MIN_LEFT, timeout - spent)
+    return max(0.0, timeout - spent)
+
+
+def unless_late(further: Callable[[], PlacementResult], before: PlacementResult) -> PlacementResult:
+    """Return a further answer, or the one before, ended by the time limit.
+
+    Args:
+        further: Returns the further answer; may raise `OutOfTimeError`.
+        before: The answer so far, which is not certain without the further work.
+    """
+    try:
+        return further()
+    except OutOfTimeError:
+        ended = replace(
+            before.plan, status="timeout", base_path=None, base_pose=None, motion=None,
+            navigation_cost=None, cost={}, loads=None,
+        )  # fmt: skip
+        return replace(before, plan=ended)
 
 
 def cut_short(what: str) -> str:

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-import time
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import Clock, Stopwatch, finite_array, whole_number
+from momapos.core import (
+    Clock,
+    OutOfTimeError,
+    Stopwatch,
+    finite_array,
+    processor_time,
+    time_limit,
+    whole_number,
+)
 from momapos.model.records import Motion, Tolerance
 
 from .base_pose_check import BasePoseChecks
@@ -92,7 +100,7 @@ def measured_tolerance(
 
 
 def with_tolerance(
-    answer: PlacementResult, *, samples: int = SAMPLES, clock: Clock = time.perf_counter
+    answer: PlacementResult, *, samples: int = SAMPLES, clock: Clock = processor_time
 ) -> PlacementResult:
     """Return an answer with the tolerance in its plan, and the time that this took.
 
@@ -110,27 +118,14 @@ def with_tolerance(
     known = plan.tolerance is not None or plan.moves_base
     if known or plan.motion is None or query is None:
         return answer
-    end = clock() + time_left(plan, query.config.timeout)
-
-    def until_end() -> float:
-        if (now := clock()) > end:
-            raise _LateError
-        return now
-
     watch, base = Stopwatch(clock), np.array(plan.base_pose, float)
-    query = replace(query, task=plan.task, watch=Stopwatch(until_end))
-    with watch.stage("tolerance"):
-        try:
-            found = measured_tolerance(query, base, plan.motion, samples=samples)
-        except _LateError:
-            found = None
+    query, found = replace(query, task=plan.task, watch=Stopwatch(clock)), None
+    left = time_left(plan, query.config.timeout)
+    with watch.stage("tolerance"), suppress(OutOfTimeError), time_limit(left, clock):
+        found = measured_tolerance(query, base, plan.motion, samples=samples)
     timing = {**plan.timing, "tolerance": watch.timing["tolerance"]}
     answer = replace(answer, plan=replace(plan, tolerance=found, timing=timing))
     return answer if found else with_note(answer, cut_short("the measurement of the tolerance"))
-
-
-class _LateError(Exception):
-    """The time limit ends the measurement."""
 
 
 def largest_radius(unit: Float[np.ndarray, "n 3"], failure: Failure) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core import Clock, SceneError, Stopwatch, TaskError
+from momapos.core import Clock, OutOfTimeError, SceneError, Stopwatch, TaskError
 from momapos.model.records import (
     ANYWHERE,
     PoseOutcome,
@@ -193,17 +193,23 @@ class _Planner:
         tried: list[Float[np.ndarray, "3"]] = []
         while _solved(visit):
             found, after = [visit], first + len(visit)
-            if after < len(self.scenes):
-                tried.append(_base(visit))
-                found += self.stops(after, tried[-1])
-            best = max(best, found, key=_tasks_done)
-            fails_at_once = len(found) == 2 and not _solved(found[1])
-            if not fails_at_once or len(tried) > MAX_OTHER_REGIONS or self.clock() > self.deadline:
+            try:
+                if after < len(self.scenes):
+                    tried.append(_base(visit))
+                    found += self.stops(after, tried[-1])
+                best = max(best, found, key=_tasks_done)
+                fails_at_once = len(found) == 2 and not _solved(found[1])
+                late = self.clock() > self.deadline
+                if not fails_at_once or len(tried) > MAX_OTHER_REGIONS or late:
+                    break
+                in_others = self._in_other_regions(first, visit, tried)
+                if in_others is None:
+                    break
+                visit = self.stop(first, start, in_others)
+            except OutOfTimeError:
+                if not best:
+                    raise
                 break
-            in_others = self._in_other_regions(first, visit, tried)
-            if in_others is None:
-                break
-            visit = self.stop(first, start, in_others)
         return best or [visit]
 
     def _in_other_regions(
@@ -231,7 +237,12 @@ class _Planner:
         for last in range(len(self.scenes) - 1, first - 1, -1):
             left = max(self.deadline - self.clock(), 1e-3)
             share = 1.0 if last == first else SHARED_POSE_SHARE / tasks
-            found = self._from_one_pose(first, last, start, in_others, share * left)
+            try:
+                found = self._from_one_pose(first, last, start, in_others, share * left)
+            except OutOfTimeError:
+                if last == first:
+                    raise
+                continue
             if found.plan.feasible or last == first:
                 break
         pose = found.plan.final_base_pose

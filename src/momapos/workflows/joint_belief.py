@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import TaskError
+from momapos.core import OutOfTimeError, TaskError
 from momapos.core.geometry import apply
 from momapos.model.records import Assumption, Hypothesis, Task
 from momapos.model.scene import (
@@ -252,14 +252,20 @@ class MostProbable:
         Raises:
             TaskError: The task was refused, and no other hypothesis has a plan.
         """
-        for belief in joint_beliefs(self.scene, self.task)[1:] if self.is_no else ():
-            if belief.hypothesis.probability < MIN_PROBABILITY:
-                continue
-            others = MostProbable.of(belief.scene, belief.task, plan).results
-            if any(result.plan.feasible for result in others):
-                found = self._assumption(belief.hypothesis)
-                assumed = [_assumed(result, found) for result in others]
-                return belief.scene, belief.task, assumed
+        try:
+            for belief in joint_beliefs(self.scene, self.task)[1:] if self.is_no else ():
+                if belief.hypothesis.probability < MIN_PROBABILITY:
+                    continue
+                others = MostProbable.of(belief.scene, belief.task, plan).results
+                if any(result.plan.feasible for result in others):
+                    found = self._assumption(belief.hypothesis)
+                    assumed = [_assumed(result, found) for result in others]
+                    return belief.scene, belief.task, assumed
+        except OutOfTimeError:
+            if not self.results:
+                raise
+            late = [replace(one, plan=replace(one.plan, status="timeout")) for one in self.results]
+            return self.scene, self.task, late
         if self.refused is not None:
             raise self.refused
         return self.scene, self.task, self.results

@@ -7,12 +7,11 @@ Only then less probable motions of the part are tried; a plan for one of them is
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from momapos.core import Clock, Stopwatch, TaskError, as_path, expect
+from momapos.core import Clock, Stopwatch, TaskError, as_path, expect, processor_time
 from momapos.model.records import ReachScorer, Scan, Task, Verb
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, load_scene
@@ -80,7 +79,7 @@ def solve_scan(
     config: PipelineConfig | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-    clock: Clock = time.perf_counter,
+    clock: Clock = processor_time,
 ) -> ScanAnswer:
     """Find where the robot must stand, and how it moves, in a scanned room.
 
@@ -98,7 +97,7 @@ def solve_scan(
         config: How to rank and search.
         seed: The same seed gives the same answer.
         progress: Called with the current step and the completed share.
-        clock: Measures the stages.
+        clock: Measures the stages and the time limit of each search.
 
     Raises:
         InputError: The scan is empty.

@@ -96,7 +96,7 @@ def find(
     rule = BasePoseRule(lambda poses, _: (path_rule or always)(poses), NO_PATH)
     problem = Problem(
         geometry, Everywhere(), Everywhere(), scorers, length, attempt, screen, START,
-        lambda: False, home_is_free=home_is_free, departure=departure,
+        home_is_free=home_is_free, departure=departure,
         path_rules=() if path_rule is None else (rule,),
     )  # fmt: skip
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}

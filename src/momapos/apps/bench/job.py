@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import MomaposError, require
+from momapos.core import MomaposError, OutOfTimeError, require
 from momapos.model.plan_files import write_plan
 from momapos.model.records import PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, load_robot, opened_as
@@ -52,6 +52,8 @@ def answer_job(job: Job) -> Row:
     try:
         _warm_up(job.method)
         _run_steps(job, trace)
+    except OutOfTimeError as error:
+        trace.end("gave up", str(error))
     except MomaposError as error:
         trace.end("failed", str(error))
     return Row(

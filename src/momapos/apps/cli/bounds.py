@@ -1,27 +1,114 @@
-"""Limit the time and memory of work on untrusted files."""
+"""Limit the time of a command, and the time and memory of work on untrusted files."""
 
 from __future__ import annotations
 
 import _thread
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import replace
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
-from momapos.core import InputError
+from momapos.core import (
+    InputError,
+    OutOfTimeError,
+    look,
+    processor_time,
+    time_left,
+    time_limit,
+)
 
 SECONDS, MEMORY = 60.0, 2_000_000_000
 """Limits for checking a robot: processor time [s] and memory [bytes]."""
+MIN_TIMEOUT = 0.001
+"""Least time limit that a configuration takes [s]."""
 _PERIOD = 0.05
 """Interval between checks of the processor time [s]."""
 
 
 class _TooLong(BaseException):
     """Not an `Exception`, so that handlers in libraries don't catch it."""
+
+
+_began: ContextVar[float | None] = ContextVar("processor time at which the command began [s]")
+
+
+@contextmanager
+def counting_from(began: float | None) -> Iterator[None]:
+    """Let the time limit of a command count from a processor time [s]; None for now."""
+    token = _began.set(processor_time() if began is None else began)
+    try:
+        yield
+    finally:
+        _began.reset(token)
+
+
+class _LookingImports(MetaPathFinder):
+    """Looks at the clock before each module that is imported, and leaves it to other finders.
+
+    Importing scipy takes 0.3 s. An interrupted import cannot always be repeated, so this must not
+    be active where work goes on after the time is over.
+    """
+
+    def find_spec(self, *_: object) -> None:
+        look()
+
+
+_IMPORTS = _LookingImports()
+
+
+@contextmanager
+def within_time(seconds: float) -> Iterator[None]:
+    """End the work of a command when its time limit is over.
+
+    Args:
+        seconds: Processor time since the command began [s].
+
+    Raises:
+        OutOfTimeError: It is over.
+    """
+    import numpy  # noqa: F401, whose import cannot be repeated
+
+    began = _began.get(None)
+    spent = 0.0 if began is None else processor_time() - began
+    try:
+        with time_limit(seconds - spent, processor_time), _looking_imports():
+            yield
+    except OutOfTimeError:
+        raise OutOfTimeError(
+            f"the time limit of {seconds:g} s is over before a search ended; give more --timeout"
+        ) from None
+
+
+@contextmanager
+def _looking_imports() -> Iterator[None]:
+    sys.meta_path.insert(0, _IMPORTS)
+    try:
+        yield
+    finally:
+        _end_looking()
+
+
+def _end_looking() -> None:
+    with suppress(ValueError):
+        sys.meta_path.remove(_IMPORTS)
+
+
+def with_time_left(config: Any) -> Any:
+    """Return a configuration of a search that ends with the command's time.
+
+    From here on there may be an answer even if the time is over.
+    """
+    _end_looking()
+    return replace(config, timeout=max(min(config.timeout, time_left()), MIN_TIMEOUT))
 
 
 @contextmanager

@@ -31,7 +31,7 @@ ANSWER = (
     "momapos.planning.navigation.outline_gaps._gaps",
     "momapos.planning.navigation.grid_distance._clearance",
     "momapos.planning.navigation.grid_distance._path_lengths",
-    "momapos.planning.navigation.lattice.astar",
+    "momapos.planning.navigation.lattice._expand",
     "momapos.planning.navigation.lattice.car_curves",
     "momapos.planning.navigation.lattice.connections",
     "momapos.planning.navigation.lattice.shorten",

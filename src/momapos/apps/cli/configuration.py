@@ -111,7 +111,8 @@ class SearchOptions:
     method: MethodOption = None
     """ours, exhaustive (a grid), or a baseline such as paper or habitat (docs/baselines.md)."""
     timeout: TimeoutOption = None
-    """Time limit of the search."""
+    """Processor time after which the command ends with what is known (default for solve: of each
+    search). Compiling kernels, drawing and running in physics do not count."""
     alpha: AlphaOption = None
     """Objects of lower importance stay boxes, in [0, 1]."""
     seed: int = 0

@@ -77,10 +77,18 @@ COMPLETE = f"""shell completion, in bash or zsh, and in fish:
   momapos {COMPLETION} fish | source"""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status."""
+def main(argv: Sequence[str] | None = None, *, began: float | None = None) -> int:
+    """Run a command and return its exit status.
+
+    Args:
+        argv: The words of the command; those of the process by default.
+        began: Processor time from which a time limit counts [s]; now by default.
+    """
+    from .bounds import counting_from
+
     try:
-        return _run(list(sys.argv[1:] if argv is None else argv))
+        with counting_from(began):
+            return _run(list(sys.argv[1:] if argv is None else argv))
     except SystemExit as leaving:  # tyro exits on --help and on wrong arguments
         return leaving.code if isinstance(leaving.code, int) else 0 if leaving.code is None else 2
     except BrokenPipeError:
@@ -95,12 +103,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return 2
     except Exception as error:
-        from momapos.core import MomaposError, one_line
+        from momapos.core import MomaposError, OutOfTimeError, one_line
 
         if not isinstance(error, MomaposError | OSError):
             raise
         print(f"momapos: {one_line(str(error))}", file=sys.stderr)
-        return 2
+        return 4 if isinstance(error, OutOfTimeError) else 2
 
 
 def _run(args: list[str]) -> int:
@@ -214,7 +222,7 @@ def entry() -> None:
     """Console script."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # names may have letters that a terminal lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    status = main()
+    status = main(began=0.0)
     try:
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as head, has closed it; Python would say so at exit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
@@ -9,12 +10,22 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from momapos.apps.plots import check_figure_path
-from momapos.core import MAX, InputError, TaskError, check_outputs, parse_quantity, say
+from momapos.core import (
+    MAX,
+    InputError,
+    OutOfTimeError,
+    TaskDoneError,
+    TaskError,
+    check_outputs,
+    parse_quantity,
+    say,
+)
 from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene, refuse_unknown_object
 from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_base, parse_pose, parse_robust
+from .bounds import with_time_left, within_time
 from .configuration import (
     NO_SETTINGS,
     PIPELINE,
@@ -313,45 +324,75 @@ def _answer(
         parse_quantity(to)
     config = options.read_config()
     name, _, joint = target.partition("/")
-    scene = read_scene(scene_name, [name], options, [options.out], [options.plot, map_file])
-    if mass is not None:
-        scene = scene.with_mass(name, mass)
+    try:
+        with within_time(config.timeout):
+            scene = read_scene(scene_name, [name], options, [options.out], [options.plot, map_file])
+            scene = scene if mass is None else scene.with_mass(name, mass)
+            from momapos.planning.grasps import make_task
 
-    import json
-    import time
+            found = _plan(scene, make_task(scene, verb, name, joint or None, to), options, config)
+    except (TaskDoneError, OutOfTimeError) as end:
+        status = "done" if isinstance(end, TaskDoneError) else "timeout"
+        say(json.dumps({"status": status, "detail": str(end)}) if options.json else end)
+        return EXIT_STATUS["solved" if status == "done" else "timeout"]
+    # Files first: the reader of the output may close it at any line. The plan before the figures:
+    # they can fail, and take long.
+    written = write(found.answer, options.out, as_json=options.json)
+    draw(
+        found.scene, found.task, found.arm, found.answer, config, plot=options.plot,
+        map_file=map_file, seed=options.seed,
+    )  # fmt: skip
+    show(written, options.out, as_json=options.json, most=to == MAX, tried=found.tried)
+    return exit_status(found.answer.plan.status, allow_assumed=options.allow_assumed)
 
-    from momapos.core import Stopwatch, TaskDoneError
+
+@dataclass(frozen=True)
+class _Found:
+    """The best answer of all arms."""
+
+    scene: Scene
+    task: Task
+    arm: tuple[Robot, ReachMap | ArmLength]
+    answer: PlacementResult
+    tried: str
+    """Statuses of all arms; "" for a robot with one arm."""
+
+
+def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) -> _Found:
+    """Plan with each arm, and add what the options ask for."""
+    from momapos.core import Stopwatch, processor_time
     from momapos.planning import cheapest, with_advice, with_max_opening, with_tolerance
-    from momapos.planning.grasps import make_task
     from momapos.workflows import plan_by_hypothesis
 
     from .compile import ANSWER, RANK, WALKS, compile_once
     from .console import busy
 
-    try:
-        task = make_task(scene, verb, name, joint or None, to)
-    except TaskDoneError as done:
-        say(json.dumps({"status": "done", "detail": str(done)}) if options.json else done)
-        return EXIT_STATUS["solved"]
-    query = _read_query(options, scene, config)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm), strict=True))
-
-    watch, spent = Stopwatch(time.perf_counter), list[float]()
+    config = with_time_left(config)
+    query = _read_query(options, scene, config)
+    watch, spent = Stopwatch(processor_time), list[float]()
 
     def plan(scene: Scene, task: Task) -> list[PlacementResult]:
-        answers = [query.plan(scene, task, *arm) for arm in arms]
+        answers: list[PlacementResult] = []
+        for arm in arms:
+            try:
+                answers.append(query.plan(scene, task, *arm))
+            except OutOfTimeError:
+                if not answers:
+                    raise
+                break
         spent.extend(answer.plan.timing.get("total", 0.0) for answer in answers)
         return answers
 
-    with busy(f"{arms[0][0].name}: planning", len(arms) * config.timeout):
+    with busy(f"{arms[0][0].name}: planning", config.timeout):
         scene, task, answers = plan_by_hypothesis(scene, task, plan)
         if query.needs_smaller_opening(task, answers):
             with watch.stage("largest value"):
                 answers = [with_max_opening(answer) for answer in answers]
         answer = cheapest(answers, farthest=task.farthest)
-    chosen = next(arm for arm, one in zip(arms, answers, strict=True) if one is answer)
+    chosen = next(arm for arm, one in zip(arms, answers, strict=False) if one is answer)
     if options.advice and query.at is None and config.place.method in OURS:
         with busy(f"{chosen[0].name}: advice"), watch.stage("advice"):
             answer = with_advice(answer, other_robots(options.robot))
@@ -359,14 +400,6 @@ def _answer(
     if options.tolerance:
         with busy(f"{chosen[0].name}: tolerance"):
             answer = with_tolerance(answer, samples=options.tolerance_samples)
-    # Files first: the reader of the output may close it at any line. The plan before the figures:
-    # they can fail, and take long.
-    written = write(answer, options.out, as_json=options.json)
-    draw(
-        scene, task, chosen, answer, config, plot=options.plot, map_file=map_file,
-        seed=options.seed,
-    )  # fmt: skip
-    tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=True)]
+    tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=False)]
     several = ", ".join(tried) if len(arms) > 1 else ""
-    show(written, options.out, as_json=options.json, most=to == MAX, tried=several)
-    return exit_status(answer.plan.status, allow_assumed=options.allow_assumed)
+    return _Found(scene, task, chosen, answer, several)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from momapos.core import MAX, InputError, check_outputs, parse_quantity, require, say
+from momapos.core import MAX, InputError, check_outputs, look, parse_quantity, require, say
 from momapos.model.robots import find_named_robot
 from momapos.model.scene import find_scene
 
+from .bounds import with_time_left, within_time
 from .configuration import (
     NO_SETTINGS,
     PIPELINE,
@@ -161,17 +163,26 @@ def _solve(
     files, folders = outputs_of(out / SCENE, pictures=options.pictures)
     check_outputs([*files, out / CLOUD, out / PLAN, out / RUN, out / RECORD], folders)
     name, _, joint = target.partition("/")
-    scan = read(source, options.scan, config.scan)
     compile_once(ANSWER)
-    arms, reach = load_arms_with_maps(options.robot, options.arm)
-    with progress("solve") as report:
+    # The default limit is for each search: reading a scan may take longer.
+    limit = nullcontext() if options.timeout is None else within_time(config.timeout)
+    with limit, progress("solve") as report:
+
+        def step(what: str, share: float) -> None:
+            look()
+            report(share, what)
+
+        scan = read(source, options.scan, config.scan)
+        arms, reach = load_arms_with_maps(options.robot, options.arm)
+        if options.timeout is not None:
+            config = with_time_left(config)
         answer = solve_scan(
             scan, list(zip(arms, reach, strict=True)),
             ScanTask(verb, name, joint or None, options.to), out / SCENE,
             tools=tools_for(scan, options.scan, detector), found=found_in(scan, options.scan),
             labels=labels, given=given, scanning=scanning, config=config.pipeline,
             seed=options.seed,
-            progress=lambda what, share: report(share, what),
+            progress=step,
         )  # fmt: skip
     print_warnings(answer.modeled.warnings)
     data = report_to_dict(answer.modeled, scan, name)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
-from momapos.core import TaskError, say, unknown_name
+from momapos.core import OutOfTimeError, TaskError, say, unknown_name
 from momapos.model.records import Verb
 from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
+from .bounds import with_time_left, within_time
 from .loading import load_arms_with_maps
 from .options import EXIT_STATUS, SceneArg, Target, ValueArg, exit_status
 from .parse import parse
@@ -18,6 +20,7 @@ from .place import DEFAULT, Options, Shared, read_region, read_scene
 
 if TYPE_CHECKING:
     from momapos.model.records import PlacementPlan
+    from momapos.model.scene import Scene
     from momapos.planning import PipelineConfig, Request, Tour
 
 THEN = "then"
@@ -142,8 +145,25 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
             options.out,
             *(options.out.with_name(f"{options.out.stem}_{k}.json") for k in plans),
         ]
-    scene = read_scene(scene_name, [request.object for request in requests], options, outs)
+    try:
+        with within_time(config.timeout):
+            scene = read_scene(scene_name, [request.object for request in requests], options, outs)
+            tour = _plan(scene, requests, options, config, start)
+    except OutOfTimeError as late:
+        say(json.dumps({"status": "timeout", "detail": str(late)}) if options.json else late)
+        return EXIT_STATUS["timeout"]
+    _deliver(tour, options)
+    return exit_status(tour.status, allow_assumed=options.allow_assumed)
 
+
+def _plan(
+    scene: Scene,
+    requests: list[Request],
+    options: Options,
+    config: PipelineConfig,
+    start: list[float] | None,
+) -> Tour:
+    """Plan a tour with each arm, and return the best one."""
     import numpy as np
 
     from momapos.planning import plan_tour, with_tolerance
@@ -156,11 +176,17 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
     tours = []
     arms = load_arms_with_maps(options.robot, options.arm)
     for robot, reach in zip(*arms, strict=True):
-        with busy(f"{robot.name}: planning", config.timeout):
-            tours.append(plan_tour(
-                scene, robot, requests, reach, start=None if start is None else np.array(start),
-                region=region, config=config, seed=options.seed,
-            ))  # fmt: skip
+        config = with_time_left(config)
+        try:
+            with busy(f"{robot.name}: planning", config.timeout):
+                tours.append(plan_tour(
+                    scene, robot, requests, reach, region=region, config=config,
+                    start=None if start is None else np.array(start), seed=options.seed,
+                ))  # fmt: skip
+        except OutOfTimeError:
+            if not tours:
+                raise
+            break
     order = tuple(EXIT_STATUS)
     spent = sum(one.seconds for one in tours)
     tour = min(tours, key=lambda t: (-len(t.steps), order.index(t.status), max(t.stops), t.driving))
@@ -170,8 +196,7 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
             tour = replace(tour, steps=tuple(
                 with_tolerance(step, samples=options.tolerance_samples) for step in tour.steps
             ))  # fmt: skip
-    _deliver(tour, options)
-    return exit_status(tour.status, allow_assumed=options.allow_assumed)
+    return tour
 
 
 def _deliver(tour: Tour, options: Options) -> None:

@@ -8,13 +8,12 @@ so that the result keeps up with a base that is dragged.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import Clock, Stopwatch
+from momapos.core import Clock, OutOfTimeError, Stopwatch, look, time_limit
 from momapos.model.records import Attempt, Motion, PoseOutcome, PoseStatus, ReachScorer, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
@@ -96,34 +95,32 @@ class Probe:
         Args:
             base: x [m], y [m], yaw [rad].
             clock: Called between steps; may raise to cancel.
-            within: No further grasp is tried after this time [s].
+            within: The check ends after this time [s], with what it has found.
 
         Raises:
             TaskError: The gripper cannot hold the object.
         """
-        base, ends, cut = np.asarray(base, float), clock() + within, []
-
-        def out_of_time() -> bool:
-            if clock() <= ends:
-                return False
-            cut.append(True)
-            return True
-
-        values = self.values
-        best, hit = self._attempt(values[-1], base, clock, out_of_time)
-        outcome = best.outcome
-        if best.motion is not None:
-            return Finding(base, outcome, (), values[-1], best.motion, complete=True)
+        base, values = np.asarray(base, float), self.values
+        found = Finding(base, PoseOutcome(PoseStatus.NOT_TRIED), (), None, None, complete=True)
 
         def check(index: int) -> Attempt | None:
-            found, _ = self._attempt(values[index], base, clock, out_of_time)
-            return None if found.motion is None else found
+            nonlocal found
+            attempt, hit = self._attempt(values[index], base)
+            if index == len(values) - 1:
+                found = replace(found, outcome=attempt.outcome, in_the_way=hit)
+            if attempt.motion is None:
+                return None
+            found = replace(found, value=values[index], motion=attempt.motion)
+            return attempt
 
-        if len(values) == 1 or (first := check(0)) is None:
-            return Finding(base, outcome, hit, None, None, complete=not cut)
-        at, farther = last_that_works(check, 0, len(values) - 1)
-        motion = (farther or first).motion
-        return Finding(base, outcome, hit, values[at], motion, complete=not cut)
+        try:
+            with time_limit(within, clock):
+                whole = check(len(values) - 1)
+                if whole is None and len(values) > 1 and check(0) is not None:
+                    last_that_works(check, 0, len(values) - 1)
+        except OutOfTimeError:
+            return replace(found, complete=False)
+        return found
 
     def _checks(self, value: float | None) -> BasePoseChecks:
         if value not in self._ready:
@@ -139,16 +136,12 @@ class Probe:
         return self._ready[value]
 
     def _attempt(
-        self,
-        value: float | None,
-        base: Float[np.ndarray, "3"],
-        clock: Clock,
-        out_of_time: Callable[[], bool],
+        self, value: float | None, base: Float[np.ndarray, "3"]
     ) -> tuple[Attempt, tuple[str, ...]]:
         """Check a base pose for one value; return the obstacles, too."""
-        clock()
+        look()
         checks = self._checks(value)
-        found = checks.with_one_grasp(base, out_of_time=out_of_time)
+        found = checks.with_one_grasp(base)
         if found.motion is not None:
             return found, ()
         if found.outcome.status is PoseStatus.BASE_BLOCKED:

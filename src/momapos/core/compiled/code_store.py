@@ -25,6 +25,7 @@ import llvmlite.binding as llvm
 
 from momapos.core import forking as forking  # renews the locks of cached properties
 from momapos.core.cache import Cache, content_key, default_cache_dir
+from momapos.core.stopwatch import processor_time
 
 from .kernel_source import KernelSource
 from .native import Code, link, numba_folder
@@ -103,7 +104,7 @@ class Store:
         from .compiler import compile_entry
 
         log.info("compiling %s", entry.name)
-        with _no_garbage_collection():
+        with processor_time.stopped(), _no_garbage_collection():
             code = compile_entry(entry)
         try:
             self.cache.put(self._key(entry), encode(code))

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+from momapos.core.stopwatch import look
+
 from . import arrays
 from .kernel_source import KernelSource, Options
 
@@ -30,7 +32,8 @@ class Kernel(KernelSource):
             ENTRIES[self.name] = self
 
     def __call__(self, *args: Any) -> Any:
-        """Run the kernel."""
+        """Run the kernel, unless a time limit is over."""
+        look()
         if self.is_entry:
             checks = self._checks
             if len(args) == len(checks):

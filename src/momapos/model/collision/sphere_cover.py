@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from momapos.core import look
 from momapos.core.geometry import apply
 from momapos.model.urdf import Boxes, Geometry, Hull, cover, hull_of
 
@@ -90,6 +91,7 @@ def _mesh_cover(
 
 
 def _compute_cover(shape: Geometry, stick_out: float) -> _SphereCover:
+    look()
     if shape.kind == "sphere":
         center, size = shape.T_link_geometry[None, :3, 3], shape.size[0]
         return _SphereCover(center, np.array([size]), center + size * _DIRECTIONS)
@@ -232,6 +234,7 @@ def _needed(cover: _SphereCover) -> Bool[np.ndarray, " s"]:
     """Return which spheres to keep; those that cover few points are dropped first."""
     from scipy.spatial.distance import cdist
 
+    look()
     far = cdist(cover.center, cover.points) - cover.radius[:, None]
     covers = far <= MARGIN + 1e-9
     # 1 mm less, for the surface between the points.

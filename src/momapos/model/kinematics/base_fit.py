@@ -184,7 +184,7 @@ def fit_bases(
         given.
     """
     moved, met = np.array(bases, float), np.zeros(len(bases), bool)
-    poses = np.ascontiguousarray(Ts_world_tool, float)
+    poses = np.array(Ts_world_tool, float)  # writable, as the entry needs it
     _fit(moved.copy(), poses, tries, arm_arrays(chain, ik), moved, met)
     moved[:, 2] = wrap_angle(moved[:, 2])
     return moved, met

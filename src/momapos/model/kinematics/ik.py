@@ -40,6 +40,8 @@ EXACT, COARSE = 1e-16, 1e-8
 """Squared residuals at which Newton stops: exact, or to 0.1 mm for maps and graphs."""
 _MAX_RESIDUAL = 1e-12
 """Largest squared residual of an exact solution [m^2 + rad^2]."""
+MAX_POSES = 64
+"""Poses solved between two looks at the clock; with a base that slides they take 0.1 s [-]."""
 _MIN_DISTANCE = 1e-2
 """Solutions that are nearer in every joint count as equal [rad] or [m]."""
 
@@ -280,4 +282,10 @@ def solve_ik(
     Returns:
         Configurations (NaN beyond each pose's count), and the counts.
     """
-    return _solve_all(np.ascontiguousarray(Ts_base_tool, float), arm_arrays(chain, ik))
+    poses, arm = np.array(Ts_base_tool, float), arm_arrays(chain, ik)
+    blocks = range(0, max(1, len(poses)), MAX_POSES)
+    solved = [_solve_all(poses[first : first + MAX_POSES], arm) for first in blocks]
+    if len(solved) == 1:
+        return solved[0]
+    solutions, counts = (np.concatenate(part) for part in zip(*solved, strict=True))
+    return solutions, counts

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import look
 from momapos.core.geometry import apply
 
 from .hulls import Hull, fit_box, hull_around, unique_rows
@@ -165,6 +166,7 @@ def convex_pieces(
 def _hull_planes(triangles: Float[np.ndarray, "t 3 3"]) -> _HullPlanes:
     from scipy.spatial import ConvexHull, QhullError
 
+    look()
     corners = triangles.reshape(-1, 3)
     low, high = corners.min(0), corners.max(0)
     try:

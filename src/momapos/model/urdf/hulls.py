@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import UrdfError
+from momapos.core import UrdfError, look
 from momapos.core.geometry import apply
 
 from .meshes import mesh_points
@@ -174,6 +174,7 @@ def _convex(points: Float[np.ndarray, "n 3"], where: str) -> tuple[np.ndarray, n
     """Return vertices and outward faces of the convex hull; see `hull_around`."""
     from scipy.spatial import ConvexHull, QhullError
 
+    look()
     points = unique_rows(np.round(points, 7))
     spread = np.linalg.svd(points - points.mean(0), full_matrices=False)[1]
     flat = len(points) < 4 or spread[-1] < 1e-6 * np.sqrt(len(points))

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from momapos import __version__
-from momapos.core import Cache, content_key, geometry
+from momapos.core import Cache, content_key, geometry, look
 
 T = TypeVar("T")
 _ARRAY, _RECORD = 1, 2
@@ -40,6 +40,7 @@ def once(
             keys, and records of these.
         records: Record types that the value may contain.
     """
+    look()
     if cache is None:
         return compute()
     key = f"{what}-{content_key(_code(), *parts)}"

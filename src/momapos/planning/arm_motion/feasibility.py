@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.core import look, within_limits
 from momapos.core.geometry import pose_planar
 from momapos.model import with_close_states
 from momapos.model.collision import (
@@ -54,7 +55,7 @@ Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
 """The exact check: return None if a motion is valid, else the reason why not."""
 FindPaths: TypeAlias = "Callable[[Float[np.ndarray, 'j 3'], Int[np.ndarray, ' j']], list[ArmPath]]"
 """Searches an arm path for each pair of base pose and grasp mode."""
-_BATCH = 256
+_BATCH = 128
 """Pairs of base pose and grasp mode that a thread processes together [-]."""
 _WIDER = 4
 """Factor by which the number of grasp modes grows from round to round [-]."""
@@ -71,8 +72,6 @@ class Feasibility:
     planner: PlannerConfig
     refuse: Refusal
     seed: int
-    out_of_time: Callable[[], bool]
-    """Called between batches."""
     home_again: bool = False
     """Whether the arm returns home at the end."""
     find: FindPaths | None = None
@@ -95,8 +94,8 @@ class Feasibility:
             if motion is not None or not len(chunk):
                 break
             for grasp, path in zip(
-                chunk.tolist(), self._paths(np.tile(base, (len(chunk), 1)), chunk) or [],
-                strict=False,
+                chunk.tolist(), self._paths(np.tile(base, (len(chunk), 1)), chunk),
+                strict=True,
             ):  # fmt: skip
                 if path.q is not None and motion is None:
                     motion, outcome = self._complete(base, path.q, grasp, path.bases)
@@ -105,7 +104,7 @@ class Feasibility:
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
-    ) -> list[ArmPathResult] | None:
+    ) -> list[ArmPathResult]:
         """Search an arm path at each of many base poses, the best reached grasp modes first.
 
         Args:
@@ -114,7 +113,7 @@ class Feasibility:
             most: Maximum number of grasp modes tried at one pose; None for all.
 
         Returns:
-            The result at each pose, or None if out of time.
+            The result at each pose.
         """
         order = np.argsort(-scores, axis=1, kind="stable")[:, :most]
         reached = np.minimum((scores > 0).sum(1), order.shape[1])
@@ -129,8 +128,6 @@ class Feasibility:
             base, rank = np.nonzero(undecided[:, None] & (ranks < reached[:, None]))
             grasps = order[base, ranks[rank]]
             paths = self._paths(bases[base], grasps)
-            if paths is None:
-                return None
             for i, grasp, path in zip(base.tolist(), grasps.tolist(), paths, strict=True):
                 before = best[i][1]
                 if before is None or (before.status != FOUND and _farther(path, before)):
@@ -150,27 +147,27 @@ class Feasibility:
     def arm_paths(
         self, base: Float[np.ndarray, "3"], grasps: Int[np.ndarray, " k"]
     ) -> list[ArmPathResult]:
-        """Return the arm paths of those grasp modes that have one; none if out of time."""
-        paths = self._paths(np.tile(base, (len(grasps), 1)), grasps) or []
+        """Return the arm paths of those grasp modes that have one."""
+        paths = self._paths(np.tile(base, (len(grasps), 1)), grasps)
         return [
             ArmPathResult(grasp, path.q, self._outcome(path, FREE), path.bases)
-            for grasp, path in zip(grasps.tolist(), paths, strict=False)
+            for grasp, path in zip(grasps.tolist(), paths, strict=True)
             if path.q is not None
         ]
 
     def _paths(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
-    ) -> list[ArmPath] | None:
-        """Search arm paths of pairs of base pose and grasp mode; return None if out of time."""
+    ) -> list[ArmPath]:
+        """Search arm paths of pairs of base pose and grasp mode."""
         count = min(len(grasps), max(_THREADS, len(grasps) // _BATCH))
         pieces = np.array_split(np.arange(len(grasps)), max(count, 1))
 
-        def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
-            return None if self.out_of_time() else self._search(bases[part], grasps[part])
+        def work(part: Int[np.ndarray, " p"]) -> list[ArmPath]:
+            look()
+            return self._search(bases[part], grasps[part])
 
-        found = list((_threads().map if count > 1 else map)(work, pieces))
-        done = [paths for paths in found if paths is not None]
-        return [path for paths in done for path in paths] if len(done) == len(found) else None
+        found = _threads().map(within_limits(work), pieces) if count > 1 else map(work, pieces)
+        return [path for paths in found for path in paths]
 
     def _search(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]

@@ -47,12 +47,16 @@ def plan_with_method(query: PlacementQuery) -> PlacementResult:
     Raises:
         SceneError: The robot collides at its start pose.
         TaskError: The gripper cannot hold the object.
+        OutOfTimeError: The time was over before the search began.
     """
     method = query.config.place.method
     if method in OURS:
         return plan_placement(query)
     answer = _as_printed if method == "paper" else _by_placer(PLACERS[method])
-    return plan_max_opening(query, answer) if query.task.farthest else answer(query)
+    if query.task.farthest:
+        return plan_max_opening(query, answer)
+    with query.in_time():
+        return answer(query)
 
 
 def _by_placer(placer: BasePlacer) -> Callable[[PlacementQuery], PlacementResult]:

@@ -233,7 +233,9 @@ class _Planner:
         cells = np.unique(last.states % (rows * columns))
         share = _CAR_ESTIMATE if nav_map.robot.drive == "car" else _LOWER_BOUND
         ahead = share * path_lengths(_standable(nav_map), cells, CELL)
-        path, reached = astar(nav_map.known_gaps, ahead, *costs, _lattice(nav_map), self.model())
+        path, reached = astar(
+            nav_map.known_gaps, ahead, costs[0], costs[1], _lattice(nav_map), self.model()
+        )
         if not len(path):
             first.remember(np.isfinite(ahead), reached)
         return path

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import heapq
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core.compiled import B2, F1, F2, I2, S3, entry, kernel
+from momapos.core.compiled import B1, B2, F1, F2, I1, I2, S3, entry, kernel
 
 from .car_connection import bend_cost, connect_car
 from .outline_gaps import (
@@ -21,6 +21,12 @@ from .outline_gaps import (
     wrapped,
 )
 from .reeds_shepp import MAX_PIECES
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
+
+MAX_EXPANDED = 5_000
+"""States of the lattice expanded between two looks at the clock; they take up to 0.1 s [-]."""
 
 
 class PathModel(NamedTuple):
@@ -173,10 +179,9 @@ def _gap_at(h, i, j, known, lattice, surroundings, scratch):
     return known[h, i, j]
 
 
-@entry
 def astar(
     known: S3, ahead: F2, first: F1, last: F1, lattice: Lattice, model: PathModel
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Int[np.ndarray, " k"], Bool[np.ndarray, " s"]]:
     """Find the cheapest path over the lattice (Hart, Nilsson, Raphael 1968).
 
     Args:
@@ -190,30 +195,55 @@ def astar(
         Flat indices of the path's states from start to goal, empty without a path; and whether each
         state was expanded: without a path, all that can be reached.
     """
+    cost, parent = first.copy(), np.full(first.size, -1, np.int64)
+    done, best = np.zeros(first.size, np.bool_), np.array([np.inf, -1.0])
+    while _expand(known, ahead, last, lattice, model, cost, parent, done, best):
+        pass
+    path = [int(best[1])]
+    while path[-1] >= 0:
+        path.append(int(parent[path[-1]]))
+    return np.array(path[:-1][::-1], np.int64), done
+
+
+@entry
+def _expand(
+    known: S3, ahead: F2, last: F1, lattice: Lattice, model: PathModel,
+    cost: F1, parent: I1, done: B1, found: F1,
+) -> bool:  # fmt: skip
+    """Continue a search with at most `MAX_EXPANDED` states; return whether it is not at its end.
+
+    Args:
+        known, ahead, last, lattice, model: See `astar`.
+        cost: Least known cost from the start to each state, changed.
+        parent: The state before it, changed.
+        done: Whether a state was expanded, changed.
+        found: Cost of the best path so far, and its last state, changed.
+    """
     origin, cell, headings, moves = lattice.origin, lattice.cell, lattice.headings, lattice.moves
     surroundings, weights = model.surroundings, model.cost_weights
     radius = surroundings.prisms.radius
     rows, columns = known.shape[1:]
     area = rows * columns
     scratch = scratch_for(surroundings)
-    cost, parent = first.copy(), np.full(first.size, -1, np.int64)
-    done = np.zeros(first.size, np.bool_)
     queue = [(np.inf, np.int64(-1))]
-    for attached in range(first.size):
+    for attached in range(cost.size):
         bound = ahead[(attached % area) // columns, attached % columns]
-        if np.isfinite(first[attached]) and np.isfinite(bound):
-            heapq.heappush(queue, (first[attached] + bound, np.int64(attached)))
-    best, end = np.inf, np.int64(-1)
+        if not done[attached] and np.isfinite(cost[attached]) and np.isfinite(bound):
+            heapq.heappush(queue, (cost[attached] + bound, np.int64(attached)))
+    best = found[0]
     a, b = np.zeros(3), np.zeros(3)
-    while True:
+    expanded = 0
+    while expanded < MAX_EXPANDED:
         estimate, state = heapq.heappop(queue)
         if estimate >= best or state < 0:
-            break
+            return False
         if done[state]:
             continue
         done[state] = True
+        expanded += 1
         if cost[state] + last[state] < best:
-            best, end = cost[state] + last[state], state
+            best = cost[state] + last[state]
+            found[0], found[1] = best, state
         h, i, j = state // area, (state % area) // columns, state % columns
         a[0], a[1] = origin[0] + (j + 0.5) * cell, origin[1] + (i + 0.5) * cell
         a[2] = headings[h]
@@ -247,10 +277,7 @@ def astar(
             if cost[state] + step < cost[after]:
                 cost[after], parent[after] = cost[state] + step, state
                 heapq.heappush(queue, (cost[after] + ahead[ni, nj], after))
-    path = [np.int64(end)]
-    while path[-1] >= 0:
-        path.append(parent[path[-1]])
-    return np.array(path[:-1][::-1], np.int64), done
+    return True
 
 
 @entry

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.core import look
+
 from .area import PlacementGeometry, within_reach
 
 if TYPE_CHECKING:
@@ -24,21 +26,18 @@ def fitted(
     fit: FitPoses | None,
     geometry: PlacementGeometry,
     poses: Float[np.ndarray, "n 3"],
-    out_of_time: Callable[[], bool],
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"] | None] | None:
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"] | None]:
     """Fit the base poses within the arm's reach; return them unchanged if `fit` is None.
 
     Returns:
-        The fitted poses and the grasp mode of each (-1: none found; None: not fitted), or None if
-        out of time.
+        The fitted poses and the grasp mode of each (-1: none found; None: not fitted).
     """
     if fit is None:
         return poses, None
     poses, own = poses.copy(), np.full(len(poses), -1)
     near = np.flatnonzero(within_reach(geometry, poses))
     for first in range(0, len(near), _BLOCK):
-        if out_of_time():
-            return None
+        look()
         rows = near[first : first + _BLOCK]
         poses[rows], own[rows] = fit(poses[rows])
     return poses, own

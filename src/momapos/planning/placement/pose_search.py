@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import look
 from momapos.core.geometry import compose, latin_hypercube
 from momapos.model.records import PoseOutcome, PoseStatus
 
@@ -63,12 +64,22 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     if corners is None or problem.infeasible_reason:
         return infeasible_search(problem)
     found = Search()
+    with found.in_time():
+        _search(problem, config, rng, corners, found)
+    return found
+
+
+def _search(
+    problem: Problem,
+    config: PlaceConfig,
+    rng: np.random.Generator,
+    corners: Float[np.ndarray, "2 2"],
+    found: Search,
+) -> None:
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
+        look()
         clear = _clear(problem, frame, local, config if on_grid else None, found)
-        if clear is None:
-            found.timed_out = True
-            return found
         for score in problem.mode_scorers:
             reached = clear.reached(problem, score, on_grid=on_grid)
             for shortlist in _home_first(problem, reached, config):
@@ -79,9 +90,8 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
                     _check_samples(problem, score, shortlist, rng, found, waiting)
                 base = found.base
                 found.robustness = None if base is None else waiting.known_robustness(base)
-                if found.motion is not None or found.timed_out:
-                    return found
-    return found
+                if found.motion is not None:
+                    return
 
 
 def _clear(
@@ -90,7 +100,7 @@ def _clear(
     local: Float[np.ndarray, "n 3"],
     grid: PlaceConfig | None,
     found: Search,
-) -> ClearPoses | None:
+) -> ClearPoses:
     """Return the clear poses of a round in the task frame; `grid` is set if they are the grid."""
     poses, stands = compose(frame, local), None
     if grid is not None:
@@ -122,16 +132,15 @@ def search_in_order(
     if problem.infeasible_reason or sampling_box(problem.geometry) is None:
         return infeasible_search(problem)
     found, size = Search(), 1
-    for poses in proposals:
-        first = 0
-        while first < len(poses):
-            _check_in_order(problem, poses[first : first + size], config, found)
-            if found.motion is not None or found.timed_out:
-                return found
-            first, size = first + size, min(2 * size, _MAX_CHUNK)
-        if problem.out_of_time():
-            found.timed_out = True
-            return found
+    with found.in_time():
+        for poses in proposals:
+            first = 0
+            while first < len(poses):
+                _check_in_order(problem, poses[first : first + size], config, found)
+                if found.motion is not None:
+                    return found
+                first, size = first + size, min(2 * size, _MAX_CHUNK)
+            look()
     return found
 
 
@@ -157,10 +166,9 @@ def iter_searches(
     frame = task_frame(problem.geometry)
     costs = PoseCosts.of(problem, config)
     for local, on_grid in _rounds(corners, config, rng):
+        look()
         found = Search()
         clear = _clear(problem, frame, local, config if on_grid else None, found)
-        if clear is None:
-            return
         modes = [
             (clear.reached(problem, score, on_grid=on_grid), Waiting.of(problem, score, costs))
             for score in problem.mode_scorers
@@ -171,8 +179,6 @@ def iter_searches(
             complete(problem, one.left, {one.index: one.path}, config.grasps, found)
             if found.motion is not None:
                 yield found
-        if problem.out_of_time():
-            return
 
 
 def _in_order_of_cost(
@@ -204,8 +210,7 @@ def _in_order_of_cost(
         while waits and waits[0][0] <= least:
             _, _, one, waiting = heapq.heappop(waits)
             yield one, waiting
-        if problem.out_of_time():
-            return
+        look()
 
 
 def _check_in_order(
@@ -224,7 +229,7 @@ def _check_in_order(
                 continue
             passed = screen(problem, left, which, config.grasps, found)
             complete(problem, left, passed, config.grasps, found)
-            if found.motion is not None or found.timed_out:
+            if found.motion is not None:
                 return
 
 
@@ -280,7 +285,7 @@ def _check_samples(
     costs, config = waiting.costs, waiting.costs.config
     known = costs.before_path(left.poses, left.travel)
     rest = _order(problem, left, known, config)
-    while len(rest) and found.motion is None and not found.timed_out:
+    while len(rest) and found.motion is None:
         block = rest[known[rest] < waiting.bound][: config.together]
         rest = rest[~np.isin(rest, block)]
         waiting.take(screen(problem, left, block, config.grasps, found), left.poses, known)
@@ -313,7 +318,7 @@ def _check_grid(problem: Problem, left: Shortlist, found: Search, waiting: Waiti
             waiting.take(passed, left.poses, known)
             last = costs.robustness_first or not (known[rest] < waiting.bound).any()
             complete(problem, left, waiting.choose(left.poses, last=last), None, found)
-        if found.timed_out or (found.motion is not None and not costs.config.whole_grid):
+        if found.motion is not None and not costs.config.whole_grid:
             return
 
 

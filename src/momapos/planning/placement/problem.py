@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
+from momapos.core import OutOfTimeError
 from momapos.model.records import (
     ANYWHERE,
     NO_PATH,
@@ -36,10 +38,10 @@ _UNCOUNTED = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND, PoseStatus.NOT_TRIED)
 
 ScreenPoses: TypeAlias = (
     "Callable[[Float[np.ndarray, 'n 3'], Float[np.ndarray, 'n g'], int | None], "
-    "list[ArmPathResult] | None]"
+    "list[ArmPathResult]]"
 )
 """Search an arm path at each of many base poses, given the scores of all grasp modes and the
-maximum number to try; return None if out of time."""
+maximum number to try."""
 PoseMask: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Return which base poses have a property."""
 PoseCost: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Float[np.ndarray, ' n']]"
@@ -96,6 +98,15 @@ class Search:
     """Whether the robot cannot drive on from `base` after the task."""
     fallback: tuple[Float[np.ndarray, "3"], Motion, float] | None = None
     """Base pose, motion and cost [m] of the first that blocks the robot in."""
+
+    @contextmanager
+    def in_time(self) -> Iterator[None]:
+        """End a block, without an error, when its time limit is over."""
+        try:
+            yield
+        except OutOfTimeError:
+            self.timed_out = self.motion is None
+            self.ended_early |= self.motion is not None
 
     def note(self, poses: Float[np.ndarray, "n 3"], outcomes: np.ndarray) -> None:
         """Add a round; the caller writes into `outcomes` later."""
@@ -197,8 +208,6 @@ class Problem:
     """Checks many base poses for an arm path only."""
     start: Float[np.ndarray, "3"]
     """Start pose of the base: x [m], y [m], yaw [rad]."""
-    out_of_time: Callable[[], bool]
-    """Called between candidates."""
     grasp_step: int = 0
     """Index of the arm path's state in which the hand grasps [-]."""
     infeasible_reason: str = ""

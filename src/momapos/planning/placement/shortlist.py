@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import look
 from momapos.model.records import ArmPathResult, PoseOutcome, PoseStatus
 
 from .area import BaseStatus, base_pose_status
@@ -164,12 +165,9 @@ def clear_poses(
     poses: Float[np.ndarray, "n 3"],
     found: Search,
     stands: StandingCodes | None = None,
-) -> ClearPoses | None:
-    """Fit and cull the poses of a round; return None if out of time."""
-    moved = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
-    if moved is None:
-        return None
-    poses, own = moved
+) -> ClearPoses:
+    """Fit and cull the poses of a round."""
+    poses, own = fitted(problem.fit, problem.geometry, poses)
     clear = cull(problem, poses, found, stands if own is None else None)
     if own is not None:
         clear.keep(own[clear.row] >= 0, PoseOutcome(PoseStatus.TOO_FEW_JOINTS))
@@ -188,9 +186,6 @@ def screen(
     if not len(block):
         return {}
     screened = problem.screen(left.poses[block], left.scores[block], most)
-    if screened is None:
-        found.timed_out = found.motion is None
-        return {}
     found.checked += len(block)
     left.tried[left.row[block]] = True
     left.outcomes[left.row[block]] = [one.outcome for one in screened]
@@ -233,9 +228,7 @@ def complete(
 ) -> None:
     """Complete the first arm path that can be; one that blocks the robot in is the fallback."""
     for i in passed:
-        if problem.out_of_time():
-            found.timed_out = True
-            return
+        look()
         pose, travel = left.poses[i], float(left.travel[i])
         if is_dominated(problem, pose, found):
             continue

@@ -21,6 +21,8 @@ YAWS = 12
 """Number of base yaws that `base_scores` tries [-]."""
 MAX_VALUES = 100_000_000
 """Largest number of values of a map [-]; building it takes several bytes per value."""
+MAX_LOOKUPS = 2_000_000
+"""Number of lines that are looked up between two looks at the clock; they take about 0.1 s [-]."""
 _TURNS = np.arange(YAWS) / YAWS
 _YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS], -1)
 
@@ -171,7 +173,10 @@ class ReachMap:
         bases = np.ascontiguousarray(bases, float)
         out = np.empty((len(bases), len(lines)), np.float32)
         turn = np.ascontiguousarray(self.turns(Ts_world_tool))
-        min_line_scores(bases, lines, turn, self._axis(), self._arrays(), out)
+        block = max(1, MAX_LOOKUPS // max(1, lines[..., 0].size))
+        for first in range(0, len(bases), block):
+            part = slice(first, first + block)
+            min_line_scores(bases[part], lines, turn, self._axis(), self._arrays(), out[part])
         return out
 
     def score_base_poses(

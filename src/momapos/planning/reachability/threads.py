@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+from momapos.core import within_limits
+
 Progress = Callable[[float], None]
 """Callback for the completed share, in [0, 1]."""
 
@@ -20,5 +22,5 @@ def in_threads(
     """Run work(lo, hi) over blocks of rows."""
     ranges = [(lo, min(lo + block, count)) for lo in range(0, count, block)]
     with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-        for i, _ in enumerate(pool.map(lambda r: work(*r), ranges)):
+        for i, _ in enumerate(pool.map(within_limits(lambda r: work(*r)), ranges)):
             done((i + 1) / len(ranges))
