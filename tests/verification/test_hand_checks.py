@@ -8,13 +8,35 @@ from typing import TypeAlias
 
 import numpy as np
 import pytest
-from door_case import HANDLE, HINGE, MIDDLE, OPEN, Case, Grip, cupboard_urdf, make_case, tool_poses
+from door_case import (
+    BASE,
+    HANDLE,
+    HINGE,
+    JOINTS,
+    MIDDLE,
+    OPEN,
+    Case,
+    Grip,
+    cupboard_urdf,
+    make_case,
+    tool_poses,
+)
 from tests import optional
 from tests.real import CASES
 
 from momapos.core.geometry.transforms import pose
-from momapos.verification.plan_check import verify_files
+from momapos.model.plan_files.plan_format import read_plan
+from momapos.model.scene.resistance_config import ResistanceConfig
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
+from momapos.verification.exact_check import PlanVerifier
+from momapos.verification.motion_loads import HandLoad
+from momapos.verification.path_checks import dense_path
+from momapos.verification.plan_check import UrdfArm, verify_files
+from momapos.verification.report import DEFAULT
 
+PULL = "pull on the grasp"
 OFF, INSIDE = "hand off the part that it holds", "open hand in the part"
 Make: TypeAlias = Callable[[Grip], Case]
 PALM = '<box size="0.08 0.06 0.06"/>'
@@ -189,3 +211,30 @@ def test_published_plans_are_judged_by_the_hand(name: str, check: str | None) ->
     plan = optional.there(CASES / "plans" / f"{name}.json")
     found = [one.name for one in verify_files(plan).violations]
     assert found == ([] if check is None else [check])
+
+
+@pytest.mark.parametrize("family", ["pinch", "suction", "push"])
+def test_a_grasp_transmits_what_pulls_at_it(family: str, tmp_path: Path) -> None:
+    """Friction at both pads carries the pull, which leans between the fingers; a push is firm."""
+    case = hold(make_case(), family)
+    case.write(tmp_path)
+    scene, plan = load_scene(tmp_path / "scene.json"), read_plan(tmp_path / "plan.json")
+    model = Articulated(read_urdf(tmp_path / "robot.urdf", actuated=True))
+    assert plan.motion is not None
+    shares = {}
+    for force in (60.0, 1.0):
+        robot = UrdfArm(model, "base", "tool", JOINTS, frozenset(), grip_force=force)
+        verifier = PlanVerifier(scene, robot, plan.task)
+        (check,) = (c for c in verifier.load_checks(BASE, plan.motion) if c.name == PULL)
+        shares[force] = check.value / 100.0
+        assert check.ok == (check.value <= 100.0)
+    need = HandLoad(scene.object("cupboard"), plan.task, ResistanceConfig())
+    path = dense_path(plan.motion, 0.02)
+    pull, _ = need.along(plan.motion, path, np.repeat(np.eye(4)[None], len(path.q), 0))
+    most = float(np.linalg.norm(pull, axis=1).max())
+    lean, friction = np.arctan2(-HANDLE[0], HANDLE[1]), DEFAULT.friction
+    pinched = 2.0 * friction / (np.cos(lean) + friction * np.sin(lean))
+    transmitted = {"pinch": pinched, "suction": 1.0, "push": np.inf}[family]
+    for force, share in shares.items():
+        assert share == pytest.approx(most / (transmitted * force), rel=0.01)
+    assert (shares[1.0] > 1.0) == (family != "push")

@@ -87,7 +87,7 @@ class PlanVerifier:
         )
         self._hand_load = HandLoad(scene.object(task.object), task, ResistanceConfig())
         self._hand = HandChecker(
-            self.robot_model, self.part, scene.object(task.object).model, limits
+            self.robot_model, robot.grip_force, self.part, scene.object(task.object).model, limits
         )
         self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
@@ -167,7 +167,8 @@ class PlanVerifier:
         at_first = self._efforts.stability(base_pose, placed.Ts_body[:1], none, none)
         if at_first is not None and at_first[0] < self.limits.stability:
             stability = None  # the masses of the base in its file are incomplete
-        return MeasuredLoads(self._efforts, needs, stability)
+        grasp = self._hand.pull_shares(motion, placed.path, placed.Ts_tool, force)
+        return MeasuredLoads(self._efforts, needs, stability, grasp)
 
     def _outside(self, placed: _Placed) -> str | None:
         moving = [(self._arm, placed.Ts_arm), (self.part.shapes, placed.Ts_part)]

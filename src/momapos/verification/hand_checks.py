@@ -84,6 +84,14 @@ class Hand:
     digits: tuple[Path, ...]
     """Each finger or thumb on its way from the planned opening to the end of its joints."""
 
+    @cached_property
+    def closing(self) -> Float[np.ndarray, "3"]:
+        """Axis along which two fingers first close on each other, or one on a fixed jaw."""
+        starts = np.array([digit.direction[0] for digit in self.digits])
+        a, b = np.unravel_index(int((starts @ starts.T).argmin()), (len(starts), len(starts)))
+        axis = starts[a] - starts[b] if len(starts) > 1 else starts[0]
+        return np.asarray(axis / max(float(np.linalg.norm(axis)), _STILL))
+
     def pushed(self, direction: Float[np.ndarray, "3"], far: float) -> Path:
         """Return the path of the whole hand straight along a direction [m]."""
         return _straight(self.shapes, self.Ts_tool_shape, direction, far)
@@ -225,9 +233,15 @@ class HandChecker:
     """Checks how the hand of a robot holds the part of a task."""
 
     def __init__(
-        self, robot: RobotCollisionModel, part: MovedPart, model: Articulated, limits: Limits
+        self,
+        robot: RobotCollisionModel,
+        grip_force: float | None,
+        part: MovedPart,
+        model: Articulated,
+        limits: Limits,
     ) -> None:
         self.hand, self.part, self.limits = hand_of(robot), part, limits
+        self._grip_force = grip_force
         self._surface = _Surface(part, model)
 
     def checks(
@@ -271,6 +285,44 @@ class HandChecker:
             "hand off the part that it holds", 1000 * worst[0], 1000 * limits.hand_gap, "mm",
             worst[1] if bad else "", worst[2] if bad else "",
         )  # fmt: skip
+
+    def pull_shares(
+        self,
+        motion: Motion,
+        path: DensePath,
+        Ts_world_tool: Float[np.ndarray, "s 4 4"],
+        force: Float[np.ndarray, "s 3"],
+    ) -> Float[np.ndarray, " s"]:
+        """Return what pulls at the hand as a share of what the grasp transmits, at each state.
+
+        Friction at both pads carries the pull across the closing axis. The force of one finger
+        carries the pull along it, which unloads the other pad. Nothing limits hooks and pushes of
+        tools without fingers, and a robot whose grip force is unknown.
+
+        Args:
+            motion, path, Ts_world_tool: As for `checks`.
+            force: Force on the hand in the world [N].
+        """
+        hand, grip, friction = self.hand, self._grip_force, self.limits.friction
+        shares, size = np.zeros(len(force)), np.linalg.norm(force, axis=1)
+        if grip is None or hand is None:
+            return shares
+        by_fingers = shares
+        if hand.digits:
+            along = np.abs((Ts_world_tool[:, :3, :3] @ hand.closing * force).sum(1))
+            across = np.sqrt(np.maximum(0.0, size**2 - along**2))
+            by_friction = (across + friction * along) / (2.0 * friction * grip)
+            by_fingers = np.maximum(by_friction, along / grip)
+        if self.part.joint is None:
+            return by_fingers if hand.digits else size / grip
+        for hold in motion.grasps:
+            held = (path.at >= hold.first) & (path.at <= hold.last)
+            held[: path.approach] = False
+            if hold.family == "suction":
+                shares[held] = size[held] / grip
+            elif hold.family != "push":
+                shares[held] = by_fingers[held]
+        return shares
 
     def _forward(
         self,

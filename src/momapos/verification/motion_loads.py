@@ -121,6 +121,8 @@ class MeasuredLoads:
     """What each motor must exert [Nm] or [N]."""
     stability: Float[np.ndarray, " s"] | None
     """See `RobotEfforts.stability`; None if unknown."""
+    grasp: Float[np.ndarray, " s"]
+    """See `HandChecker.pull_shares`."""
 
     @property
     def shares(self) -> Float[np.ndarray, "s n"]:
@@ -147,6 +149,11 @@ class MeasuredLoads:
             need, most = abs(self.needs[state, motor]), self.robot.limits[motor]
             words = f"{name} needs {need:.3g} of {most:.3g} at {path.where(int(state))}"
         found = [at_most("joint effort", 100 * worst, 100 * limits.effort, "%", words, name)]
+        most = float(self.grasp.max(initial=0.0))
+        words = f"what the grasp transmits, at {path.where(int(self.grasp.argmax()))}"
+        found.append(
+            at_most("pull on the grasp", 100 * most, 100.0, "%", words if most > 1.0 else "")
+        )
         if self.stability is not None:
             lean, most = -float(self.stability.min()), -limits.stability
             where = path.where(int(self.stability.argmin())) if lean > most else ""

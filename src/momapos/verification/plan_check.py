@@ -36,6 +36,8 @@ class UrdfArm:
     """How the base drives: by the robot file, else by the plan; None if neither states it."""
     min_turning_radius: float | None = None
     """Least turning radius of a car-like base [m]."""
+    grip_force: float | None = None
+    """Closing force of each finger, or pull of a suction cup [N]; None without a robot file."""
 
 
 def verify_files(
@@ -193,4 +195,5 @@ def _arm(
         Articulated(record, rest, cache), plan.base_link, plan.tool_link, plan.joints, disabled,
         plan.robot_drive if own is None else own.drive,
         plan.robot_min_turning_radius if own is None else own.min_turning_radius,
+        None if own is None else own.grip_force,
     )  # fmt: skip

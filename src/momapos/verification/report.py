@@ -38,6 +38,9 @@ class Limits:
     to this distance, other tools are this near [m]."""
     hand_depth: float = 0.005
     """How deep the hand may be in the part, as open as planned [m]."""
+    friction: float = 0.6
+    """Friction coefficient of pads on the part, as the planner assumes it: rubber on lacquer,
+    plastic and steel has 0.6 and more [-]."""
     goal: float = 0.02
     """Error of the joint's start and end values, as a share of the requested motion [-]."""
     jump: float = 0.3
@@ -65,6 +68,7 @@ class Limits:
         refuse_below(self, 1e-4, "step")
         refuse_below(self, 0, "deeper", "fk_position", "fk_rotation", "slip_position")
         refuse_below(self, 0, "slip_rotation", "reach", "hand_gap", "hand_depth")
+        refuse_below(self, 0.01, "friction")
         refuse_below(self, 0, "goal", "jump", "join", "joint")
         refuse_below(self, 0, "floor_edge", "effort", "speed")
         refuse_below(self, 1, "states", "poses")
