@@ -23,6 +23,7 @@ from momapos.core.texts import (
     printable,
     say,
 )
+from momapos.model.records.resistances import JointResistance
 
 SOURCE = Path(momapos.__file__).parent
 DRAWN = {"text": 2, "annotate": 0, "set_title": 0, "suptitle": 0, "set_xlabel": 0, "set_ylabel": 0,
@@ -173,3 +174,8 @@ def test_a_cycle_of_links_is_reported_in_one_line(tmp_path: Path) -> None:
             resolved(loop)
     with pytest.raises(InputError, match="not a valid file name"):
         resolved(tmp_path / "a\0b")
+
+
+def test_a_half_of_a_character_in_a_record_is_refused() -> None:
+    with pytest.raises(InputError, match="JointResistance"):
+        JointResistance(friction="\ud800")  # type: ignore[arg-type]

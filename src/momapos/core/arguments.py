@@ -151,7 +151,7 @@ def check_fields(config: Any) -> None:
             value = float(value)  # numpy's floats are floats
         try:
             msgspec.convert(value, hints[item.name], strict=True, from_attributes=False)
-        except msgspec.ValidationError:
+        except (msgspec.ValidationError, UnicodeEncodeError):  # a half of a character
             raise InputError(
                 f"{kind.__name__}.{item.name} must be {type_words(hints[item.name])}, not "
                 f"{shown(value)}"
