@@ -2,6 +2,8 @@ from .advice import with_advice as with_advice
 from .base_pose_check import BasePoseChecks as BasePoseChecks
 from .base_pose_check import check_pose as check_pose
 from .base_pose_check import plan_at_pose as plan_at_pose
+from .carrying import carrier_of as carrier_of
+from .carrying import grasp_of as grasp_of
 from .config import BaseUse as BaseUse
 from .config import PipelineConfig as PipelineConfig
 from .floor_survey import FloorSurvey as FloorSurvey

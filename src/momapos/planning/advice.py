@@ -203,5 +203,4 @@ def _gap(bounds: Float[np.ndarray, "2 3"], points: Float[np.ndarray, "k 3"]) -> 
 
 
 def _without(query: PlacementQuery, name: str) -> PlacementQuery:
-    objects = tuple(item for item in query.scene.objects if item.name != name)
-    return replace(query, scene=replace(query.scene, objects=objects))
+    return replace(query, scene=query.scene.without(name))

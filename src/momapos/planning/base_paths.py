@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ import numpy as np
 
 from momapos.core import SceneError
 from momapos.core.geometry import any_overlap, place_points
-from momapos.model.records import ArmPathResult, Attempt, PoseOutcome, PoseStatus
+from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.model.scene import Scene, area_name
 from momapos.planning.navigation import (
     BasePath,
@@ -27,6 +28,7 @@ from momapos.planning.navigation import (
 )
 from momapos.planning.placement import AttemptPose, PlacementGeometry, reachable_rectangle
 
+from .carrying import Carrying
 from .query import PlacementQuery
 from .task_setup import roomy_place
 
@@ -35,6 +37,11 @@ if TYPE_CHECKING:
 
 _MAX_INFLUENCE = 0.3
 """A moved part farther than this from the robot's path does not affect it [m]."""
+
+
+MAX_CUT_OFF = 6
+"""Base poses, between which no straight path leads, to which a robot does not get with an object in
+some state of its arm, until that state is given up [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,45 +147,111 @@ class BasePaths:
     start: Float[np.ndarray, "3"]
     areas: AreaRule | None = None
     """None if the base need not keep out of areas."""
-    _paths: dict[bytes, BasePath | None] = field(default_factory=dict)
-    _cut_off: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    carrying: Carrying | None = None
+    """How the robot carries an object; None if its hand is free, with the arm at home."""
+    _paths: dict[tuple[bytes, NavigationMap], BasePath | None] = field(default_factory=dict)
+    _cut_off: dict[NavigationMap, list[Float[np.ndarray, "3"]]] = field(default_factory=dict)
     """Base poses without a path; finding that out is slow."""
+    _led: set[NavigationMap] = field(default_factory=set)
+    """With these, a path led to some base pose."""
 
-    def path(self, base: Float[np.ndarray, "3"] | None) -> BasePath | None:
-        """Return the path to a base pose that was checked, if there is one."""
-        return None if base is None else self._paths.get(base.tobytes())
+    def path(self, base: Float[np.ndarray, "3"] | None, motion: Motion | None) -> BasePath | None:
+        """Return the path to a base pose that was checked, if there is one.
+
+        Args:
+            base: The base pose.
+            motion: The motion from there, which begins as the arm is on the path.
+        """
+        return None if base is None else self._paths.get((base.tobytes(), self._map_of(motion)))
+
+    def homes(self, base: Float[np.ndarray, "3"], grasp: int) -> Iterator[np.ndarray]:
+        """Yield the arm states in which the robot can carry an object to a base pose.
+
+        A state with which the first base poses have no path is not tried at others, nor one that
+        takes up more of the floor than another one without a path.
+        """
+        assert self.carrying is not None
+        for nav_map in self.carrying.maps(grasp):
+            with self.query.watch.stage("path"):
+                leads = (
+                    not self._is_given_up(nav_map)
+                    and not self._fails(base, nav_map)
+                    and self._plan(base, nav_map) is not None
+                )
+            if leads:
+                self._led.add(nav_map)
+                yield nav_map.robot.home
+
+    def _is_given_up(self, nav_map: NavigationMap) -> bool:
+        given_up = [one for one, poses in self._cut_off.items() if len(poses) >= MAX_CUT_OFF]
+        return nav_map not in self._led and self._is_within(given_up, nav_map)
+
+    def _fails(self, base: Float[np.ndarray, "3"], nav_map: NavigationMap) -> bool:
+        cut_off = [one for one in self._cut_off if self._is_cut_off(base, one)]
+        return self._is_within(cut_off, nav_map)
+
+    def _is_within(self, smaller: Sequence[NavigationMap], nav_map: NavigationMap) -> bool:
+        """Return whether a way of carrying takes up as much of the floor as one of others."""
+        assert self.carrying is not None
+        sizes = np.array([self.carrying.size(one) for one in smaller]).reshape(-1, 2)
+        return bool((sizes <= self.carrying.size(nav_map)).all(1).any())
+
+    @property
+    def _carries_nowhere(self) -> bool:
+        """Return whether all ways to carry an object are given up."""
+        if self.carrying is None or self._led or not self._cut_off:
+            return False
+        failed = any(len(poses) >= MAX_CUT_OFF for poses in self._cut_off.values())
+        return failed and all(map(self._is_given_up, self.carrying.every_map()))
+
+    def _map_of(self, motion: Motion | None) -> NavigationMap:
+        if self.carrying is None or motion is None:
+            return self.query.nav_map
+        return self.carrying.map_of(motion)
+
+    def _is_cut_off(self, base: Float[np.ndarray, "3"], nav_map: NavigationMap) -> bool:
+        return any(leads_straight(nav_map, base, other) for other in self._cut_off.get(nav_map, ()))
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
         """Return whether a path may lead to a base pose; planned only after one had none."""
-        if not self._cut_off:
+        if self.query.nav_map not in self._cut_off:
             return True
         with self.query.watch.stage("path"):
-            return not self.known_blocked(base[None]).any() and self._plan(base) is not None
+            if self.known_blocked(base[None]).any():
+                return False
+            return self._plan(base, self.query.nav_map) is not None
 
     def known_blocked(self, bases: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return which base poses are next to one without a path."""
-        blocked = np.zeros(len(bases), bool)
-        for other in self._cut_off:
+        blocked = np.full(len(bases), self._carries_nowhere)
+        for other in self._cut_off.get(self.query.nav_map, ()):
             blocked[~blocked] = lead_straight(self.query.nav_map, bases[~blocked], other)
         return blocked
 
-    def _plan(self, base: Float[np.ndarray, "3"]) -> BasePath | None:
+    def _plan(self, base: Float[np.ndarray, "3"], nav_map: NavigationMap) -> BasePath | None:
         """Plan the path to a base pose, once."""
-        key = base.tobytes()
+        key = base.tobytes(), nav_map
         if key not in self._paths:
-            self._paths[key] = plan_path(self.query.nav_map, self.start, base)
+            self._paths[key] = plan_path(nav_map, self.start, base)
             if self._paths[key] is None:
-                self._cut_off.append(base)
+                self._cut_off.setdefault(nav_map, []).append(base)
         return self._paths[key]
 
-    @cached_property
     def no_way(self) -> PoseOutcome:
-        """Return the outcome of base poses without a path, by the first of them."""
-        if self.areas is not None:
-            with self.query.watch.stage("path"):
-                if plan_path(self.areas.open_map, self.start, self._cut_off[0]) is not None:
-                    return self.areas.otherwise
+        """Return the outcome of base poses without a path."""
+        if self.carrying is not None and self.query.nav_map not in self._cut_off:
+            return PoseOutcome(PoseStatus.NO_ROUTE_CARRYING, self.query.task.object)
+        if self.areas is not None and self._leads_through_areas:
+            return self.areas.otherwise
         return PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
+
+    @cached_property
+    def _leads_through_areas(self) -> bool:
+        """Whether a path through areas leads to the first base pose that has no other."""
+        assert self.areas is not None
+        with self.query.watch.stage("path"):
+            first = self._cut_off[self.query.nav_map][0]
+            return plan_path(self.areas.open_map, self.start, first) is not None
 
     def drivable(self, check: AttemptPose) -> AttemptPose:
         """Extend a check by the path to the base pose and the query's final check."""
@@ -186,18 +259,17 @@ class BasePaths:
         def attempt(
             base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
         ) -> Attempt:
-            nav_map = self.query.nav_map
             with self.query.watch.stage("path"):
-                if any(leads_straight(nav_map, base, other) for other in self._cut_off):
-                    return Attempt(None, self.no_way)
+                if self._is_cut_off(base, self.query.nav_map):
+                    return Attempt(None, self.no_way())
             found = check(base, screened, ways)
             if found.motion is None:
                 return found
             base = base if found.base is None else found.base
             with self.query.watch.stage("path"):
-                path = self._plan(base)
+                path = self._plan(base, self._map_of(found.motion))
             if path is None:
-                return Attempt(None, self.no_way)
+                return Attempt(None, self.no_way())
             final = self.query.final_check
             moved = found.motion.base
             refused = None if final is None else final(base if moved is None else moved[-1])
@@ -225,7 +297,7 @@ class OnwardPaths:
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
         """Return whether the robot can drive on from a base pose that has a path."""
-        came, query = self.drives.path(base), self.drives.query
+        came, query = self.drives.path(base, None), self.drives.query
         assert came is not None
         room = gaps(came.poses, query.nav_map.prisms, query.outlines_after, cap=_MAX_INFLUENCE)
         if room[0] >= _MAX_INFLUENCE and (room > 0.0).all():

@@ -12,7 +12,7 @@ import numpy as np
 from momapos.core import Stopwatch, finite_array
 from momapos.model.records import ANYWHERE, Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.planning.arm_motion import Feasibility
-from momapos.planning.navigation import TravelLengths, plan_path
+from momapos.planning.navigation import BasePath, TravelLengths, plan_path
 from momapos.planning.placement import (
     BASE_OUTCOMES,
     MIN_MODE_SCORE,
@@ -21,6 +21,7 @@ from momapos.planning.placement import (
     base_pose_status,
 )
 
+from .carrying import Carrying
 from .max_opening import from_the_top
 from .max_opening_plan import values_short_of
 from .narrower_hands import narrower_hands
@@ -110,11 +111,14 @@ def _plan_at_pose(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> Placem
         # Driving lengths have the resolution of a cell.
         stays = np.array_equal(first, base)
         length = 0.0 if stays else _driving_length(look.prepared, first, base)
+    path = None
     with watch.stage("path"):
-        path = plan_path(query.nav_map, first, base) if np.isfinite(length) else None
+        if np.isfinite(length):
+            look, path = _with_path(query, look, first, base)
     attempt = look.attempt
     if path is None:
-        no_route = PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
+        carries = PoseOutcome(PoseStatus.NO_ROUTE_CARRYING, task.object)
+        no_route = carries if task.verb == "place" else PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
         attempt = Attempt(None, attempt.outcome if attempt.motion is None else no_route)
     solved = attempt.motion is not None
     found = Search(checked=1, base=base if solved else None, motion=attempt.motion, cost=length)
@@ -132,6 +136,30 @@ def _plan_at_pose(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> Placem
         timing=watch.timing,
     )
     return PlacementResult(plan, look.prepared, found, first, query)
+
+
+def _with_path(
+    query: PlacementQuery, look: _Look, start: Float[np.ndarray, "3"], base: Float[np.ndarray, "3"]
+) -> tuple[_Look, BasePath | None]:
+    """Return the outcome at a base pose and the path there, with what the robot carries.
+
+    If it does not get there as the arm is at home, or has no motion, other states are tried.
+    """
+    if query.task.verb != "place":
+        return look, plan_path(query.nav_map, start, base)
+    carrying = Carrying(query, look.prepared, start)
+    if look.attempt.motion is not None:
+        path = plan_path(carrying.map_of(look.attempt.motion), start, base)
+        if path is not None:
+            return look, path
+    for nav_map, keep_grasp in carrying.others():
+        path = plan_path(nav_map, start, base)
+        if path is not None:
+            carrier = replace(query, robot=nav_map.robot, keep_grasps=keep_grasp, from_home=True)
+            again = _look(carrier, base, how_far=False)
+            if again.attempt.motion is not None:
+                return again, path
+    return look, None
 
 
 def _driving_length(

@@ -90,6 +90,8 @@ class PlacementQuery:
     """A last condition on base poses for which a motion was found; None for no condition."""
     pose_cost: PoseCost | None = None
     """Returns a further cost of base poses (n, 3), as driving lengths [m]; None for none."""
+    from_home: bool = False
+    """Whether the arm begins at home also where it carries an object, as after another task."""
     seed: int = 0
     watch: Stopwatch = field(default_factory=lambda: Stopwatch(processor_time))
 
@@ -179,7 +181,10 @@ class PlacementQuery:
 
         The base keeps out of the region's areas.
         """
-        return build_navigation_map(self.scene, self.robot, self.region.keep_out)
+        # An object that the robot carries is not yet where the scene has it.
+        carries = self.task.verb == "place"
+        scene = self.scene.without(self.task.object) if carries else self.scene
+        return build_navigation_map(scene, self.robot, self.region.keep_out)
 
     @cached_property
     def outlines_after(self) -> ConvexPolygons:

@@ -25,6 +25,7 @@ from momapos.planning.placement import (
 from momapos.planning.reachability import ReachMap
 
 from .base_paths import AreaRule, BasePaths, OnwardPaths, PassageRule
+from .carrying import Carrying
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps, two_grasp_searches
 from .result import PlacementResult, plan_of
@@ -131,7 +132,9 @@ class SearchSetup:
     def result(self, found: Search) -> PlacementResult:
         """Return the answer that a search found."""
         start = self.problem.start
-        plan = plan_of(self.query, self.prepared, found, start, self.drives.path(found.base))
+        plan = plan_of(
+            self.query, self.prepared, found, start, self.drives.path(found.base, found.motion)
+        )
         if self.robust is not None and plan.motion is not None:
             plan = replace(plan, tolerance=self.robust.tolerance)
         answer = PlacementResult(plan, self.prepared, found, start, self.query)
@@ -161,9 +164,16 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         costs = cost_map(prepared, start, query.region.keep_out)
 
-    feasible = prepared.feasibility(config, query.seed, watch=watch)
     areas = AreaRule(query, start, cost_map(prepared, start)) if query.region.keep_out else None
-    drives, moves = BasePaths(query, start, areas), query.task.joint is not None
+    carrying = Carrying(query, prepared, start) if query.task.verb == "place" else None
+    drives, moves = BasePaths(query, start, areas, carrying), query.task.joint is not None
+    feasible = prepared.feasibility(
+        config, query.seed, watch=watch,
+        homes=None if carrying is None else drives.homes,
+    )  # fmt: skip
+    if carrying is not None and not infeasible_reason:
+        with watch.stage("path"):
+            infeasible_reason = carrying.reason
     required = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
     robust = RobustChecks(query) if required else None
     passage = PassageRule(query, start, costs, areas)

@@ -16,6 +16,7 @@ from momapos.model.records import Motion, Outline, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import (
+    CarryingStates,
     Feasibility,
     TaskLoads,
     collision_free_grasps,
@@ -115,8 +116,12 @@ class PreparedTask:
         seed: int,
         *,
         watch: Stopwatch | None = None,
+        homes: CarryingStates | None = None,
     ) -> Feasibility:
-        """Return the check of base poses; the watch counts its exact part as a stage."""
+        """Return the check of base poses; the watch counts its exact part as a stage.
+
+        `homes` yields the arm states in which an object is carried, see `Feasibility`.
+        """
 
         def violation(base_pose: Float[np.ndarray, "3"], motion: Motion) -> str | None:
             if watch is None:
@@ -126,7 +131,7 @@ class PreparedTask:
 
         return Feasibility(
             self.robot, self.world, self.motion, config.arm_planner, violation, seed,
-            config.motion.home_again,
+            config.motion.home_again, homes,
         )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -140,8 +141,8 @@ def _assumed(requests: Sequence[Request]) -> tuple[str, ...]:
     """Return the assumptions between the tasks, which nothing checks."""
     hand_free = [
         f"after {request.verb} {request.object} it is put down on the robot, and the hand is free"
-        for request in requests[:-1]
-        if request.verb == "pick"
+        for request, then in pairwise(requests)
+        if request.verb == "pick" and (then.verb, then.object) != ("place", request.object)
     ]
     in_hand = [
         f"{request.object} is in the hand when {request.verb} {request.object} begins"
@@ -329,7 +330,7 @@ class _Planner:
         scene, task = self.scenes[k]
         return replace(
             self.query, scene=scene, task=task, config=self._config(k), region=ANYWHERE,
-            watch=Stopwatch(self.clock),
+            from_home=self.query.from_home or k > 0, watch=Stopwatch(self.clock),
         )  # fmt: skip
 
     def _config(self, k: int) -> PipelineConfig:

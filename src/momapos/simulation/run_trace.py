@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 
-from momapos.core.geometry import local_points
+from momapos.core.geometry import invert, local_points, pose_planar, pose_wxyz
 
 from .base_drive import base_pose_of, initial_base_pose
 from .config import Stage
 from .feel import sense_forces
+from .geoms import matrix_quat
 from .run_motion import DIGITS, DRIVE, RunMotion, Triple, rounded
 from .simulated_robot import BASE_JOINTS
 from .simulated_room import is_part
@@ -53,6 +54,8 @@ class Act:
     """Poses of the base in each drive: x [m], y [m], yaw [rad]."""
     world: Simulation | None = None
     """None if the arm found no motion after the last drive."""
+    carries: bool = False
+    """Whether the hand holds an object from the start, and on the drives before."""
     states: list[State] = field(default_factory=list)
 
     @property
@@ -75,9 +78,20 @@ class Act:
         )
 
     def standing_at(self, pose: Float[np.ndarray, "3"]) -> np.ndarray:
-        """Return the coordinates of the first state with the base at another pose."""
+        """Return the coordinates of the first state with the base at another pose.
+
+        What the hand holds then moves with the base.
+        """
         assert self.world is not None
         q, stands = self.states[0].q.copy(), initial_base_pose(self.world)
+        if self.carries:
+            at = slice(self.world.part_q, self.world.part_q + 7)
+            x, y, z, *wxyz = q[at].tolist()
+            T_base_part = invert(pose_planar(base_pose_of(self.world, q))) @ pose_wxyz(
+                (x, y, z), tuple(wxyz)
+            )
+            T = pose_planar(pose) @ T_base_part
+            q[at] = [*T[:3, 3], *matrix_quat(T[:3, :3])]
         q[self.world.base_q] = [*local_points(stands, pose[None, :2])[0], pose[2] - stands[2]]
         return q
 
@@ -94,6 +108,8 @@ class RunTrace:
             self.acts.append(Act())
         act = self.acts[-1]
         act.world = world
+        if not act.states:
+            act.carries = world.welded and _loose(world)
         if not act.states or time - act.states[-1].time >= STATE_INTERVAL - 1e-9:
             force = sense_forces(world).force if stage in GRASP_STAGES else _STILL
             act.states.append(State(time, str(stage), world.data.qpos.copy(), force))
@@ -142,7 +158,8 @@ class RunTrace:
                 before = before._replace(world=act.world, q=act.states[0].q)
             times, poses = act.way
             for i in _sampled(times):
-                yield before._replace(time=began + float(times[i]), base=poses[i])
+                q = before.q if act.world is None else act.standing_at(poses[i])
+                yield before._replace(time=began + float(times[i]), base=poses[i], q=q)
             for i in _sampled(np.array([state.time for state in act.states])):
                 assert act.world is not None
                 time, stage, q, force = act.states[i]

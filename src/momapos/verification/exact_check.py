@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import place_points, pose_planar
+from momapos.core.geometry import invert, place_points, pose_planar
 from momapos.model.records import Motion, MotionLoads, PlacementPlan, Task
 from momapos.model.scene import ResistanceConfig, Scene, area_name
 
@@ -204,7 +204,7 @@ class PlanVerifier:
     def drive_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
         """Check the plan's start and base path, with the arm as at the start of the approach.
 
-        The object is as in the scene; it is left out if the robot carries it there.
+        The object is as in the scene; what a task places is in the hand.
         """
         if plan.motion is None or plan.start is None or plan.base_pose is None:
             return ()
@@ -218,26 +218,37 @@ class PlanVerifier:
         if not all(check.ok for check in checks):
             return tuple(checks)
         first = self.robot_model.body_poses((0.0, 0.0, 0.0), plan.motion.approach[:1])
-        _, T_base, T_arm = self.robot_model.poses(first)
+        T_tool, T_base, T_arm = self.robot_model.poses(first)
         Ts_world_base = pose_planar(way)[:, None]
         found, fixed, part = Overlaps(self.limits.penetration), self.fixed, self.part
         high = fixed.Ts_body_shape[:, 2, 3] + (
             np.abs(fixed.Ts_body_shape[:, 2, :3]) * fixed.half
         ).sum(1)
         tall = high > MAX_DRIVABLE_HEIGHT
-        for shapes, Ts in (
-            (self._base, Ts_world_base @ T_base),
-            (self._arm, Ts_world_base @ T_arm),
-        ):
+        carried = self.task.verb == "place"
+        drives = [(self._base, T_base), (self._arm, T_arm)]
+        if carried:
+            T_tool_part = self._part_in_hand(plan.base_pose, plan.motion)
+            drives.append((part.shapes, part.placed_at((T_tool @ T_tool_part)[:, None])))
+        for shapes, Ts_base_shape in drives:
+            Ts = Ts_world_base @ Ts_base_shape
             pairs = all_pairs(len(shapes), len(fixed))
             found.add(
                 shapes, Ts, fixed, fixed.Ts_body_shape[None], pairs[tall[pairs[:, 1]]], _where
             )
-            if self.task.verb != "place":
+            if not carried:
                 placed = part.placed(np.array([part.start if part.joint is not None else 0.0]))
                 pairs = all_pairs(len(shapes), len(part.shapes))
                 found.add(shapes, Ts, part.shapes, placed, pairs, _where)
         return (*checks, found.check("start and base path collision, arm at home"))
+
+    def _part_in_hand(
+        self, base_pose: tuple[float, float, float], motion: Motion
+    ) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a placed object in the hand, which puts it where the scene has it."""
+        at_goal = self.robot_model.body_poses(base_pose, motion.q[:1])
+        T_world_tool = self.robot_model.poses(at_goal)[0][0]
+        return invert(T_world_tool) @ self.part.poses(np.zeros(1))[0, 0]
 
     def region_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
         """Check that the base keeps out of the plan's areas: at its pose, on its way, and moving.

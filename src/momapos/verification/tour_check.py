@@ -76,9 +76,22 @@ def _sequence(tour: TourFile, plans: list[PlacementPlan], allow_assumed: bool) -
         yield at_most(f"{name}: base starts where the previous plan ends", off, 1e-6, "rad|m")
         came_home = before.motion is not None and before.motion.home is not None
         yield verdict(f"{name}: arm has returned home", came_home)
+        gap = _arm_gap(before, after)
+        if gap is not None:
+            what = f"{name}: arm starts as it has returned"
+            yield at_most(what, gap, DEFAULT.join, "rad|m")
         if stops[number - 1] == stops[number - 2]:
             stays = before.final_base_pose == after.base_pose
             yield verdict(f"{name}: base stays at its stop", stays)
+
+
+def _arm_gap(before: PlacementPlan, after: PlacementPlan) -> float | None:
+    """Return how far a plan's first arm state is from the last one of the previous plan."""
+    first, last = after.motion, before.motion
+    if first is None or last is None or last.home is None or before.joints != after.joints:
+        return None
+    starts = first.approach[:1] if len(first.approach) else first.q[:1]
+    return float(np.abs(starts - last.home[-1:]).max(initial=0.0))
 
 
 def _joints(plan: PlacementPlan) -> dict[tuple[str, str], float]:

@@ -12,10 +12,16 @@ from momapos.core import SceneError, Stopwatch, TaskError
 from momapos.core.geometry import wrap_angle
 from momapos.model.records import Attempt, Motion, PlacementPlan, ReachScorer, Task
 from momapos.model.scene import Scene
-from momapos.planning import PipelineConfig, PlacementQuery, check_pose
+from momapos.planning import PipelineConfig, PlacementQuery, check_pose, grasp_of
 from momapos.planning.baselines import plan_with_method
 from momapos.planning.grasps import GraspFilter, slides
-from momapos.planning.navigation import DriveRecord, NavigationMap, build_navigation_map, gaps
+from momapos.planning.navigation import (
+    DriveRecord,
+    HeldObject,
+    NavigationMap,
+    build_navigation_map,
+    gaps,
+)
 from momapos.simulation import AttemptOutcome, LearnedPart, PlanHomePath, Pose, TrueWorld, Visit
 
 from .joint_belief import JointBelief, JointBeliefs
@@ -71,6 +77,8 @@ class Replanner:
     _: KW_ONLY
     initial: Scene
     """The scene at the start of the run, with the joint of the part as now believed."""
+    held: HeldObject | None = None
+    """What the robot holds on its drives, with its arm at home."""
     beliefs: JointBeliefs
     """Hypotheses of the part's joint."""
     given: TrueWorld = field(init=False)
@@ -159,7 +167,7 @@ class Replanner:
             self.scene = scene
             with self.stopwatch.stage("drive"):
                 self.ground = build_navigation_map(
-                    scene, self.ground.robot, self.plan.region.keep_out
+                    scene, self.ground.robot, self.plan.region.keep_out, self.held
                 )
 
     def retry(
@@ -286,7 +294,9 @@ class Replanner:
         config: PipelineConfig,
         grasps: GraspFilter | None = None,
     ) -> Attempt:
-        query = replace(self._query(config), keep_grasps=grasps)
+        query = self._query(config)
+        if self.held is None:
+            query = replace(query, keep_grasps=grasps)
         return check_pose(query, pose, how_far=False)
 
     def _other_pose(
@@ -304,7 +314,8 @@ class Replanner:
         plan = self.plan
         return PlacementQuery(
             self.scene, self.ground.robot, plan.task, self.reach, config=config,
-            region=plan.region, seed=plan.seed,
+            region=plan.region, seed=plan.seed, from_home=True,
+            keep_grasps=None if self.held is None else grasp_of(plan),
         )  # fmt: skip
 
     def _untried(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

@@ -18,7 +18,7 @@ from momapos.core import Clock, InputError, SceneError, Stopwatch, version_of
 from momapos.model.records import Motion, PlacementPlan, ReachScorer
 from momapos.model.robots import Robot, opened_as
 from momapos.model.scene import Scene, with_assumptions
-from momapos.planning import PipelineConfig, start_pose
+from momapos.planning import PipelineConfig, carrier_of, start_pose
 from momapos.planning.grasps import task_motion
 from momapos.planning.navigation import (
     DriveConfig,
@@ -129,7 +129,8 @@ def run_plan(
         )
     )
     with stopwatch.stage("drive"):
-        ground = build_navigation_map(scene, robot, plan.region.keep_out)
+        robot, held = carrier_of(plan, scene, robot)
+        ground = build_navigation_map(scene, robot, plan.region.keep_out, held)
     if start is None and plan.start is not None:
         start = np.array(plan.start)
     begin = start_pose(
@@ -137,7 +138,7 @@ def run_plan(
     )
     replanner = Replanner(
         ground, scene, plan, reach, driver, config, trace or (lambda _, __: None), stopwatch,
-        np.random.default_rng(of_drive), initial=scene,
+        np.random.default_rng(of_drive), initial=scene, held=held,
         beliefs=JointBeliefs(
             () if world is None else joint_beliefs(scene, plan.task), physics.compliance
         ),

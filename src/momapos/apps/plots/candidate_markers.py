@@ -37,7 +37,7 @@ KINDS = (
         "base",
         (
             _S.BASE_BLOCKED, _S.BASE_PATH_BLOCKED, _S.BASE_COLLISION, _S.OFF_FLOOR, _S.NO_ROUTE,
-            _S.NO_PASSAGE, _S.NO_ROUTE_AT_HOME, _S.AREA_IN_THE_WAY,
+            _S.NO_PASSAGE, _S.NO_ROUTE_AT_HOME, _S.AREA_IN_THE_WAY, _S.NO_ROUTE_CARRYING,
         ),
         "#a3aab1", "x", size=2.2, obvious=True,
     ),

@@ -40,6 +40,7 @@ class PoseStatus(Enum):
     OVERLOAD = "{detail} needs {where}"
     TIPS_OVER = "{detail} would tip over at {where}"
     NO_APPROACH = "no approach from home within the arm planner's limit"
+    NO_ROUTE_CARRYING = "no base path with {detail} in the hand"
     NO_WAY_HOME = "no arm path back home within the arm planner's limit"
     EXACT_CHECK = "exact check: {detail}"
     NOT_FOR_ALL = "not for all tasks: {detail}"

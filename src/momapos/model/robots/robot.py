@@ -175,6 +175,13 @@ class Robot:
         vars(finer)["ik"] = ik
         return finer
 
+    def with_home(self, q: Float[np.ndarray, " n"]) -> Robot:
+        """Return the same robot with its arm in another state while the base drives."""
+        robot = copy(self)
+        vars(robot).pop("finer", None)
+        vars(robot)["home"] = np.array(q, float)
+        return robot
+
     def with_inverse_kinematics(self, solve: InverseKinematics) -> Robot:
         """Return the same robot with inverse kinematics of your own.
 

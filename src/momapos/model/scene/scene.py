@@ -131,6 +131,10 @@ class Scene:
         changed = any(one is not item for one, item in zip(objects, self.objects, strict=True))
         return replace(self, objects=objects) if changed else self
 
+    def without(self, name: str) -> Scene:
+        """Return the scene without an object."""
+        return replace(self, objects=tuple(item for item in self.objects if item.name != name))
+
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
         """Return the scene with one joint of one object at another value.
 

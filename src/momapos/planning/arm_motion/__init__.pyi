@@ -11,6 +11,7 @@ from .arm_planner import quick_config as quick_config
 from .carried_motion import adapt_motion as adapt_motion
 from .config import PlannerConfig as PlannerConfig
 from .enclosure import enclosed_by as enclosed_by
+from .feasibility import CarryingStates as CarryingStates
 from .feasibility import Feasibility as Feasibility
 from .feasibility import near_home as near_home
 from .feasibility import world_tools as world_tools
@@ -21,5 +22,7 @@ from .ik_layers import solve_layers as solve_layers
 from .nearness import boxes_near_base as boxes_near_base
 from .nearness import boxes_near_swept_volume as boxes_near_swept_volume
 from .nearness import near_boxes as near_boxes
+from .payload import carrying_states as carrying_states
+from .payload import payload_hits_at_home as payload_hits_at_home
 from .payload import with_payload as with_payload
 from .task_loads import TaskLoads as TaskLoads

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -55,6 +55,7 @@ Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
 """The exact check: return None if a motion is valid, else the reason why not."""
 FindPaths: TypeAlias = "Callable[[Float[np.ndarray, 'j 3'], Int[np.ndarray, ' j']], list[ArmPath]]"
 """Searches an arm path for each pair of base pose and grasp mode."""
+CarryingStates: TypeAlias = "Callable[[Float[np.ndarray, '3'], int], Iterable[np.ndarray]]"
 _BATCH = 128
 """Pairs of base pose and grasp mode that a thread processes together [-]."""
 _WIDER = 4
@@ -74,6 +75,9 @@ class Feasibility:
     seed: int
     home_again: bool = False
     """Whether the arm returns home at the end."""
+    homes: CarryingStates | None = None
+    """Yields the arm states in which the robot carries the object to a base pose, the preferred one
+    first, given also the grasp; None if it drives with its arm at home."""
     find: FindPaths | None = None
     """Searches arm paths for a base that moves; None for a base that stands."""
 
@@ -220,18 +224,25 @@ class Feasibility:
         spheres = self.robot.spheres.by_hulls
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
-        q = near_home(q, self.robot.home, chain.lower, chain.upper)
-        q = self.with_smooth_posture(base if bases is None else bases, q, grasp)
         checker = partial(
             build_motions, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        approach = self._path(
-            self.robot.home, q[0], checker, (grasp, 0) if self._carrying else None,
-            self.planner, self.seed + grasp, fill_curve(q[: begin + 1], RESOLUTION)[1:],
-        )  # fmt: skip
+        screened = q
+        outcome = PoseOutcome(PoseStatus.NO_ROUTE_CARRYING, self.motion.task.object)
+        approach: Float[np.ndarray, "k n"] | None = None
+        for begun in (self.robot.home,) if self.homes is None else self.homes(base, grasp):
+            outcome = PoseOutcome(PoseStatus.NO_APPROACH)
+            q = near_home(screened, begun, chain.lower, chain.upper)
+            q = self.with_smooth_posture(base if bases is None else bases, q, grasp)
+            approach = self._path(
+                begun, q[0], checker, (grasp, 0) if self._carrying else None,
+                self.planner, self.seed + grasp, fill_curve(q[: begin + 1], RESOLUTION)[1:],
+            )  # fmt: skip
+            if approach is not None:
+                break
         if approach is None:
-            return None, PoseOutcome(PoseStatus.NO_APPROACH)
+            return None, outcome
         Ts_world_tool = pose_planar(base if bases is None else bases) @ chain.tool_poses(q)
         steps, holds = self.motion.executed_steps(grasp, Ts_world_tool)
         steps = steps[begin:]

@@ -11,7 +11,6 @@ from momapos.model.robots import Robot
 from momapos.planning.grasps import TaskMotion
 
 from .hand_clearance import hand_hits_along
-from .payload import payload_hits_at_home
 
 if TYPE_CHECKING:
     from jaxtyping import Bool
@@ -36,11 +35,4 @@ def collision_free_grasps(
     free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
     counts = np.bincount(np.concatenate(hits) - FLOOR)
     obstacle = world.reason(int(counts.argmax()) + FLOOR) if len(counts) else ""
-    if motion.task.verb == "place" and free.any():
-        touched = payload_hits_at_home(robot, motion)
-        free &= touched < 0
-        if not free.any():
-            names = (*robot.spheres.links, robot.base_link)
-            worst = names[np.bincount(touched[touched >= 0]).argmax()]
-            obstacle = f"{worst} at home with {motion.task.object} in it"
     return free, obstacle

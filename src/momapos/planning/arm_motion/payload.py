@@ -6,14 +6,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import apply, invert
-from momapos.model.collision import Spheres, box_spheres, carry, place_segments
+from momapos.core.geometry import apply, halton, invert
+from momapos.model.collision import (
+    FREE,
+    CollisionWorld,
+    Spheres,
+    box_spheres,
+    carry,
+    check,
+    place_segments,
+)
 from momapos.model.kinematics import chain_arrays
 from momapos.model.robots import Robot
 from momapos.planning.grasps import TaskMotion
 
+from .task_loads import TaskLoads
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+
+SAMPLES = 2048
+"""Number of arm states among which those that can carry an object are sought [-]."""
+WRIST = 3
+"""Number of the last joints; in half of the samples only these differ from home [-]."""
 
 
 def with_payload(
@@ -73,3 +89,36 @@ def payload_hits_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " 
     apart = np.linalg.norm(np.maximum(local - base.half, 0.0), axis=-1)
     touched[(apart < radius[:, None]).any((1, 2))] = len(spheres.segment)
     return touched
+
+
+def carrying_states(
+    robot: Robot,
+    world: CollisionWorld,
+    motion: TaskMotion,
+    grasp: int,
+    base: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "k n"]:
+    """Return sampled arm states in which a robot can carry an object, and begin to drive.
+
+    Robot and object are free of collision with each other and with the scene, and the motors and
+    the base bear the object.
+
+    Args:
+        robot: The robot.
+        world: The scene.
+        motion: The task motion, which places the object.
+        grasp: The grasp.
+        base: Where the robot begins to drive: x [m], y [m], yaw [rad].
+    """
+    chain = robot.chain
+    low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    q = low + halton(SAMPLES, chain.size) * (high - low)
+    q[1::2, :-WRIST] = robot.home[:-WRIST]
+    spheres = with_payload(robot, motion, motion.Ts_world_tool[grasp, 0], 0)
+    codes = check(
+        world, chain, spheres, q, np.tile(base, (len(q), 1)), np.full(len(q), motion.value[0]),
+        np.ones(len(q), bool),
+    )  # fmt: skip
+    q = q[codes == FREE]
+    return q[~TaskLoads(robot, motion).free(q, (grasp, 0)).refused] if len(q) else q

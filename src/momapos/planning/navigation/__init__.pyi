@@ -1,4 +1,6 @@
 from .convex_polygons import ConvexPolygons as ConvexPolygons
+from .convex_polygons import HeldObject as HeldObject
+from .convex_polygons import outline_from_above as outline_from_above
 from .cost_map import CELL as CELL
 from .cost_map import CostMap as CostMap
 from .cost_map import base_height as base_height

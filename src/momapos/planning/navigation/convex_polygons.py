@@ -28,7 +28,7 @@ from momapos.core.geometry import (
     signed_area,
 )
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -89,6 +89,27 @@ class RobotPrisms:
         layers = range(len(self.outlines))
         packed = pack(self.outlines, layers, ["robot"] * len(self.outlines))
         return PrismArrays(packed.corner, packed.normal, packed.level, packed.first, self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldObject:
+    """An object in the hand of a robot that drives."""
+
+    name: str
+    T_tool_object: Float[np.ndarray, "4 4"]
+    hulls: tuple[Float[np.ndarray, "_ 3"], ...]
+    """Corners of its hulls, in the tool frame [m]."""
+
+    @classmethod
+    def of(cls, item: SceneObject, T_world_tool: Float[np.ndarray, "4 4"]) -> HeldObject:
+        """Return an object where it is in the scene, in a hand there."""
+        T_tool_world = invert(T_world_tool)
+        hulls = [
+            apply(T_tool_world @ T, hull.vertices)
+            for link, T in item.link_poses().items()
+            for hull in item.model.hulls[link]
+        ]
+        return cls(item.name, T_tool_world @ item.T_world_object, tuple(hulls))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,18 +195,16 @@ def pack(
 
 
 @owner_cache()
-def prisms_of(robot: Robot) -> RobotPrisms:
+def prisms_of(robot: Robot, held: HeldObject | None = None) -> RobotPrisms:
     """Enclose a robot in prisms, cut at the heights that minimize their volume.
 
     The lowest prism contains the footprint of the robot file. Cuts are added greedily, one by one.
+
+    Args:
+        robot: The robot, with its arm at home.
+        held: What it holds.
     """
-    poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
-    T_base_root = invert(poses[robot.base_link])
-    shapes = [
-        apply(T_base_root @ poses[link], hull.vertices)
-        for link, hulls in robot.model.hulls.items()
-        for hull in hulls
-    ]
+    shapes = _shapes(robot, held)
     low = np.array([points[:, 2].min() for points in shapes])
     high = np.array([points[:, 2].max() for points in shapes])
     flat = [convex_hull(points[:, :2]) for points in shapes]
@@ -211,6 +230,26 @@ def prisms_of(robot: Robot) -> RobotPrisms:
         heights = min((sorted({*heights, cut}) for cut in cuts), key=volume)
     outlines = tuple(outline(begin, end) for begin, end in pairwise(heights))
     return RobotPrisms(outlines, np.array(heights))
+
+
+def outline_from_above(robot: Robot, held: HeldObject | None = None) -> Float[np.ndarray, "k 2"]:
+    """Return the convex outline of all prisms of a robot and of what it holds, see `prisms_of`."""
+    points = [shape[:, :2] for shape in _shapes(robot, held)]
+    return convex_hull(np.concatenate([robot.footprint, *points]))
+
+
+def _shapes(robot: Robot, held: HeldObject | None) -> list[Float[np.ndarray, "_ 3"]]:
+    """Return the corners of the hulls of a robot and of what it holds, in the base frame [m]."""
+    poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
+    T_base_root = invert(poses[robot.base_link])
+    shapes = [
+        apply(T_base_root @ poses[link], hull.vertices)
+        for link, hulls in robot.model.hulls.items()
+        for hull in hulls
+    ]
+    if held is not None:
+        shapes += [apply(T_base_root @ poses[robot.tool_link], points) for points in held.hulls]
+    return shapes
 
 
 def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:

@@ -16,6 +16,7 @@ from momapos.model.scene import Scene, area_name
 
 from .convex_polygons import (
     ConvexPolygons,
+    HeldObject,
     RobotPrisms,
     concatenate,
     obstacles_of,
@@ -98,7 +99,10 @@ class NavigationMap:
 
 
 def build_navigation_map(
-    scene: Scene, robot: Robot, keep_out: tuple[Outline, ...] = ()
+    scene: Scene,
+    robot: Robot,
+    keep_out: tuple[Outline, ...] = (),
+    held: HeldObject | None = None,
 ) -> NavigationMap:
     """Build the navigation map of a robot with its arm at home, cached.
 
@@ -106,17 +110,20 @@ def build_navigation_map(
         scene: The scene.
         robot: The robot.
         keep_out: Areas that the base does not touch, see `BaseRegion`.
+        held: What the robot holds; it is not where it is in the scene.
 
     Raises:
         SceneError: The scene is too large for a map.
     """
-    return _navigation_map(robot, scene, keep_out)
+    return _navigation_map(robot, scene, keep_out, held)
 
 
 @owner_cache(8)  # one takes about 1 MB; a question has a few versions of its scene
-def _navigation_map(robot: Robot, scene: Scene, keep_out: tuple[Outline, ...]) -> NavigationMap:
-    prisms = prisms_of(robot)
-    obstacles = obstacles_of(scene, prisms)
+def _navigation_map(
+    robot: Robot, scene: Scene, keep_out: tuple[Outline, ...], held: HeldObject | None
+) -> NavigationMap:
+    prisms = prisms_of(robot, held)
+    obstacles = obstacles_of(scene if held is None else scene.without(held.name), prisms)
     if keep_out:
         # The base's outline at any height is one more prism, and only areas obstruct it.
         prisms = replace(prisms, outlines=(*prisms.outlines, robot.base_outline))

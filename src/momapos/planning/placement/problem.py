@@ -63,6 +63,10 @@ class ApproachCheck(Protocol):
         """Return which base poses earlier results show to have no path."""
         ...
 
+    def no_way(self) -> PoseOutcome:
+        """Return the outcome of base poses without a path."""
+        ...
+
 
 class DepartureCheck(Protocol):
     """Checks that the robot can drive on from a base pose after the task."""

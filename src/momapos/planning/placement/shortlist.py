@@ -28,7 +28,6 @@ BASE_OUTCOMES: dict[BaseStatus, PoseOutcome] = {
     BaseStatus.BEYOND_ARM: PoseOutcome(PoseStatus.BEYOND_ARM),
 }
 NOT_TRIED = PoseOutcome(PoseStatus.NOT_TRIED)
-CUT_OFF = PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
 
 
 @dataclass(eq=False)
@@ -199,7 +198,8 @@ def _approachable(
     if problem.approach is None:
         return block
     blocked = problem.approach.known_blocked(left.poses[block])
-    left.outcomes[left.row[block[blocked]]] = CUT_OFF
+    if blocked.any():
+        left.outcomes[left.row[block[blocked]]] = problem.approach.no_way()
     left.tried[left.row[block[blocked]]] = True
     return block[~blocked]
 
@@ -208,7 +208,7 @@ def can_approach(problem: Problem, one: Candidate) -> bool:
     """Return whether a path may lead to a base pose; record its outcome if none does."""
     if problem.approach is None or problem.approach(one.pose):
         return True
-    one.left.outcomes[one.left.row[one.index]] = CUT_OFF
+    one.left.outcomes[one.left.row[one.index]] = problem.approach.no_way()
     return False
 
 
