@@ -348,7 +348,7 @@ class PlanVerifier:
     def _on_task(self, motion: Motion) -> bool:
         """Check whether the joint's values are all between the task's start and goal."""
         low, high = sorted((self.part.start, self.part.goal))
-        return low <= motion.object_q.min() and motion.object_q.max() <= high
+        return bool(low <= motion.object_q.min() and motion.object_q.max() <= high)
 
     def _part_above_floor(
         self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
