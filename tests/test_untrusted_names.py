@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.shapes import unchecked
 
 import momapos
 from momapos.core.errors import InputError
@@ -177,5 +178,5 @@ def test_a_cycle_of_links_is_reported_in_one_line(tmp_path: Path) -> None:
 
 
 def test_a_half_of_a_character_in_a_record_is_refused() -> None:
-    with pytest.raises(InputError, match="JointResistance"):
+    with unchecked(), pytest.raises(InputError, match="JointResistance"):
         JointResistance(friction="\ud800")  # type: ignore[arg-type]
