@@ -11,11 +11,16 @@ from door_case import BASE, Case, make_case, tool_poses
 from tests.verification.moving_case import case_of
 
 from momapos.apps.cli.main import main
-from momapos.core.errors import FileFormatError, RobotError
+from momapos.core.errors import FileFormatError, RobotError, UnknownNameError
 from momapos.model.plan_files.named_files import sha256
-from momapos.model.plan_files.plan_format import read_plan
+from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.robots.hand_openings import opened_as
 from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.placement.config import PlaceConfig
 from momapos.verification.plan_check import verify_files
 from momapos.verification.report import Report
 
@@ -318,3 +323,44 @@ def test_a_hand_is_not_opened_beyond_its_limits(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text(ROBOT_FILE)
     with pytest.raises(RobotError, match=r"jaw rests at 0\.5 in the plan; its limits are 0 to"):
         opened_as(load_robot(tmp_path / "robot.toml"), {"jaw": 0.5})
+
+
+def test_what_the_user_has_set_is_named_and_counts(tmp_path: Path) -> None:
+    case = case_with_robot_file()
+    case.scene["objects"][0]["resistance"] = {"hinge": {"friction": 5.0}}
+    case.plan["resistance"] = {"cupboard": {"hinge": {"friction": 0.1, "seal_force": 2.0}}}
+    name = "resistance and mass are as the scene states"
+    assert set(failed(verified(case, tmp_path / "alone"))) == {name}
+    case.plan["overrides"] = {
+        "resistance": {"cupboard": {"hinge": {"friction": 0.1}}}, "assumed": {"latch_force": 2.0},
+    }  # fmt: skip
+    report = verified(case, tmp_path / "set")
+    assert failed(report) == {}
+    note = "the user of the plan has set friction of cupboard/hinge to 0.1, the assumed latch_force"
+    assert any(one.startswith(note) for one in report.notes)
+    case.plan["overrides"]["assumed"] = {"latch_farce": 2.0}
+    with pytest.raises(UnknownNameError, match="latch_force"):
+        verified(case, tmp_path / "wrong")
+
+
+def test_a_plan_records_what_its_user_has_set(tmp_path: Path) -> None:
+    kitchen, robot = load_scene("kitchen_small").with_mass("bottle", 0.3), load_robot("fetch")
+    task = make_task(kitchen, "pick", "bottle")
+    config = PipelineConfig(place=PlaceConfig(count=256, improve=1))
+    plan = plan_base_placement(kitchen, robot, task, config=config).plan
+    assert plan.overrides.mass == {"bottle": 0.3}
+    write_plan(plan, tmp_path / "plan.json")
+    assert read_plan(tmp_path / "plan.json").overrides == plan.overrides
+    report = verify_files(tmp_path / "plan.json")
+    assert "resistance and mass are as the scene states" not in failed(report)
+    assert "the user of the plan has set the mass of bottle to 0.3 kg" in report.notes
+
+
+@pytest.mark.parametrize(("edge", "inside"), [(1.0, True), (0.2, False)])
+def test_the_base_stands_in_the_areas_to_keep_in(edge: float, inside: bool, tmp_path: Path) -> None:
+    case, (x, y, _) = case_with_robot_file(), BASE
+    e = edge / 2
+    area = [[x - e, y - e], [x + e, y - e], [x + e, y + e], [x - e, y + e]]
+    case.plan["region"] = {"keep_in": [area, [[9, 9], [10, 9], [9, 10]]]}
+    names = failed(verified(case, tmp_path))
+    assert ("base outside the areas to keep in" in names) != inside

@@ -202,6 +202,9 @@ def plan_of(
         scene_hypotheses=query.scene.hypotheses_set,
         assumption=_improbable(query) if status == "assumed" else None,
         resistance=_resistance(prepared),
+        overrides=replace(
+            query.scene.overrides, assumed=query.config.motion.grasps.resistance.changed()
+        ),
         loads=_loads(prepared, found) if solved else None,
         joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),

@@ -6,14 +6,14 @@ themselves, a mesh as its hull; states are no farther apart than in execution.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import invert, place_points, pose_planar
-from momapos.model.records import Motion, MotionLoads, PlacementPlan, Task
+from momapos.core.geometry import contains, edge_distances, invert, place_points, pose_planar
+from momapos.model.records import Motion, MotionLoads, Outline, PlacementPlan, Task
 from momapos.model.scene import ResistanceConfig, Scene, area_name
 
 from . import path_checks as paths
@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 
 MIN_SWEEP_STEPS = 49
 """The part's path is divided into this number of intervals, or a multiple of it [-]."""
+MAX_BEYOND_AREA = 0.01
+"""How far the base's shapes may extend beyond an area to keep in [m]; robot files round the
+footprint that the planner keeps in."""
 MAX_DRIVABLE_HEIGHT = 0.005
 """The base drives over obstacles up to this height [m]."""
 
@@ -253,14 +256,19 @@ class PlanVerifier:
     def region_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
         """Check that the base keeps out of the plan's areas: at its pose, on its way, and moving.
 
-        The outline of the base counts: of all shapes that do not move with the arm.
+        The outline of the base counts: of all shapes that do not move with the arm. At its base
+        pose it is in one of the areas to keep in.
         """
-        if plan.motion is None or plan.base_pose is None or not plan.region.keep_out:
+        region = plan.region
+        if plan.motion is None or plan.base_pose is None or not (region.keep_in or region.keep_out):
             return ()
         where = [("base_pose", np.array([plan.base_pose])), ("manipulation.base", plan.motion.base)]
         where.append(("base_path", plan.base_path))
         rest = self.robot_model.body_poses((0.0, 0.0, 0.0), plan.motion.q[:1])
         outline = outline_of(self._base, self.robot_model.poses(rest)[1][0])
+        kept = _kept_in(region.keep_in, place_points(np.array([plan.base_pose]), outline)[0])
+        if not region.keep_out:
+            return kept
         worst, at, inside = 0.0, "", 0
         for name, poses in where:
             if poses is None or not len(poses):
@@ -274,7 +282,8 @@ class PlanVerifier:
                 worst = max(worst, float(depth.max()))
         detail = f"{inside} poses, deepest {at}" if at else ""
         limit = 1000 * self.limits.floor_edge
-        return (at_most("base in a keep-out area", 1000 * worst, limit, "mm deep", detail),)
+        out = at_most("base in a keep-out area", 1000 * worst, limit, "mm deep", detail)
+        return (*kept, out)
 
     def _placed(self, base_pose: tuple[float, float, float], motion: Motion) -> _Placed:
         path = paths.dense_path(motion, self.limits.step)
@@ -429,6 +438,18 @@ class PlanVerifier:
         if outside is not None:
             notes.append(outside)
         return tuple(notes)
+
+
+def _kept_in(areas: Sequence[Outline], outline: Float[np.ndarray, "k 2"]) -> tuple[Check, ...]:
+    """Check that an outline is inside one of some areas; no check without areas."""
+    if not areas:
+        return ()
+    beyond = [
+        np.where(contains(area, outline), 0.0, edge_distances(outline, area)).max()
+        for area in map(np.array, areas)
+    ]
+    limit = 1000 * MAX_BEYOND_AREA
+    return (at_most("base outside the areas to keep in", 1000 * min(beyond), limit, "mm"),)
 
 
 def _where(pose: int) -> str:

@@ -10,13 +10,13 @@ from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect, re
 from momapos.model.plan_files import changed_files, read_plan
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import Robot, read_srdf
-from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions
+from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions, with_overrides
 from momapos.model.urdf import Articulated, read_urdf
 
 from .exact_check import PlanVerifier
 from .report import DEFAULT, Check, Limits, Report, verdict
 from .robot_claims import read_robot_of, robot_checks, robot_notes
-from .scene_claims import assumes_otherwise, scene_checks, scene_notes
+from .scene_claims import assumes_otherwise, scene_checks, scene_notes, with_usual
 from .trust_notes import trust_notes
 
 _PACKAGE = Path(__file__).parents[1]
@@ -76,7 +76,7 @@ def verify_files(
     scene_file = find_file("scene", plan.scene, folders, plan_path)
     filed = read_scene(scene_file, scene_root, cache)
     assumed = _assumed(filed, plan)
-    planned = as_planned(filed, plan)
+    planned = with_overrides(as_planned(filed, plan), plan)
     scene = with_assumptions(planned, plan)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
     srdf = None
@@ -94,7 +94,7 @@ def verify_files(
     drive = verifier.drive_checks(plan) if len(plan.motion.approach) else ()
     checks = [*stated, *report.checks, *drive, *verifier.region_checks(plan)]
     if report.valid and assumes_otherwise(plan, planned):
-        usual = PlanVerifier(planned, robot, plan.task, limits)
+        usual = PlanVerifier(with_usual(planned, plan), robot, plan.task, limits)
         checks += usual.load_checks(plan.base_pose, plan.motion, " with the usual resistance")
     notes = [
         *scene.warnings, *_changes(plan_path, scene_file, urdf), *robot_notes(plan, own),

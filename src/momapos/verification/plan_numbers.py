@@ -10,7 +10,7 @@ import numpy as np
 from momapos.core import FileFormatError
 from momapos.model.records import Motion, PlacementPlan
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene, with_assumptions
+from momapos.model.scene import Scene, with_assumptions, with_overrides
 
 from . import path_checks as paths
 from .base_path_checks import base_path_checks, known_base_checks
@@ -42,7 +42,7 @@ def check_plan_numbers(plan: PlacementPlan, scene: Scene, robot: Robot, name: st
     stated = (
         *rest_checks(plan.robot_rest, robot.model, plan.joints, verifier.limits),
         *stated_checks(plan, robot),
-        *scene_checks(plan, scene),
+        *scene_checks(plan, with_overrides(scene, plan)),
     )
     failed = next((c for c in chain(stated, _checks(verifier, plan)) if not c.ok), None)
     if failed is None:

@@ -53,13 +53,10 @@ def find_robot_file(plan: PlacementPlan, urdf: Path, folders: Collection[Path]) 
     named = plan.robot_file
     if named in library_names():
         return library_file(str(named))
-    if named is not None:
-        found = (folder / named for folder in folders)
-        return next((path for path in found if path.is_file()), None)
-    if urdf.with_suffix(".toml").is_file():
-        return urdf.with_suffix(".toml")
+    given = [] if named is None else [folder / named for folder in folders]
+    found = next((path for path in (*given, urdf.with_suffix(".toml")) if path.is_file()), None)
     ours = library_file(plan.robot_name) if plan.robot_name in library_names() else None
-    return ours if ours is not None and ours.with_suffix(".urdf") == urdf else None
+    return ours if found is None and ours and ours.with_suffix(".urdf") == urdf else found
 
 
 def read_robot_of(

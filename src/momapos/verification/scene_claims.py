@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-from momapos.model.records import JointResistance, PlacementPlan, Task
+from momapos.model.records import JointResistance, Overrides, PlacementPlan, Task
 from momapos.model.scene import (
     ResistanceConfig,
     Scene,
     SceneObject,
+    assumed_with,
     known_resistance,
     object_mass,
     stated_resistance,
@@ -29,7 +30,7 @@ def scene_checks(plan: PlacementPlan, scene: Scene) -> Iterator[Check]:
 
     Args:
         plan: The plan.
-        scene: The scene of the file, with joints as in the plan.
+        scene: The scene of the file, with joints as in the plan and what its user has set.
     """
     item, task = scene.object(plan.task.object), plan.task
     if task.follower:
@@ -48,7 +49,7 @@ def scene_notes(plan: PlacementPlan, scene: Scene, filed: Scene) -> Iterator[str
 
     Args:
         plan: The plan.
-        scene: The scene of the file, with joints as in the plan.
+        scene: The scene of the file, with joints as in the plan and what its user has set.
         filed: The scene of the file.
     """
     for name, joints in plan.scene_joints.items():
@@ -59,13 +60,14 @@ def scene_notes(plan: PlacementPlan, scene: Scene, filed: Scene) -> Iterator[str
                     f"the plan begins with {name}/{joint} at {value:.4g}, where the scene file has "
                     f"{before[joint]:.4g}"
                 )
+    yield from _override_notes(plan.overrides)
     item, assumed = scene.object(plan.task.object), _assumed(plan)
     if plan.task.joint is not None and not assumed:
         yield (
             f"the plan states no resistance of {item.name}/{plan.task.joint}; what the scene "
             "states, or momapos assumes, is used"
         )
-    usual, stated = _usual(item, plan.task), _stated(item, plan.task)
+    usual, stated = _usual(item, plan), _stated(item, plan.task)
     other = [
         f"{name} {value:.4g}, usually {usual[name]:.4g}"
         for name, value in assumed.items()
@@ -80,7 +82,7 @@ def scene_notes(plan: PlacementPlan, scene: Scene, filed: Scene) -> Iterator[str
 
 def assumes_otherwise(plan: PlacementPlan, scene: Scene) -> bool:
     """Return whether a plan assumes another resistance or mass than its files and momapos do."""
-    usual = _usual(scene.object(plan.task.object), plan.task)
+    usual = _usual(scene.object(plan.task.object), plan)
     return any(
         usual[name] is None or not _same(value, usual[name])
         for name, value in _assumed(plan).items()
@@ -113,13 +115,35 @@ def _stated(item: SceneObject, task: Task) -> dict[str, float]:
     return known
 
 
-def _usual(item: SceneObject, task: Task) -> Mapping[str, float | None]:
-    """Return the resistance of the task's joint, or the mass, by the files and our assumptions."""
-    config = ResistanceConfig()
-    if task.joint is None:
+def _usual(item: SceneObject, plan: PlacementPlan) -> Mapping[str, float | None]:
+    """Return the resistance of the task's joint, or the mass, by the files and what is assumed."""
+    config = assumed_with(plan.overrides.assumed)
+    if plan.task.joint is None:
         return {"mass": object_mass(item, config)[0]}
-    known = known_resistance(item, task.joint, config)
+    known = known_resistance(item, plan.task.joint, config)
     return {**dict.fromkeys(_FIELDS), **known.members()}
+
+
+def with_usual(scene: Scene, plan: PlacementPlan) -> Scene:
+    """Return the scene with the usual resistance of the task's joint, or the usual mass."""
+    item, config = scene.object(plan.task.object), assumed_with(plan.overrides.assumed)
+    if plan.task.joint is None:
+        return scene.with_mass(item.name, object_mass(item, config)[0])
+    known = known_resistance(item, plan.task.joint, config)
+    return scene.with_resistance({item.name: {plan.task.joint: known}})
+
+
+def _override_notes(overrides: Overrides) -> Iterator[str]:
+    set_by_user = [f"the mass of {name} to {mass:g} kg" for name, mass in overrides.mass.items()]
+    set_by_user += [
+        f"{key} of {name}/{joint} to {value:g}"
+        for name, joints in overrides.resistance.items()
+        for joint, known in joints.items()
+        for key, value in known.members().items()
+    ]
+    set_by_user += [f"the assumed {key} to {value:g}" for key, value in overrides.assumed.items()]
+    if set_by_user:
+        yield f"the user of the plan has set {', '.join(set_by_user)}"
 
 
 _FIELDS = tuple(JointResistance.__dataclass_fields__)

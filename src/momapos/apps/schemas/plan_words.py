@@ -16,6 +16,7 @@ WORDS: dict[str, dict[str, str]] = {
         "scene_hypotheses": "Index of the assumed hypothesis, by object and joint.",
         "assumption": "What an assumed plan assumes.",
         "resistance": "Known resistance of the moved part, by object and joint.",
+        "overrides": "Forces and masses that the user has set, against or beyond the files.",
         "loads": "Worst loads of the motion.",
         "feasible_to": "Largest feasible value of an infeasible task [rad] or [m].",
         "feasible_from": "A base pose from which it is feasible.",

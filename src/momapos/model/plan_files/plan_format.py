@@ -26,6 +26,7 @@ from momapos.model.records import (
     CostTerm,
     KeyObjects,
     Outline,
+    Overrides,
     PlacementPlan,
     Status,
     Task,
@@ -74,6 +75,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             name: {joint: one.members() for joint, one in known.items()}
             for name, known in plan.resistance.items()
         },
+        **({"overrides": _overrides_to_dict(plan.overrides)} if plan.overrides.any else {}),
         "status": plan.status,
         **({} if plan.assumption is None else {"assumption": asdict(plan.assumption)}),
         "loads": None if plan.loads is None else asdict(plan.loads),
@@ -104,6 +106,14 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "seed": plan.seed,
         "versions": dict(plan.versions),
     }
+
+
+def _overrides_to_dict(overrides: Overrides) -> dict[str, Any]:
+    known = {
+        name: {joint: one.members() for joint, one in joints.items()}
+        for name, joints in overrides.resistance.items()
+    }
+    return {"resistance": known, "mass": dict(overrides.mass), "assumed": dict(overrides.assumed)}
 
 
 def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
@@ -336,6 +346,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         if data.assumption is None
         else Assumption(**msgspec.structs.asdict(data.assumption)),
         resistance=data.resistance,
+        overrides=data.overrides,
         loads=data.loads,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),

@@ -6,7 +6,15 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from momapos.model.records import JointResistance, MotionLoads, PartKind, Status, Verb
+from momapos.model.records import (
+    NO_OVERRIDES,
+    JointResistance,
+    MotionLoads,
+    Overrides,
+    PartKind,
+    Status,
+    Verb,
+)
 
 
 class PlanRobot(msgspec.Struct):
@@ -130,6 +138,7 @@ class Plan(msgspec.Struct):
     scene_hypotheses: dict[str, dict[str, int]] = {}
     assumption: PlanAssumption | None = None
     resistance: dict[str, dict[str, JointResistance]] = {}
+    overrides: Overrides = NO_OVERRIDES
     loads: MotionLoads | None = None
     feasible_to: float | None = None
     feasible_from: PlanPose | None = None

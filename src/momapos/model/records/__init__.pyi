@@ -30,7 +30,9 @@ from .protocols import InverseKinematics as InverseKinematics
 from .protocols import ReachScorer as ReachScorer
 from .protocols import Segmenter as Segmenter
 from .protocols import TravelCost as TravelCost
+from .resistances import NO_OVERRIDES as NO_OVERRIDES
 from .resistances import JointResistance as JointResistance
+from .resistances import Overrides as Overrides
 from .scans import UNKNOWN as UNKNOWN
 from .scans import Cloud as Cloud
 from .scans import Confidence as Confidence

@@ -15,7 +15,7 @@ from momapos.core import compare_by_content
 
 from .loads import MotionLoads
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
-from .resistances import JointResistance
+from .resistances import NO_OVERRIDES, JointResistance, Overrides
 from .scans import Hypothesis, PartKind
 from .tasks import ANYWHERE, BaseRegion, Task
 
@@ -251,6 +251,8 @@ class PlacementPlan:
     """What an `assumed` plan assumes of the task's joint; None if unknown."""
     resistance: Mapping[str, Mapping[str, JointResistance]] = field(default_factory=dict)
     """Resistance of the moved part that the plan assumes, by object and joint; empty if unknown."""
+    overrides: Overrides = NO_OVERRIDES
+    """What the user has set of forces and masses."""
     loads: MotionLoads | None = None
     """The worst loads of the motion; None without a motion, and in older plans."""
     feasible_to: float | None = None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 
 from momapos.core import check_fields, finite_number
 
@@ -46,3 +47,23 @@ class JointResistance:
     def members(self) -> dict[str, float | bool]:
         """Return the known values by name, as files hold them."""
         return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What a user has set of forces and masses, against or beyond what the files state."""
+
+    resistance: Mapping[str, Mapping[str, JointResistance]] = field(default_factory=dict)
+    """Resistance by object and joint."""
+    mass: Mapping[str, float] = field(default_factory=dict)
+    """Mass of whole objects [kg]."""
+    assumed: Mapping[str, float] = field(default_factory=dict)
+    """Settings of `ResistanceConfig` that are not the default, by name."""
+
+    @property
+    def any(self) -> bool:
+        """Return whether anything is set."""
+        return bool(self.resistance or self.mass or self.assumed)
+
+
+NO_OVERRIDES: Overrides = Overrides()

@@ -28,8 +28,10 @@ from .other_motion import save_with_part_motion as save_with_part_motion
 from .other_motion import scene_with_hypothesis as scene_with_hypothesis
 from .other_motion import scene_with_part_motion as scene_with_part_motion
 from .other_motion import with_assumptions as with_assumptions
+from .other_motion import with_overrides as with_overrides
 from .other_motion import with_part_motion as with_part_motion
 from .resistance_config import ResistanceConfig as ResistanceConfig
+from .resistance_config import assumed_with as assumed_with
 from .scene import Scene as Scene
 from .scene_files import load_scene as load_scene
 from .scene_files import save_scene as save_scene

@@ -158,6 +158,18 @@ def with_assumptions(scene: Scene, plan: PlacementPlan) -> Scene:
     return scene.with_mass(plan.task.object, plan.loads.payload)
 
 
+def with_overrides(scene: Scene, plan: PlacementPlan) -> Scene:
+    """Return a scene with what a plan's user has set of forces and masses.
+
+    Raises:
+        UnknownNameError, InputError: The scene has no such object or joint, or a value is unusable.
+    """
+    scene = scene.with_resistance(plan.overrides.resistance)
+    for name, mass in plan.overrides.mass.items():
+        scene = scene.with_mass(name, mass)
+    return scene
+
+
 def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
     """Return a scene with the hypotheses and joint values of a plan.
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
-from momapos.core import refuse_below
+from momapos.core import refuse_below, unknown_name
 
 
 @dataclass(frozen=True)
@@ -59,3 +60,26 @@ class ResistanceConfig:
         )  # fmt: skip
         refuse_below(self, 0.001, "least_mass")
         refuse_below(self, self.least_mass, "most_mass")
+
+    def changed(self) -> dict[str, float]:
+        """Return the numbers that are not the default, by name."""
+        usual = ResistanceConfig()
+        ours = {item.name: getattr(self, item.name) for item in fields(ResistanceConfig)}
+        return {
+            name: float(value)
+            for name, value in ours.items()
+            if isinstance(value, float) and value != getattr(usual, name)
+        }
+
+
+def assumed_with(settings: Mapping[str, float]) -> ResistanceConfig:
+    """Return the assumed values with other settings, see `ResistanceConfig.changed`.
+
+    Raises:
+        InputError: A setting is unknown, or out of range.
+    """
+    known = [item.name for item in fields(ResistanceConfig) if item.type == "float"]
+    for name in settings:
+        if name not in known:
+            raise unknown_name("setting", name, known, "overrides.assumed")
+    return ResistanceConfig(**settings)  # type: ignore[arg-type]

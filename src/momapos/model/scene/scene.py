@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import SceneError, finite_number, unknown_name
-from momapos.model.records import JointResistance, Outline
+from momapos.model.records import NO_OVERRIDES, JointResistance, Outline, Overrides
 
 from .scene_keys import IgnoredKey
 from .scene_object import MAX_MASS, SceneObject
@@ -44,6 +44,8 @@ class Scene:
     """Joint values that differ from the file, by object and joint [rad] or [m]."""
     hypotheses_set: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Index of the used hypothesis of the file, by object and joint; 0 by default."""
+    overrides: Overrides = NO_OVERRIDES
+    """Resistance and masses that were set and are not in the file."""
 
     def __repr__(self) -> str:
         floor = (
@@ -167,7 +169,10 @@ class Scene:
                 item.joint(joint)
             changed = replace(item, resistance={**item.resistance, **joints})
             objects = tuple(changed if o is item else o for o in scene.objects)
-            scene = replace(scene, objects=objects)
+            set_here = {**scene.overrides.resistance.get(name, {}), **joints}
+            resistance = {**scene.overrides.resistance, name: set_here}
+            overrides = replace(scene.overrides, resistance=resistance)
+            scene = replace(scene, objects=objects, overrides=overrides)
         return scene
 
     def with_mass(self, name: str, mass: float) -> Scene:
@@ -180,7 +185,9 @@ class Scene:
         item = self.object(name)
         mass = finite_number(f"mass of {name!r}", mass, 1e-6, MAX_MASS)
         changed = replace(item, mass=mass)
-        return replace(self, objects=tuple(changed if o is item else o for o in self.objects))
+        overrides = replace(self.overrides, mass={**self.overrides.mass, name: mass})
+        objects = tuple(changed if o is item else o for o in self.objects)
+        return replace(self, objects=objects, overrides=overrides)
 
     def with_joints(self, values: Mapping[str, Mapping[str, float]]) -> Scene:
         """Return the scene with other joint values, by object and joint.
