@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -414,6 +415,16 @@ def test_a_written_page_plays_without_a_network(
         first = time_shown.input_value(timeout=LONG)
         assert until(lambda: time_shown.input_value() != first)
         assert tab.title() == "open fridge/door_hinge to 90° with segway_ur5e: solved"
+        loops = [0.0]
+
+        def repeats() -> bool:
+            """Return whether the motion has begun again."""
+            loops.append(float(time_shown.input_value()))
+            return loops[-1] < loops[-2]
+
+        assert until(repeats)
+        shown = np.asarray(Image.open(BytesIO(tab.screenshot())).convert("L"))
+        assert np.percentile(shown[40:200, 100:500], 10) < 200  # not faded to white
         phases = tab.locator("#mm-phases button")
         names = [one.get_attribute("title") for one in phases.all()]
         assert names[0] == "drive"

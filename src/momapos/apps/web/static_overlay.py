@@ -10,7 +10,10 @@ from momapos.core import escape_html
 
 from .card import Card
 
+# viser makes the canvas almost transparent until its environment map has loaded, which it does each
+# time the motion repeats, without an end.
 STYLE = """<style>
+canvas{opacity:1!important}
 #mm-answer{position:fixed;top:.8em;right:.8em;width:21em;max-width:42vw;z-index:5;font-family:
 system-ui,sans-serif;background:#fffffff2;color:#1d2731;border-radius:.4em;box-shadow:0 0 1em #0002}
 #mm-answer .mm-card{margin:0;border-color:#dfe3e6;font-size:.9em}#mm-answer .d{color:#5c6873}
