@@ -25,7 +25,7 @@ from .exact_shapes import Shapes, element_pieces, join
 from .link_bodies import LinkBodies, body_poses
 from .moved_part import MovedPart
 from .path_checks import DensePath
-from .report import Check, Limits, at_most
+from .report import Check, Limits, at_most, verdict
 from .robot_collision_model import RobotCollisionModel
 from .sweep import all_pairs, deepest, first_contact
 
@@ -280,10 +280,14 @@ class HandChecker:
                 grasp = _Grasp(family, drawn, drawn.placed(at[None])[0], forward)
                 gap, why = min((gap, why), self._gap(grasp))
             worst = max(worst, (gap, f"{path.where(state)}: {why}", why))
-        bad = worst[0] > limits.hand_gap
+        name, (gap, detail, culprit) = "hand off the part that it holds", worst
+        if math.isinf(gap) and gap > 0.0:  # it misses the part, however close it comes
+            yield replace(verdict(name, False, detail), culprit=culprit)
+            return
+        bad = gap > limits.hand_gap
         yield at_most(
-            "hand off the part that it holds", 1000 * worst[0], 1000 * limits.hand_gap, "mm",
-            worst[1] if bad else "", worst[2] if bad else "",
+            name, 1000 * gap, 1000 * limits.hand_gap, "mm",
+            detail if bad else "", culprit if bad else "",
         )  # fmt: skip
 
     def pull_shares(

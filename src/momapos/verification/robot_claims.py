@@ -215,18 +215,18 @@ def urdf_difference(one: Urdf, other: Urdf) -> str:
         if found:
             return f"joint {name}: {found}"
     for name, link in one.links.items():
-        twin = other.links[name]
-        masses = (link.mass, *link.center), (twin.mass, *twin.center)
+        stated = other.links[name]
+        masses = (link.mass, *link.center), (stated.mass, *stated.center)
         if not _same(*map(np.array, masses)):
-            return f"link {name}: mass {link.mass:g} kg, the robot file has {twin.mass:g} kg"
+            return f"link {name}: mass {link.mass:g} kg, the robot file has {stated.mass:g} kg"
         shapes = [
             [(shape.kind, _mesh_name(shape.mesh)) for shape in both.collisions]
-            for both in (link, twin)
+            for both in (link, stated)
         ]
         if shapes[0] != shapes[1] or not all(
             _same(np.array(a.size), np.array(b.size))
             and _same(a.T_link_geometry, b.T_link_geometry)
-            for a, b in zip(link.collisions, twin.collisions, strict=True)
+            for a, b in zip(link.collisions, stated.collisions, strict=True)
         ):
             return f"link {name}: another collision shape"
     return ""
