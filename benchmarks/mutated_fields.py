@@ -37,9 +37,10 @@ import numpy as np
 from momapos.apps.cli.main import main as momapos
 from momapos.apps.cli.plan_sources import open_plan
 from momapos.apps.schemas.generate import schema_of
+from momapos.core.cache import USER_CACHE
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import read_plan
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.other_motion import as_planned
 from momapos.model.scene.scene import Scene
 from momapos.simulation.exact_run import run_exactly
@@ -293,7 +294,9 @@ def physics(file: Path) -> tuple[str, str]:
         plan = read_plan(file)
         folders = [file.resolve().parent, Path()]
         scene = read_scene(find_file("scene", plan.scene, folders, file), None)
-        robot = load_robot(str(plan.robot_file), arm=plan.robot_arm)
+        urdf = find_file("robot.urdf", plan.robot_urdf, folders, file)
+        robot = robot_claims.read_robot_of(plan, urdf, folders, USER_CACHE)
+        assert robot is not None
         record = run_exactly(plan, as_planned(scene, plan), robot)
     except MomaposError as error:
         return REFUSED, str(error)
