@@ -413,7 +413,7 @@ def test_errors_for_unknown_names_suggest_similar_ones(room: Path) -> None:
         (("[0, 1, 0]", "[1, 0, 0]"), ["perpendicular"]),
         (("[0, 1, 0]", "[0, 0, 0]"), ["closing_axis"]),
         (('"r.urdf"', '"gone.urdf"'), ["gone.urdf"]),
-        (('"r.urdf"', '"a\\u0000b"'), ["not a valid path"]),
+        (('"r.urdf"', '"a\\u0000b"'), ["urdf must be a printable text"]),
         (('"r.urdf"', '"circle/r.urdf"'), ["circle"]),
         (('"r.urdf"', '"pipe"'), ["fifo"]),
         (("home = [0.0, 0.0]", f"home = [0, 1{'0' * 400}]"), ["home must be numbers"]),

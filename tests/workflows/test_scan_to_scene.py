@@ -444,7 +444,7 @@ def test_the_method_chooses_the_views_unless_they_are_given(
     monkeypatch.setattr("momapos.workflows.solve.survey", lambda *_, **__: seen)
     robot, (name, door, _) = load_robot("segway_ur5e"), same_door(made, folder)
     config = PipelineConfig(
-        place=PlaceConfig(method=method), importance=ImportanceConfig(alpha=1.0), timeout=1e-3
+        place=PlaceConfig(method=method), importance=ImportanceConfig(alpha=1.0), timeout=5.0
     )
     answer = solve_scan(
         scan, [(robot, load_reach_map(robot))], ScanTask("open", name, door),

@@ -75,4 +75,9 @@ def say(
     stream = sys.stdout if file is None else file
     text = printable(sep.join(map(str, words)))
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    print(text.encode(encoding, "replace").decode(encoding), end=end, file=stream, flush=flush)
+    print(
+        text.encode(encoding, "backslashreplace").decode(encoding),
+        end=end,
+        file=stream,
+        flush=flush,
+    )

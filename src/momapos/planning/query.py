@@ -151,8 +151,8 @@ class PlacementQuery:
             cache_dir: Folder of the cached maps; the user's cache folder by default.
             seed: The same seed gives the same answer.
             clock: Measures the stages and the time limit [s]; by default the processor time of the
-                process, without that of compiling kernels. A program that computes other things in
-                the meantime may pass `time.thread_time` or `time.monotonic`.
+                process, without that of compiling kernels. A program that also computes in
+                other threads may pass `time.thread_time` or `time.monotonic`.
 
         Raises:
             InputError: An argument has the wrong type, shape or range.

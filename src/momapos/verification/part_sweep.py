@@ -292,7 +292,7 @@ def _surfaces(
     resting: Float[np.ndarray, " p"],
     own: OwnElements,
     suspects: Int[np.ndarray, " q"],
-) -> tuple[PartSweepCheck, Float[np.ndarray, " p"]]:
+) -> tuple[PartSweepCheck, Float[np.ndarray, " r"]]:
     """Replace pairs of hulls by pairs of triangles where a hull that bridges space would decide.
 
     A triangle that the part crosses in the given scene is where the part comes out of its object.
@@ -316,13 +316,14 @@ def _surfaces(
         one, other, near = found
         pairs = near + np.array([len(moving), len(fixed)])
         moving, fixed = _appended(moving, one), _appended(fixed, other)
-        fine = replace(check, moving=moving, fixed=fixed, pairs=pairs)
+        fine = replace(check, moving=moving, fixed=fixed, pairs=pairs, already=np.zeros(len(pairs)))
         depth = _resting(fine, np.repeat(own.displaced[e], len(pairs)))
         kept = depth <= check.limits.deeper
         deepest_rest = min(float(depth.max(initial=0.0)), MODEL_ERROR)
         added.append((pairs[kept], np.full(int(kept.sum()), deepest_rest)))
-    fine = replace(check, moving=moving, fixed=fixed, pairs=np.concatenate([p for p, _ in added]))
     depth = np.concatenate([d for _, d in added])
+    pairs = np.concatenate([p for p, _ in added])
+    fine = replace(check, moving=moving, fixed=fixed, pairs=pairs, already=np.zeros(len(depth)))
     already = _allowed(fine, depth, np.zeros(len(depth)))
     fine = replace(
         fine,

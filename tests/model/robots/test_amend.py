@@ -93,7 +93,7 @@ def test_an_arm_on_a_base_keeps_both_and_renames_shared_names(tmp_path: Path, ar
         ('[frames.tip]\nparent = "nobody"', "no link 'nobody'"),
         ('[frames.tcp]\nparent = "palm"', "already is a link of the URDF"),
         ('[packages]\nshapes = "none"', "which is no folder"),
-        ("[packages]\nshapes = 3", "must be a non-empty string"),
+        ("[packages]\nshapes = 3", "must be a printable text"),
     ],
 )
 def test_invalid_additions_are_refused(tmp_path: Path, table: str, words: str) -> None:

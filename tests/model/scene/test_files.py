@@ -299,7 +299,7 @@ CABINET = {"name": "a", "pose": {"xyz": [0, 0, 0]}, "urdf": "cupboard.urdf"}
         ([], "must be a JSON object"),
         ({**BOX, "name": ""}, "name must be a printable string"),
         ({**BOX, "name": 3}, "name must be a printable string"),
-        ({**BOX, "category": 3}, "category must be a string"),
+        ({**BOX, "category": 3}, "category must be a printable string"),
         ({**BOX, "pose": None}, "pose must be"),
         ({**BOX, "pose": {"xyz": [0, 0]}}, "xyz must be 3 numbers"),
         ({**BOX, "pose": {"xyz": [0, 0, True]}}, "xyz must be 3 numbers"),

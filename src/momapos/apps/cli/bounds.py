@@ -59,7 +59,9 @@ class _LookingImports(MetaPathFinder):
     """
 
     def find_spec(self, *_: object) -> None:
-        look()
+        numpy = getattr(sys.modules.get("numpy"), "__spec__", None)
+        if not getattr(numpy, "_initializing", False):  # numpy's import cannot be repeated
+            look()
 
 
 _IMPORTS = _LookingImports()
@@ -75,8 +77,6 @@ def within_time(seconds: float) -> Iterator[None]:
     Raises:
         OutOfTimeError: It is over.
     """
-    import numpy  # noqa: F401, whose import cannot be repeated
-
     began = _began.get(None)
     spent = 0.0 if began is None else processor_time() - began
     try:

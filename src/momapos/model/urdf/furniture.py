@@ -280,7 +280,7 @@ def _missed_pieces(
 
 
 def _missed(
-    shape: Geometry, planes: Sequence[Float[np.ndarray, "f 4"]]
+    shape: Geometry, planes: Sequence[Float[np.ndarray, "_ 4"]]
 ) -> list[tuple[float, Hull]]:
     triangles = _triangles(shape)
     if _depth_outside(triangles, planes) <= MAX_MISSED:
@@ -291,7 +291,7 @@ def _missed(
 
 
 def _depth_outside(
-    triangles: Float[np.ndarray, "t 3 3"], planes: Sequence[Float[np.ndarray, "f 4"]]
+    triangles: Float[np.ndarray, "t 3 3"], planes: Sequence[Float[np.ndarray, "_ 4"]]
 ) -> float:
     """Return how far points of a surface are outside of all hulls [m].
 
