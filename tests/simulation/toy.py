@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -81,9 +82,11 @@ def fingers(*, turning: bool = False) -> str:
 
 
 def gripping(folder: Path, case: Case | None = None, *, turning: bool = False) -> Toy:
-    """Return the toy with fingers."""
+    """Return the toy with fingers of its own, in place of those of the case."""
     case = case or make_case()
-    case.robot = case.robot.replace("</robot>", fingers(turning=turning) + "</robot>")
+    bare = re.sub(r'<joint name="(left|right)_slide".*?</joint>', "", case.robot, flags=re.DOTALL)
+    bare = re.sub(r'<link name="(left|right)">.*?</link>', "", bare, flags=re.DOTALL)
+    case.robot = bare.replace("</robot>", fingers(turning=turning) + "</robot>")
     plain = toy(folder, case)
     links = ("palm", "left", "right", "tool")
     return replace(plain, robot=replace(plain.robot, gripper_links=links))
