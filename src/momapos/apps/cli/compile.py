@@ -41,6 +41,7 @@ ANSWER = (
     "momapos.verification.convex.overlap",
     "momapos.verification.exact_shapes._place",
     "momapos.verification.sweep._deepest",
+    "momapos.verification.sweep._first_contact",
 )
 """Kernels for planning."""
 CHECK = (
@@ -53,6 +54,7 @@ VERIFY = (
     "momapos.verification.convex.overlap",
     "momapos.verification.exact_shapes._place",
     "momapos.verification.sweep._deepest",
+    "momapos.verification.sweep._first_contact",
 )
 """Kernels for verification."""
 RANK = (

@@ -272,7 +272,7 @@ def _tray(
     closed_poses: Mapping[str, Float[np.ndarray, "4 4"]],
     child: Element,
 ) -> list[Element]:
-    """Return the collision elements of a drawer that reach far behind the front."""
+    """Return the collision and visual elements of a drawer that reach far behind the front."""
     record = model.joint(joint)
     out = (closed_poses[record.parent] @ record.T_parent_joint)[:3, :3] @ record.axis
     out = opening_of(model, joint).sign * out
@@ -283,11 +283,15 @@ def _tray(
         for h in model.hulls[n]
     ]
     front = max(rest, default=-np.inf)
-    elements, hulls = child.findall("collision"), model.hulls[record.child]
-    if len(elements) != len(hulls):
-        return []
-    ends = [float((apply(closed_poses[record.child], h.vertices) @ out).min()) for h in hulls]
-    return [e for e, end in zip(elements, ends, strict=True) if end < front - MIN_TRAY_DEPTH]
+    link, found = model.urdf.links[record.child], []
+    for tag, shapes in (("collision", link.collisions), ("visual", link.visuals)):
+        # Drawn shapes that count as collision shapes come after those of the file.
+        for element, shape in zip(child.findall(tag), shapes, strict=False):
+            points = model.hull(record.child, shape).vertices
+            end = float((apply(closed_poses[record.child], points) @ out).min())
+            if end < front - MIN_TRAY_DEPTH:
+                found.append(element)
+    return found
 
 
 def _named(tree: Element, tag: str, name: str, path: Path) -> Element:
