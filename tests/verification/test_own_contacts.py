@@ -115,9 +115,9 @@ def test_a_displaced_neighbor_stops_a_part_that_closes(tmp_path: Path) -> None:
     tray = ((0.0, -0.5, -0.1), (0.4, 0.5, 0.1))
     text += f'<link name="tray">{shapes([tray])}</link>'
     text += joint("tray", "prismatic", "-0.245 0 0.4", "-1 0 0", 0.35)
-    shut = scene_of(tmp_path / "in", text, door_joint=1.6)
+    inside = scene_of(tmp_path / "in", text, door_joint=1.6)
     out = scene_of(tmp_path / "out", text, door_joint=1.6, tray_joint=0.3)
-    assert hit(shut, "door", 0.0, "close") is None
+    assert hit(inside, "door", 0.0, "close") is None
     words = hit(out, "door", 0.0, "close")
     assert words is not None
     assert "hits target/tray" in words
