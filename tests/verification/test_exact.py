@@ -25,7 +25,7 @@ from momapos.verification.plan_check import UrdfArm, verify_files
 from momapos.verification.report import DEFAULT, Limits
 from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.sweep import deepest
-from mutations import MUTATIONS
+from damaged_plans import MUTATIONS
 
 
 @pytest.fixture(scope="module")

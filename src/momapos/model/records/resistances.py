@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from momapos.core import check_fields, finite_number
+from momapos.core import check_fields, compare_by_content, finite_number
 
 MAX_VALUE = 1e5
 """Maximum force, torque, damping, mass, travel or lever; excludes mistaken units [-]."""
@@ -49,7 +49,8 @@ class JointResistance:
         return {key: value for key, value in asdict(self).items() if value is not None}
 
 
-@dataclass(frozen=True)
+@compare_by_content
+@dataclass(frozen=True, eq=False)
 class Overrides:
     """What a user has set of forces and masses, against or beyond what the files state."""
 
