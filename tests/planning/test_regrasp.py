@@ -15,6 +15,7 @@ from momapos.apps.cli.console import summary
 from momapos.apps.plots.answer_plot import waypoints_by_grasp
 from momapos.core.geometry import invert
 from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.records.outcomes import PoseStatus
 from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
@@ -31,6 +32,7 @@ from momapos.planning.regrasp import TwoGrasps, iter_two_grasps, two_grasp_searc
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
 from momapos.planning.task_setup import PreparedTask, prepare
+from momapos.verification import HOLD_CHECK
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
@@ -125,6 +127,25 @@ def test_within_the_tolerance_the_door_also_opens_with_two_grasps(
         else:
             assert len(attempt.motion.holds) == 2
     assert len(missed) <= 1, missed  # the tolerance is found from samples
+
+
+def test_a_grasp_in_which_the_hand_misses_the_part_is_refused_once(
+    kitchen: Scene, robot: Robot, plan: PlacementPlan
+) -> None:
+    two = next(iter_two_grasps(ready(kitchen, robot, "cabinet_back", "door_hinge"), CONFIG, 0))
+    feasibility, bases = two.first, np.array([plan.base_pose])
+    scores = np.ones((1, len(feasibility.motion.Ts_world_tool)))
+    reaches = [one.grasp for one in feasibility.screen(bases, scores, None) if one.q is not None]
+    assert reaches
+    miss = f"{HOLD_CHECK}: it is not behind it"
+    for grasp in set(reaches):
+        assert feasibility.refused(grasp, miss).status is PoseStatus.EXACT_CHECK
+    assert not feasibility.arm_paths(bases[0], np.array(reaches))
+    again = feasibility.screen(bases, scores, None)
+    assert not {one.grasp for one in again if one.q is not None} & set(reaches)
+    for grasp in range(scores.shape[1]):
+        feasibility.refused(grasp, miss)
+    assert all(one.q is None for one in feasibility.screen(bases, scores, None))
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damaged_plans import MUTATIONS
 from door_case import BASE, JOINTS, OPEN, arm_path, make_case, tool_poses
 from independent_check import HAND_CHECKS, INDEPENDENT_NAMES, independent_verdicts
 from tests.shapes import unchecked
@@ -25,7 +26,6 @@ from momapos.verification.plan_check import UrdfArm, verify_files
 from momapos.verification.report import DEFAULT, Limits
 from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.sweep import deepest
-from damaged_plans import MUTATIONS
 
 
 @pytest.fixture(scope="module")

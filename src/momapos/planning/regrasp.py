@@ -140,6 +140,10 @@ class TwoGrasps:
         outcomes = []
         short = quick_config(self.config.arm_planner)
         for pushed in self._pushes(base, screened, pushes, pulled.motion):
+            if pushed.grasp in self.second.unheld:
+                refusal = self.second.unheld[pushed.grasp]
+                outcomes.append(PoseOutcome(PoseStatus.EXACT_CHECK, refusal))
+                continue
             attempt = self._joined(base, pulled.motion, pushed, short)
             if attempt.motion is not None:
                 return attempt
@@ -196,7 +200,8 @@ class TwoGrasps:
             motion = replace(motion, home=home)
         refusal = self.whole.violation(base, motion)
         if refusal is not None:
-            return Attempt(None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal))
+            # The pull has passed this check.
+            return Attempt(None, self.second.refused(pushed.grasp, refusal))
         return Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE))
 
     def _between(

@@ -2,6 +2,7 @@ from .contact_pairs import ObjectContact as ObjectContact
 from .contact_pairs import object_contacts as object_contacts
 from .exact_check import PlanVerifier as PlanVerifier
 from .floor_contact import meets_floor_at as meets_floor_at
+from .hand_checks import HOLD_CHECK as HOLD_CHECK
 from .part_sweep import obstructing_links as obstructing_links
 from .plan_check import find_file as find_file
 from .plan_check import read_scene as read_scene

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEPTH_CHECK = "open hand in the part"
+HOLD_CHECK = "hand off the part that it holds"
+"""It depends on the grasp alone, wherever the robot stands."""
 PRESS = 0.002
 """How far pads are pressed on after they touch; rubber yields as much [m]."""
 MIN_BITE = 0.7
@@ -280,7 +282,7 @@ class HandChecker:
                 grasp = _Grasp(family, drawn, drawn.placed(at[None])[0], forward)
                 gap, why = min((gap, why), self._gap(grasp))
             worst = max(worst, (gap, f"{path.where(state)}: {why}", why))
-        name, (gap, detail, culprit) = "hand off the part that it holds", worst
+        name, (gap, detail, culprit) = HOLD_CHECK, worst
         if math.isinf(gap) and gap > 0.0:  # it misses the part, however close it comes
             yield replace(verdict(name, False, detail), culprit=culprit)
             return

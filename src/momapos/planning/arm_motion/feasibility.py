@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -26,6 +26,7 @@ from momapos.model.kinematics import Chain
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus
 from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion
+from momapos.verification import HOLD_CHECK
 
 from .arm_path import (
     FOUND,
@@ -80,6 +81,8 @@ class Feasibility:
     first, given also the grasp; None if it drives with its arm at home."""
     find: FindPaths | None = None
     """Searches arm paths for a base that moves; None for a base that stands."""
+    unheld: dict[int, str] = field(default_factory=dict)
+    """Grasps in which the exact check found the hand off the part, and its words."""
 
     def __call__(
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
@@ -93,7 +96,7 @@ class Feasibility:
         """
         assert screened.q is not None
         motion, outcome = self._complete(base, screened.q, screened.grasp, screened.bases)
-        others = grasps[grasps != screened.grasp]
+        others = self._held(grasps[grasps != screened.grasp])
         for chunk in np.split(others, range(_WIDER, len(others), _WIDER)):
             if motion is not None or not len(chunk):
                 break
@@ -119,6 +122,7 @@ class Feasibility:
         Returns:
             The result at each pose.
         """
+        scores, unheld = self._held_scores(scores)
         order = np.argsort(-scores, axis=1, kind="stable")[:, :most]
         reached = np.minimum((scores > 0).sum(1), order.shape[1])
         home = self._check(
@@ -142,16 +146,44 @@ class Feasibility:
             ArmPathResult(
                 grasp,
                 None if path is None else path.q,
-                self._outcome(path, int(code)),
+                self._outcome(path, int(code), why),
                 None if path is None else path.bases,
             )
-            for (grasp, path), code in zip(best, home, strict=True)
+            for (grasp, path), code, why in zip(best, home, unheld, strict=True)
         ]
+
+    def refused(self, grasp: int, why: str) -> PoseOutcome:
+        """Return the outcome of a motion that the exact check refused, and remember a bad grasp."""
+        if why.startswith(HOLD_CHECK) and grasp < len(self.motion.Ts_world_tool):
+            self.unheld[grasp] = why
+        return PoseOutcome(PoseStatus.EXACT_CHECK, why)
+
+    def _held(self, grasps: Int[np.ndarray, " k"]) -> Int[np.ndarray, " h"]:
+        """Return the grasp modes that are not known to miss the part."""
+        return grasps[~np.isin(grasps, list(self.unheld))] if self.unheld else grasps
+
+    def _held_scores(
+        self, scores: Float[np.ndarray, "n g"]
+    ) -> tuple[Float[np.ndarray, "n g"], list[str]]:
+        """Return scores, 0 for grasps that miss the part, and why at poses with no other."""
+        if not self.unheld:
+            return scores, [""] * len(scores)
+        missed = list(self.unheld)
+        held = scores.copy()
+        held[:, missed] = 0.0
+        first = (scores[:, missed] > 0).argmax(1).tolist()
+        no_other = np.logical_and((scores > 0).any(1), ~(held > 0).any(1)).tolist()
+        why = [
+            self.unheld[missed[k]] if alone else ""
+            for k, alone in zip(first, no_other, strict=True)
+        ]
+        return held, why
 
     def arm_paths(
         self, base: Float[np.ndarray, "3"], grasps: Int[np.ndarray, " k"]
     ) -> list[ArmPathResult]:
         """Return the arm paths of those grasp modes that have one."""
+        grasps = self._held(grasps)
         paths = self._paths(np.tile(base, (len(grasps), 1)), grasps)
         return [
             ArmPathResult(grasp, path.q, self._outcome(path, FREE), path.bases)
@@ -264,7 +296,7 @@ class Feasibility:
             motion = replace(motion, home=home)
         refusal = self.refuse(base, motion)
         if refusal is not None:
-            return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)
+            return None, self.refused(grasp, refusal)
         return motion, PoseOutcome(PoseStatus.FEASIBLE)
 
     def with_smooth_posture(
@@ -348,9 +380,11 @@ class Feasibility:
         path = plan_with_clearance(*ends, bounded, config=config, seed=seed)
         return None if path is None else path.states(then)
 
-    def _outcome(self, path: ArmPath | None, at_home: int) -> PoseOutcome:
+    def _outcome(self, path: ArmPath | None, at_home: int, unheld: str = "") -> PoseOutcome:
         if at_home != FREE:
             return PoseOutcome(PoseStatus.HOME_COLLISION, self.world.reason(at_home))
+        if path is None and unheld:
+            return PoseOutcome(PoseStatus.EXACT_CHECK, unheld)
         if path is None:
             return PoseOutcome(PoseStatus.NO_GRASP_IN_REACH)
         where = waypoint_name(path.waypoint)
