@@ -13,7 +13,14 @@ import numpy as np
 import pytest
 
 from momapos.core.errors import UrdfError
-from momapos.model.urdf.meshes import MAX_MESH_BYTES, mesh_points, mesh_triangles
+from momapos.model.urdf.hulls import hull_of
+from momapos.model.urdf.meshes import (
+    MAX_MESH_BYTES,
+    mesh_points,
+    mesh_triangles,
+    surface_vertices,
+)
+from momapos.model.urdf.urdf_records import Geometry
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 
@@ -177,6 +184,27 @@ def test_the_triangles_of_an_obj_file_agree_with_trimesh(tmp_path: Path) -> None
     assert keys(mine[2:]) == keys(known[2:])
     area = np.linalg.norm(np.cross(mine[:, 1] - mine[:, 0], mine[:, 2] - mine[:, 0]), axis=1)
     assert area.sum() / 2 == pytest.approx(trimesh.triangles.area(known).sum())
+
+
+CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+
+
+@pytest.mark.parametrize(
+    "faces", ["f 1 2 3\nf 1/7 2/7/7 4//7\n", "f -4 -3 -2\nf -4 -3 -1\n", "f 1 2 3 4\nf 1 2 99\n"]
+)
+def test_vertices_that_no_face_uses_are_not_part_of_the_shape(tmp_path: Path, faces: str) -> None:
+    file = tmp_path / "part.obj"
+    file.write_text(CORNERS + faces + "v 9 9 9\n")
+    assert mesh_points(file).max() == 9.0
+    np.testing.assert_array_equal(surface_vertices(file), mesh_points(file)[:4])
+    hull = hull_of(Geometry("mesh", (1.0, 1.0, 1.0), np.eye(4), mesh=file))
+    assert hull.vertices.max() == 1.0
+
+
+def test_a_mesh_without_faces_is_all_its_vertices(tmp_path: Path) -> None:
+    file = tmp_path / "points.obj"
+    file.write_text(CORNERS)
+    np.testing.assert_array_equal(surface_vertices(file), mesh_points(file))
 
 
 def test_a_mesh_without_faces_has_no_triangles(tmp_path: Path) -> None:

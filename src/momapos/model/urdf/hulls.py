@@ -17,7 +17,7 @@ import numpy as np
 from momapos.core import UrdfError, look
 from momapos.core.geometry import apply
 
-from .meshes import mesh_points
+from .meshes import surface_vertices
 from .reader import Geometry
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
     """
     if geometry.kind == "mesh":
         assert geometry.mesh is not None
-        points = mesh_points(geometry.mesh) * np.array(geometry.size)
+        points = surface_vertices(geometry.mesh) * np.array(geometry.size)
     else:
         points = _primitive_points(geometry)
     if geometry.kind == "box" and min(geometry.size) > MIN_BOX_EDGE:

@@ -13,7 +13,7 @@ import logging
 import os
 import struct
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import pairwise
@@ -48,15 +48,30 @@ def mesh_points(path: Path | Mesh) -> Float[np.ndarray, "n 3"]:
     Raises:
         UrdfError: The mesh is unreadable, too large, empty, or contains NaN.
     """
-    if isinstance(path, Mesh):
-        return path.vertices
+    return path.vertices if isinstance(path, Mesh) else _known(path, _recent, _points)
+
+
+def surface_vertices(path: Path | Mesh) -> Float[np.ndarray, "n 3"]:
+    """Return the vertices that a mesh's faces use; all of a mesh without faces.
+
+    Files list others, too: those of the whole object from which a part was cut.
+
+    Raises:
+        UrdfError: As for `mesh_points`.
+    """
+    return path.vertices if isinstance(path, Mesh) else _known(path, _recent_surfaces, _surface)
+
+
+_recent, _recent_surfaces = RecentPoints(), RecentPoints()
+
+
+def _known(
+    path: Path, recent: RecentPoints, read: Callable[[Path], Float[np.ndarray, "n 3"]]
+) -> Float[np.ndarray, "n 3"]:
     try:
-        return _recent.get(path, os.stat(path).st_mtime_ns, _points)
+        return recent.get(path, os.stat(path).st_mtime_ns, read)
     except OSError as error:
         raise UrdfError(f"{path}: cannot be read ({error.strerror})") from error
-
-
-_recent = RecentPoints()
 
 
 def _points(path: Path) -> Float[np.ndarray, "n 3"]:
@@ -73,6 +88,32 @@ def _points(path: Path) -> Float[np.ndarray, "n 3"]:
             f"{path}: the mesh has a coordinate {far:g}; the limit is {MAX_COORDINATE:g}"
         )
     return points
+
+
+def _surface(path: Path) -> Float[np.ndarray, "n 3"]:
+    points = mesh_points(path)
+    if path.suffix.lower() == ".obj":
+        corners = _obj_corners(mesh_bytes(path))
+    else:
+        corners = np.asarray(parse_mesh(path, mesh_bytes(path)).faces, np.int64).ravel()
+    used = np.zeros(len(points), bool)
+    used[corners[(corners >= 0) & (corners < len(points))]] = True
+    return points[used] if used.any() else points
+
+
+def _obj_corners(data: bytes) -> Int[np.ndarray, " c"]:
+    """Return the vertices that the faces of an OBJ file use, without textures and normals."""
+    seen, found = 0, list[int]()
+    for line in data.splitlines():
+        if line.startswith(b"v "):
+            seen += 1
+        elif line.startswith(b"f "):
+            for word in line.split()[1:]:
+                number = word.partition(b"/")[0]
+                if number.lstrip(b"-").isdigit():
+                    index = int(number)
+                    found.append(index - 1 if index > 0 else seen + index)
+    return np.array(found, np.int64)
 
 
 def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
