@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from momapos.core.geometry import invert
 
 from .collada import turned_up, up_axis
 from .convex_pieces import pieces_of, triangles_of
-from .hulls import Hull, hull_of
+from .hulls import Hull, hull_of, unique_rows
 from .mesh_files import MeshFinder
 from .meshes import mesh_bytes, mesh_digest, mesh_points
 from .model_cache import once
@@ -266,10 +266,8 @@ def _missed_pieces(
     """
 
     def compute() -> list[list[tuple[float, Hull]]]:
-        from scipy.spatial import ConvexHull
-
-        planes = [ConvexHull(hull_of(shape).vertices).equations for shape in solid]
-        return [_missed(shape, planes) for shape in drawn]
+        hulls = [_Planes.of(hull_of(shape)) for shape in solid]
+        return [_missed(shape, hulls) for shape in drawn]
 
     def content(shape: Geometry) -> object:
         mesh = b"" if shape.mesh is None else mesh_digest(shape.mesh)
@@ -279,30 +277,44 @@ def _missed_pieces(
     return once(cache, "missed", key, compute, (Hull,))
 
 
-def _missed(
-    shape: Geometry, planes: Sequence[Float[np.ndarray, "_ 4"]]
-) -> list[tuple[float, Hull]]:
-    triangles = _triangles(shape)
-    if _depth_outside(triangles, planes) <= MAX_MISSED:
+class _Planes(NamedTuple):
+    """Planes around a hull, and its corners."""
+
+    equations: Float[np.ndarray, "_ 4"]
+    low: Float[np.ndarray, "3"]
+    high: Float[np.ndarray, "3"]
+
+    @classmethod
+    def of(cls, hull: Hull) -> _Planes:
+        from scipy.spatial import ConvexHull
+
+        equations = unique_rows(np.round(ConvexHull(hull.vertices).equations, 6))
+        return cls(equations, hull.vertices.min(0), hull.vertices.max(0))
+
+    def away(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return how far points are outside of the planes, which is at most as far as the hull."""
+        return np.asarray((points @ self.equations[:, :3].T + self.equations[:, 3]).max(1))
+
+
+def _missed(shape: Geometry, hulls: Sequence[_Planes]) -> list[tuple[float, Hull]]:
+    if not _depth_outside(_triangles(shape), hulls):
         return []
     pieces = [(hull.vertices[hull.faces], hull) for hull in pieces_of(shape, hull_of(shape), CUT)]
-    depths = [(_depth_outside(surface, planes), hull) for surface, hull in pieces]
-    return [(depth, hull) for depth, hull in depths if depth > MAX_MISSED]
+    depths = [(_depth_outside(surface, hulls), hull) for surface, hull in pieces]
+    return [(depth, hull) for depth, hull in depths if depth]
 
 
-def _depth_outside(
-    triangles: Float[np.ndarray, "t 3 3"], planes: Sequence[Float[np.ndarray, "_ 4"]]
-) -> float:
-    """Return how far points of a surface are outside of all hulls [m].
-
-    The distance from the planes of a hull's faces counts, which is at most that from the hull.
-    """
+def _depth_outside(triangles: Float[np.ndarray, "t 3 3"], hulls: Sequence[_Planes]) -> float:
+    """Return how far points of a surface are outside of all hulls [m]; 0 up to `MAX_MISSED`."""
     points = surface_points(triangles, MAX_MISSED)
-    apart = np.full(len(points), np.inf)
-    for normal_offset in planes:
-        away = (points @ normal_offset[:, :3].T + normal_offset[:, 3]).max(1)
-        apart = np.minimum(apart, away)
-    return float(apart.max(initial=-np.inf))
+    for hull in hulls:
+        around = (points >= hull.low - MAX_MISSED) & (points <= hull.high + MAX_MISSED)
+        close = np.flatnonzero(around.all(1))
+        points = np.delete(points, close[hull.away(points[close]) <= MAX_MISSED], 0)
+    if not len(points):
+        return 0.0
+    depth = float(np.min([hull.away(points) for hull in hulls], axis=0).max())
+    return depth if depth > MAX_MISSED else 0.0
 
 
 def _triangles(shape: Geometry) -> Float[np.ndarray, "t 3 3"]:
