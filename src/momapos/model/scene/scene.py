@@ -167,7 +167,7 @@ class Scene:
             item = scene.object(name)
             for joint in joints:
                 item.joint(joint)
-            changed = replace(item, resistance={**item.resistance, **joints})
+            changed = item.with_resistance(tuple(joints.items()))
             objects = tuple(changed if o is item else o for o in scene.objects)
             set_here = {**scene.overrides.resistance.get(name, {}), **joints}
             resistance = {**scene.overrides.resistance, name: set_here}
@@ -184,7 +184,7 @@ class Scene:
         """
         item = self.object(name)
         mass = finite_number(f"mass of {name!r}", mass, 1e-6, MAX_MASS)
-        changed = replace(item, mass=mass)
+        changed = item.with_mass(mass)
         overrides = replace(self.overrides, mass={**self.overrides.mass, name: mass})
         objects = tuple(changed if o is item else o for o in self.objects)
         return replace(self, objects=objects, overrides=overrides)

@@ -39,6 +39,8 @@ SAME_VALUE = 1e-6
 """Joint values that differ by less count as the same [rad] or [m]."""
 MAX_POSED_MODELS = 16
 """Number of other rest values at which a model is cached [-]."""
+MAX_VARIANTS = 8
+"""Number of other resistances, or masses, with which an object is cached [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +217,19 @@ class SceneObject:
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return all joint values, some of them changed."""
         return self.model.all_values({**self.joints, **(change or {})})
+
+    @owner_cache(MAX_VARIANTS)
+    def with_resistance(self, known: tuple[tuple[str, JointResistance], ...]) -> SceneObject:
+        """Return the object with other known resistances of some joints.
+
+        The same ones give the same object, and with it all that is computed for it.
+        """
+        return replace(self, resistance={**self.resistance, **dict(known)})
+
+    @owner_cache(MAX_VARIANTS)
+    def with_mass(self, mass: float) -> SceneObject:
+        """Return the object with another known mass [kg]; see `with_resistance`."""
+        return replace(self, mass=mass)
 
     def link_poses(
         self, change: Mapping[str, float] | None = None
