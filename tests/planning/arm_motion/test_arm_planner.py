@@ -186,6 +186,31 @@ def test_ompl_spends_no_more_than_its_checks(gantry: tuple[Chain, Spheres]) -> N
     assert 500 < sum(checks) < 550  # a turn checks several
 
 
+@pytest.mark.parametrize("algorithm", ["RRTstar", "BITstar"])
+def test_a_planner_that_shortens_its_path_ends_with_the_first_one_unless_it_optimizes(
+    gantry: tuple[Chain, Spheres], algorithm: Planner
+) -> None:
+    free = motions_of(gantry, BLOCK)
+
+    def search(*, optimize: bool) -> tuple[int, float]:
+        checks = []
+
+        def counted(a: np.ndarray, b: np.ndarray) -> bool:
+            checks.append(not np.array_equal(a, b))
+            return free(a, b)
+
+        path = ompl_path(
+            A, B, LOW, HIGH, counted, planner=algorithm, checks=2000, step=RESOLUTION, seed=2,
+            optimize=optimize,
+        )  # fmt: skip
+        assert path is not None
+        return sum(checks), float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+    (few, first), (many, shortest) = search(optimize=False), search(optimize=True)
+    assert few < 0.5 * many
+    assert shortest < first
+
+
 @pytest.mark.parametrize("gap", [0.2, 0.05])
 def test_both_planners_pass_a_narrow_gap(gantry: tuple[Chain, Spheres], gap: float) -> None:
     """OMPL is the reference for our planner."""

@@ -9,6 +9,7 @@ from .arm_planner import interpolate as interpolate
 from .arm_planner import plan_with_clearance as plan_with_clearance
 from .arm_planner import quick_config as quick_config
 from .carried_motion import adapt_motion as adapt_motion
+from .config import Planner as Planner
 from .config import PlannerConfig as PlannerConfig
 from .enclosure import enclosed_by as enclosed_by
 from .feasibility import CarryingStates as CarryingStates

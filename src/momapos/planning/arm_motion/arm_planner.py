@@ -120,7 +120,7 @@ def plan_motion(
     else:
         path = ompl_path(
             *ends, low, high, free, planner=config.planner, checks=config.budget, step=RESOLUTION,
-            seed=seed,
+            seed=seed, optimize=config.optimize,
         )  # fmt: skip
     if path is None or not len(path):
         return None

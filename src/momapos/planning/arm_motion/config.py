@@ -20,11 +20,14 @@ class PlannerConfig:
     """How the arm moves from home to the first waypoint."""
 
     planner: Optional[Planner] = None  # noqa: UP045 (see cli.options)
-    """None: our RRT-Connect, or RRTstar for the placement method of the paper. A name: that
-    planner of OMPL; RRTstar and BITstar use all checks."""
+    """None: our RRT-Connect, or RRTstar for the placement method of the paper and OMPL's RRTConnect
+    for that of its authors' code. A name: that planner of OMPL."""
     checks: Optional[int] = None  # noqa: UP045
     """Maximum number of motions checked per path [-]. None: 40,000 of about 3 microseconds each,
     with OMPL 7,000 of about 30."""
+    optimize: bool = False
+    """Whether RRTstar and BITstar spend all checks to shorten their path, instead of ending with
+    their first one (paper)."""
 
     def __post_init__(self) -> None:
         if self.checks is not None:

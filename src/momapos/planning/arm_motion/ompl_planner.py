@@ -42,6 +42,7 @@ def ompl_path(
     checks: int,
     step: float,
     seed: int,
+    optimize: bool = False,
 ) -> Float[np.ndarray, "k n"] | None:
     """Find a path between two free configurations.
 
@@ -53,6 +54,8 @@ def ompl_path(
         checks: Maximum number of motions checked.
         step: Joint step at which motions are checked [rad] or [m].
         seed: Same seed, same path.
+        optimize: Whether a planner that shortens its path spends all checks; it ends with its first
+            path otherwise.
 
     Returns:
         Corner states, including start and goal, or None.
@@ -96,6 +99,10 @@ def ompl_path(
         for k in range(n):
             state[k] = float(q[k])
     setup.setStartAndGoalStates(ends[0], ends[1])
+    shortest = ob.PathLengthOptimizationObjective(info)
+    if not optimize:
+        shortest.setCostThreshold(shortest.infiniteCost())
+    setup.setOptimizationObjective(shortest)
     setup.setPlanner(getattr(og, planner)(info))
     solved = setup.solve(ob.PlannerTerminationCondition(lambda: budget.spent()))
     if not solved or "Approximate" in solved.asString():
