@@ -6,14 +6,18 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from momapos.core import InputError, refuse_above, refuse_below
-from momapos.planning.arm_motion import PlannerConfig
+from momapos.planning.arm_motion import Planner, PlannerConfig
 from momapos.planning.grasps import MotionConfig
-from momapos.planning.importance import ImportanceConfig, ScorerName, WeightsName
-from momapos.planning.placement import PlaceConfig
+from momapos.planning.importance import ImportanceConfig, ScorerName
+from momapos.planning.placement import Method, PlaceConfig
 
 MAX_SAMPLES, MAX_BATCHES, MAX_GROUP = 100_000, 12, 1_000
 """Bounds of the counts of the paper's method [-]."""
 BaseUse = Literal["fixed", "stops", "moving", "auto"]
+RANKERS: dict[Method, ScorerName] = {"paper": "deepwalk", "authors": "node2vec"}
+"""The scorer of each method that has one of its own."""
+PLANNERS: dict[Method, Planner] = {"paper": "RRTstar", "authors": "RRTConnect"}
+"""OMPL's planner of each method that has one of its own."""
 
 
 @dataclass(frozen=True)
@@ -95,19 +99,13 @@ class PipelineConfig:
     @property
     def arm_planner(self) -> PlannerConfig:
         """Return the arm planner's configuration; the method sets its default."""
-        if self.planner.planner is None and self.place.method == "paper":
-            return replace(self.planner, planner="RRTstar")
+        planner = PLANNERS.get(self.place.method)
+        if self.planner.planner is None and planner is not None:
+            return replace(self.planner, planner=planner)
         return self.planner
 
     @property
     def ranking(self) -> ImportanceConfig:
-        """Return the configuration of importance; the method sets its defaults."""
-        printed = self.place.method == "paper"
-        scorer: ScorerName = self.importance.scorer or ("deepwalk" if printed else "reach")
-        weights: WeightsName = self.importance.weights or ("printed" if printed else "scaled")
-        given = self.importance
-        exceed = printed if given.exceed is None else given.exceed
-        graph = given.graph
-        if printed and graph.neighbors is None:
-            graph = replace(graph, neighbors=0)
-        return replace(given, scorer=scorer, weights=weights, exceed=exceed, graph=graph)
+        """Return the configuration of importance; the method sets the scorer."""
+        scorer = self.importance.scorer or RANKERS.get(self.place.method)
+        return replace(self.importance, scorer=scorer).resolved

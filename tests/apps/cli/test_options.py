@@ -189,15 +189,15 @@ def test_the_scorer_depends_on_the_method_unless_it_is_set() -> None:
     assert PipelineConfig(place=paper).ranking.scorer == "deepwalk"
     chosen = PipelineConfig(place=paper, importance=ImportanceConfig(scorer="size"))
     assert chosen.ranking.scorer == "size"
-    assert PipelineConfig().ranking.weights == "scaled"
+    assert PipelineConfig(place=PlaceConfig(method="authors")).ranking.scorer == "node2vec"
     assert PipelineConfig(place=paper).ranking.weights == "printed"
     scaled = ImportanceConfig(weights="scaled")
     assert PipelineConfig(place=paper, importance=scaled).ranking.weights == "scaled"
     assert not PipelineConfig().ranking.exceed
     printed = PipelineConfig(place=paper).ranking
-    assert (printed.exceed, printed.graph.neighbors) == (True, 0)
-    near = ImportanceConfig(exceed=False, graph=GraphConfig(neighbors=4))
+    assert (printed.exceed, printed.graph.edges) == (True, "support")
+    near = ImportanceConfig(exceed=False, graph=GraphConfig(edges="near"))
     chosen = PipelineConfig(place=paper, importance=near)
-    assert (chosen.ranking.exceed, chosen.ranking.graph.neighbors) == (False, 4)
+    assert (chosen.ranking.exceed, chosen.ranking.graph.edges) == (False, "near")
     with pytest.raises(InputError, match="count"):
         PlaceConfig(count=-1)

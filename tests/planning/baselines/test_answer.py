@@ -19,7 +19,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion import arm_planner as planner
 from momapos.planning.arm_motion.arm_planner import plan_motion
 from momapos.planning.baselines.by_method import PLACERS
-from momapos.planning.config import PaperConfig, PipelineConfig
+from momapos.planning.config import RANKERS, PaperConfig, PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement, plan_by_method
 from momapos.planning.placement.config import OURS, Method, PlaceConfig
@@ -35,7 +35,7 @@ def ask(scene: Scene, robot: Robot, method: Method, *, seed: int = 0) -> Placeme
 
 
 def test_every_method_name_has_a_placer() -> None:
-    assert set(get_args(Method)) == {*OURS, *PLACERS, "paper"}
+    assert set(get_args(Method)) == {*OURS, *PLACERS, *RANKERS}
 
 
 @pytest.mark.parametrize("method", get_args(Method))
@@ -54,7 +54,7 @@ def test_every_method_returns_a_valid_and_repeatable_plan(
     assert records[0] == records[1]
 
 
-@pytest.mark.parametrize("method", [*PLACERS, "paper"])
+@pytest.mark.parametrize("method", [*PLACERS, *RANKERS])
 def test_no_method_reaches_a_handle_that_is_too_high(
     method: Method, robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:

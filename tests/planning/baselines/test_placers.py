@@ -12,12 +12,16 @@ import pytest
 from jaxtyping import Float
 from tests.rooms import Everywhere, cabinet_room, move_scene
 
+from momapos.core.geometry import apply, pose
 from momapos.core.geometry.planar import compose, local_points, place_points
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import box_urdf
+from momapos.planning.baselines.authors_placer import BEST, RING, YAW, AuthorsPlacer
 from momapos.planning.baselines.by_method import PLACERS
 from momapos.planning.baselines.habitat_placer import HINGED, habitat
 from momapos.planning.baselines.m3_placer import HINGED as REGIONS
@@ -303,3 +307,37 @@ def test_the_paper_tries_groups_of_high_potential_first(room: PlacerRoom) -> Non
     ]
     for better, worse in pairwise(values):
         assert better.min() >= worse.max() - 1e-9
+
+
+def test_the_authors_visit_the_best_five_of_a_ring_at_one_yaw(room: PlacerRoom) -> None:
+    placer, cabinet = AuthorsPlacer(PaperConfig(), ""), room.prepared.scene.object("cabinet")
+    down = pose((0.0, 0.0, -cabinet.bounds[0, 2]))  # what hangs is no obstacle to the authors
+    cabinet = replace(cabinet, T_world_object=down @ cabinet.T_world_object)
+    scene = replace(room.prepared.scene, objects=(cabinet,))
+    room = replace(room, prepared=replace(room.prepared, scene=scene))
+    poses = proposed(placer, room)
+    away = np.linalg.norm(poses[:, :2] - room.target[:2], axis=1)
+    assert 1 <= len(poses) <= BEST
+    assert (poses[:, 2] == YAW).all()
+    assert ((away >= RING[0]) & (away <= RING[1])).all()
+    half = 0.5 * _side(room)
+    for link, T in cabinet.link_poses().items():
+        for hull in cabinet.model.hulls[link]:
+            points = apply(T, hull.vertices)[:, :2]
+            beside = (poses[:, :2] + half < points.min(0)) | (poses[:, :2] - half > points.max(0))
+            assert beside.any(1).all()
+    np.testing.assert_array_equal(poses, proposed(placer, room))
+
+
+def test_the_authors_stay_where_they_are_if_boxes_hide_the_target(room: PlacerRoom) -> None:
+    around = SceneObject(
+        "cabinet", "", pose(room.target), Articulated(box_urdf("cabinet", (0.3,) * 3))
+    )
+    scene = replace(room.prepared.scene, objects=(around,))
+    hidden = replace(room, prepared=replace(room.prepared, scene=scene))
+    poses = proposed(AuthorsPlacer(PaperConfig(), ""), hidden)
+    np.testing.assert_array_equal(poses, [[*room.start[:2], YAW]])
+
+
+def _side(room: PlacerRoom) -> float:
+    return float(np.ptp(room.robot.footprint, axis=0).max())

@@ -31,7 +31,9 @@ from momapos.planning.importance.relations import KINDS
 from momapos.planning.importance.scorers import KNEE, MIN_SCORE, SCORERS, score_of_cosine, words
 from momapos.planning.keyword_forms import plan_base_placement
 
-WALKS = ImportanceConfig(scorer="deepwalk")
+WALKS = ImportanceConfig(
+    scorer="deepwalk", weights="scaled", exceed=False, graph=GraphConfig(edges="near")
+)
 PRINT = (
     "from momapos.model.scene import load_scene; from momapos.planning.importance import rank;"
     "from momapos.planning.importance.config import ImportanceConfig as C;"
@@ -90,9 +92,9 @@ def test_with_exceed_a_score_equal_to_alpha_is_not_in_s_but_the_target_always_is
         selection = lower
 
 
-def test_without_neighbors_the_graph_has_the_paper_s_relations_only() -> None:
+def test_with_edges_of_support_the_graph_has_the_paper_s_relations_only() -> None:
     scene = load_scene("kitchen_small")
-    found = rank(scene, "fridge", replace(WALKS, graph=GraphConfig(neighbors=0)))
+    found = rank(scene, "fridge", replace(WALKS, graph=GraphConfig(edges="support")))
     assert {KINDS[kind] for kind in found.graph.kind} <= {"on", "in", "inside"}
     assert found.names[0] == "fridge"
     assert (found.scores > 0).all()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.model.records import KeyObjects
-from momapos.planning.config import PipelineConfig
+from momapos.planning.config import RANKERS, PipelineConfig
 from momapos.planning.grasps import TaskMotion, task_motion
 from momapos.planning.importance import rank
 from momapos.planning.max_opening_plan import plan_max_opening
@@ -20,6 +20,7 @@ from momapos.planning.refine_model import initial_selection
 from momapos.planning.result import PlacementResult
 from momapos.planning.search_setup import SearchSetup, prepare_search
 
+from .authors_placer import AuthorsPlacer
 from .habitat_placer import habitat
 from .m3_placer import m3
 from .map_placers import reuleaux, rm4d
@@ -52,7 +53,7 @@ def plan_with_method(query: PlacementQuery) -> PlacementResult:
     method = query.config.place.method
     if method in OURS:
         return plan_placement(query)
-    answer = _as_printed if method == "paper" else _by_placer(PLACERS[method])
+    answer = _by_importance if method in RANKERS else _by_placer(PLACERS[method])
     if query.task.farthest:
         return plan_max_opening(query, answer)
     with query.in_time():
@@ -73,12 +74,16 @@ def _by_placer(placer: BasePlacer) -> Callable[[PlacementQuery], PlacementResult
     return answer
 
 
-def _as_printed(query: PlacementQuery) -> PlacementResult:
+def _by_importance(query: PlacementQuery) -> PlacementResult:
     """Plan as MoMa-Pos: model the key objects, draw more samples, then lower alpha."""
     scene, task, config = query.scene, query.task, query.config
-    placer = PaperPlacer(config.paper, query.watch)
     with query.watch.stage("importance"):
         ranked = rank(scene, task.object, config.ranking, joint=task.joint, seed=query.seed)
+    placer: BasePlacer = PaperPlacer(config.paper, query.watch)
+    if config.place.method == "authors":
+        holders = zip(ranked.names, ranked.relations, strict=True)
+        holder = next((name for name, how in holders if how in ("carries", "contains")), "")
+        placer = AuthorsPlacer(config.paper, holder, query.watch)
     with query.watch.stage("model"):
         boxed = scene.with_box_proxies({task.object})
         motion: TaskMotion = task_motion(boxed, query.robot, task, config.motion)

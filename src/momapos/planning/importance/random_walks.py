@@ -9,10 +9,17 @@ import numpy as np
 
 from momapos.core.compiled import F1, F2, I1, entry
 
+from .relations import KINDS
 from .scene_graph import SceneGraph
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+
+MIN_DISTANCE, MIN_SPREAD = 1e-3, 1e-9
+"""Lower bounds of the distance of two objects [m], and of the spread of its inverse [1/m]."""
+MIN_WEIGHT = 1e-5
+"""What the authors' code adds to each weight, so that the farthest pair has one [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +63,30 @@ def transitions(graph: SceneGraph, *, k0: float, printed: bool = False) -> Trans
     return Transitions(
         edges.indptr.astype(np.int64), edges.indices.astype(np.int64), weight / total[row]
     )
+
+
+def authors_transitions(graph: SceneGraph) -> Transitions:
+    """Return the transition probabilities of the authors' public code.
+
+    Every two objects on the floor are related, with 10 times their inverse distance scaled to
+    [0, 1] over the graph. What is carried leads to its support only, with the weight 1.
+
+    Source: Project_MoMa-Pos, `utils_EdgeBuilder.py` and `utils_Graph.py`.
+    """
+    near = graph.kind == KINDS.index("near")
+    child, parent = graph.child[near], graph.parent[near]
+    center = graph.upright.center
+    inverse = 1 / np.maximum(np.linalg.norm(center[child] - center[parent], axis=1), MIN_DISTANCE)
+    spread = max(float(np.ptp(inverse)), MIN_SPREAD) if len(inverse) else 1.0
+    floor = 10.0 * (inverse - inverse.min(initial=np.inf)) / spread + MIN_WEIGHT
+    rows = np.r_[child, parent, graph.child[~near]]
+    columns = np.r_[parent, child, graph.parent[~near]]
+    weight = np.r_[floor, floor, np.ones(np.count_nonzero(~near))]
+    order = np.lexsort((columns, rows))
+    rows, columns, weight = rows[order], columns[order], weight[order]
+    start = np.searchsorted(rows, np.arange(len(graph) + 1))
+    total = np.bincount(rows, weight, minlength=len(graph))
+    return Transitions(start.astype(np.int64), columns.astype(np.int64), weight / total[rows])
 
 
 @entry

@@ -127,6 +127,7 @@ def rank(
     expect("target", target, str)
     config = ImportanceConfig() if config is None else config
     expect("config", config, ImportanceConfig)
+    config = config.resolved
     if path is not None:
         path = finite_array("path", path, (None, 3))
     seed = whole_number("seed", seed, 0, 2**32 - 1)
@@ -134,7 +135,8 @@ def rank(
         raise InputError(f"{target!r} is a wall of the room; no task is about it")
     graph = build_graph(scene.furniture, config.graph)
     chosen = graph.index(target)
-    scorer = config.scorer or "reach"
+    scorer = config.scorer
+    assert scorer is not None
     if joint is not None:
         scene.object(target).joint(joint)
     if path is None and scorer == "reach":

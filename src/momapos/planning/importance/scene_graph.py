@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 MIN_SIZE = 1e-3
 """Lower bound of an object's size [m], for flat objects."""
-NEIGHBORS = 4
-"""Number of nearest objects that count as near, unless it is set [-]."""
 _SEEN_FROM_PARENT = {"on": "carries", "in": "contains", "inside": "contains", "near": "near"}
 
 
@@ -59,13 +57,19 @@ class SceneGraph:
         """Child, parent, index into KINDS; of two neighbors, the first in the scene is the child.
 
         An edge that follows from two others is omitted: a cup on a tray on a table is not on the
-        table. Objects with another relation are not near as well.
+        table. Objects with another relation are not near as well. With `dense` edges, every two
+        objects that nothing carries are.
         """
         config, n = self.config, len(self)
         bodies = stack_bodies(self.scene, self.upright)
         above = _shortest(hierarchy(bodies, contact=config.contact), n)
-        count = NEIGHBORS if config.neighbors is None else config.neighbors
-        near = neighbors(self.upright, count=count, reach=config.near)
+        if config.edges == "support":
+            return above
+        if config.edges == "dense":
+            lowest = np.setdiff1d(np.arange(n), above[:, 0])
+            near = np.stack([lowest[one] for one in np.triu_indices(len(lowest), 1)], -1)
+        else:
+            near = neighbors(self.upright, count=config.neighbors, reach=config.near)
         known = np.sort(above[:, :2], axis=1) @ [n, 1]
         near = near[~np.isin(near @ [n, 1], known)]
         return np.concatenate([above, np.column_stack([near, np.full(len(near), NEAR)])])

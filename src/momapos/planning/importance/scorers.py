@@ -15,7 +15,7 @@ from momapos.model.scene import builtin_names, load_scene
 
 from .config import ImportanceConfig
 from .embedding import SkipGram, cosine, embed_walks, embed_words
-from .random_walks import transitions, walk
+from .random_walks import authors_transitions, transitions, walk
 from .scene_graph import SceneGraph
 from .word_vectors import read_word_vectors
 
@@ -26,6 +26,9 @@ MIN_SCORE = 1e-6
 """Lowest score [-]; Lemma 1 of MoMa-Pos excludes 0."""
 KNEE = 0.05
 """Cosines from this value on are scores; lower ones are compressed to [MIN_SCORE, KNEE] [-]."""
+
+RUNS = 100
+"""Trainings that the authors' code averages over [-]."""
 
 Path: TypeAlias = "Float[np.ndarray, 'k 3'] | None"
 Scorer: TypeAlias = (
@@ -52,6 +55,26 @@ def deepwalk(
     vectors = embed_walks(walks, len(graph), _skip_gram(config, seed))
     scores = score_of_cosine(cosine(vectors, target))
     return np.where((steps >= 0) & (steps <= 2 * config.window), scores, MIN_SCORE)
+
+
+def node2vec(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+) -> Float[np.ndarray, " n"]:
+    """Score as the authors' public code: vectors of short walks, averaged over `RUNS` trainings.
+
+    Each training has one walk of four objects from each object, vectors of ten numbers and a window
+    of two; both of node2vec's biases are 1 there, which is DeepWalk.
+
+    Source: Project_MoMa-Pos, `main_step1_test.py`.
+    """
+    del path
+    steps, runs = authors_transitions(graph), np.arange(len(graph))
+    rng = np.random.default_rng(seed)
+    skip_gram = SkipGram(dimensions=10, window=2, epochs=config.epochs, seed=seed)
+    vectors = sum(
+        embed_walks(walk(steps, runs, 4, rng), len(graph), skip_gram) for _ in range(RUNS)
+    )
+    return score_of_cosine(cosine(np.asarray(vectors), target))
 
 
 def distance(
@@ -126,7 +149,8 @@ def _by_file(file: str, own: list[tuple[str, ...]], target: int) -> Float[np.nda
 
 
 SCORERS: dict[str, Scorer] = {
-    "reach": reach, "deepwalk": deepwalk, "distance": distance, "size": size, "names": names,
+    "reach": reach, "deepwalk": deepwalk, "node2vec": node2vec, "distance": distance,
+    "size": size, "names": names,
 }  # fmt: skip
 
 

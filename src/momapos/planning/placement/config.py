@@ -10,7 +10,7 @@ from momapos.core import InputError, refuse_above, refuse_below, refuse_values_b
 
 Method = Literal[
     "ours", "exhaustive",
-    "paper", "habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen",
+    "paper", "authors", "habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen",
 ]  # fmt: skip
 OURS: tuple[Method, ...] = ("ours", "exhaustive")
 """Methods of the pipeline, which end with a grid. The others are baselines without one."""
@@ -25,8 +25,8 @@ class PlaceConfig:
     """How base poses are sampled, ordered and checked."""
 
     method: Method = "ours"
-    """Search method: ours (by expected cost), exhaustive (a grid), paper (MoMa-Pos as printed), or
-    another baseline, see docs/baselines.md."""
+    """Search method: ours (by expected cost), exhaustive (a grid), paper (MoMa-Pos as printed),
+    authors (as in its authors' public code), or another baseline, see docs/baselines.md."""
     count: int = 512
     """Latin Hypercube samples in the first round [-]; each further round doubles it."""
     rounds: int = 3
