@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from momapos.apps.bench.laboratory import ROOM, TASKS, draw_layout, shared_data, small_objects
-from momapos.apps.bench.printed import PRINTED
+from momapos.apps.bench.printed import LABORATORY
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.model.records.protocols import ReachScorer
@@ -109,7 +109,7 @@ def report(rows: list[dict[str, Any]]) -> str:
         lines += [
             f"| | {one.name}, as printed | | | {one.time} +- {one.time_spread} | "
             f"{one.driving} +- {one.driving_spread} | | {one.success:.0f} |"
-            for one in PRINTED
+            for one in LABORATORY.lines
             if one.task == task
         ]
     failed = Counter((r["task"], r["method"], str(r["reason"])) for r in rows if not r["success"])

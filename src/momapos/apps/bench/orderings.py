@@ -11,7 +11,7 @@ import numpy as np
 from .bench_records import Row
 from .cells import Cell, Table
 from .metrics import CONFIDENCE, paired_p_value, succeeded
-from .printed import AS_PRINTED, PRINTED
+from .printed import PrintedTable
 
 FIGURES = {"success": ("%", -1.0), "driving": ("m", 1.0), "time": ("s", 1.0)}
 """Figures of the table: unit, and the sign that makes less better."""
@@ -28,7 +28,7 @@ class _Entry:
     """Value of each task that counts."""
 
 
-def ordering_table(rows: Sequence[Row], protocol: str) -> Table:
+def ordering_table(rows: Sequence[Row], protocol: str, published: PrintedTable) -> Table:
     """Build the table with a sentence for each order of the methods that differs from print.
 
     Two methods differ here if a sign test over the same tasks says so (for success McNemar's test),
@@ -36,22 +36,22 @@ def ordering_table(rows: Sequence[Row], protocol: str) -> Table:
     """
     lines = tuple(
         (Cell(text),)
-        for task in dict.fromkeys(one.task for one in PRINTED)
+        for task in published.tasks
         for figure in FIGURES
-        if (text := _sentence(task, figure, [row for row in rows if row.group == task]))
+        if (text := _sentence(task, figure, [r for r in rows if r.group == task], published))
     )
     note = "=: no significant difference between neighbors (sign test over the tasks, 95 %)."
-    title = f"Orders of the methods that differ from the paper's table ({protocol})"
+    title = f"Orders of the methods that differ from the published table ({protocol})"
     return Table(title, ("order",), lines, note)
 
 
-def _sentence(task: str, figure: str, rows: Sequence[Row]) -> str:
+def _sentence(task: str, figure: str, rows: Sequence[Row], published: PrintedTable) -> str:
     """Return the sentence for one figure of one task; "" if the order is as in print."""
     entries = [
         _Entry(one.name, getattr(one, figure), float(np.mean(list(values.values()))), values)
-        for one in PRINTED
+        for one in published.lines
         if one.task == task
-        and (values := _values(figure, [r for r in rows if r.method == AS_PRINTED[one.name]]))
+        and (values := _values(figure, _of_method(rows, published.methods[one.name])))
     ]
     unit, sign = FIGURES[figure]
     printed = sorted(entries, key=lambda one: sign * one.printed)
@@ -69,6 +69,10 @@ def _sentence(task: str, figure: str, rows: Sequence[Row]) -> str:
         [mark if _is_better(one, other, sign) else "=" for one, other in pairwise(here)],
     )
     return f"{task.capitalize()}, {figure} [{unit}]: in print {in_print}; here {measured}."
+
+
+def _of_method(rows: Sequence[Row], method: str) -> list[Row]:
+    return [row for row in rows if row.method == method]
 
 
 def _values(figure: str, rows: Sequence[Row]) -> dict[str, float]:

@@ -23,11 +23,13 @@ from .metrics import (
     succeeded,
 )
 from .orderings import ordering_table
-from .printed import printed_table, simulation_table
+from .printed import KITCHEN, LABORATORY, PrintedTable, printed_table, simulation_table
 from .scan_stages import from_scan, modeling_table, printed_stages
 
-PAPER_TABLES = ("paper-real", "paper-table")
-"""Suites of the paper's four tasks."""
+PUBLISHED: dict[str, PrintedTable] = {
+    "paper-real": LABORATORY, "paper-table": LABORATORY, "authors-sim": KITCHEN,
+}  # fmt: skip
+"""The published table of the tasks of a suite."""
 MAX_REASONS = 25
 """Lines in the table of failures [-]."""
 
@@ -41,9 +43,10 @@ def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
     if len({row.robot for row in rows}) > 1:
         tables.append(class_table(rows, "robot", "robot"))
     tables += [reason_table(rows), stage_table(rows)]
-    if suite.name in PAPER_TABLES:
+    if suite.name in PUBLISHED:
+        table = PUBLISHED[suite.name]
         for protocol, mine in by_protocol.items():
-            tables += [printed_table(mine, protocol), ordering_table(mine, protocol)]
+            tables += [printed_table(mine, protocol, table), ordering_table(mine, protocol, table)]
     if suite.name == "paper-sim":
         tables.append(simulation_table(rows))
     if suite.name == "articulated":

@@ -24,7 +24,10 @@ needs objects takes the user's folder, too."""
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
 PAPER_METHODS = ("ours", "paper", "habitat", "m3", "reuleaux")
-TABLE_METHODS = ("ours", "paper", "paper:paper.check_stops=false", "habitat", "m3", "reuleaux")
+TABLE_METHODS = (
+    "ours", "paper", "paper:paper.check_stops=false", "authors", "habitat", "m3", "reuleaux",
+)  # fmt: skip
+SIM_METHODS = ("ours", "paper", "authors", "habitat", "m3", "reuleaux")
 ABLATIONS = (
     "paper",
     *(f"paper:paper.group={T}" for T in (1, 5, 20)),
@@ -199,6 +202,12 @@ def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTas
     return laboratory_tasks(seed, robots, folder)
 
 
+def _authors_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
+    from .authors_kitchens import kitchen_tasks as authors_tasks
+
+    return authors_tasks(seed, robots, folder)
+
+
 def _articulated(seed: int, robots: Sequence[str], folder: Path, objects: Path) -> list[SuiteTask]:
     from .articulated import articulated_tasks
 
@@ -218,6 +227,10 @@ SUITES = {
     "paper-real": SuiteKind(_paper_real, ("ranger_rm63",), PAPER_METHODS),
     "paper-table": SuiteKind(
         _paper_real, ("ranger_rm63",), TABLE_METHODS, scannable=False,
+        protocols=(PAPER_PROTOCOL, DEFAULT_PROTOCOL),
+    ),
+    "authors-sim": SuiteKind(
+        _authors_sim, ("segway_ur5e",), SIM_METHODS, scannable=False,
         protocols=(PAPER_PROTOCOL, DEFAULT_PROTOCOL),
     ),
     "ablations": SuiteKind(
