@@ -128,6 +128,12 @@ def test_a_change_of_callee_constant_or_option_changes_the_stamp(old: str, new: 
     assert _stamp(_SOURCE) != _stamp(_SOURCE.replace(old, new))
 
 
+def test_the_stamp_covers_comprehensions_but_no_docstring() -> None:
+    source = '@kernel\ndef outer(y):\n    """Double."""\n    return [2.0 * x for x in y]\n'
+    assert _stamp(source) != _stamp(source.replace("2.0", "3.0"))
+    assert _stamp(source) == _stamp(source.replace("Double", "Scale"))
+
+
 def test_the_location_of_a_kernel_does_not_change_its_stamp() -> None:
     assert _stamp(_SOURCE) == _stamp("# a comment\n\n" + _SOURCE)
 

@@ -45,7 +45,7 @@ class KernelSource:
                 continue
             seen.add(one.name)
             digest.update(repr([(k, _ordered(v)) for k, v in sorted(one.options.items())]).encode())
-            for part in _code_parts(one.py_func.__code__):
+            for part in _code_parts(one.py_func.__code__, one.py_func.__doc__):
                 digest.update(repr(part).encode() + b"\n")
             for name, value in sorted(_globals(one.py_func)):
                 if isinstance(value, KernelSource):
@@ -60,11 +60,12 @@ class KernelSource:
         return digest.hexdigest()[:32]
 
 
-def _code_parts(code: types.CodeType) -> Iterator[object]:
+def _code_parts(code: types.CodeType, doc: str | None = None) -> Iterator[object]:
     """Iterate over the content of a function's code, without its location and docstring."""
     yield code.co_code
     yield code.co_names, code.co_varnames, code.co_argcount
-    for const in code.co_consts[1:] if code.co_consts[:1] != (None,) else code.co_consts:
+    # Only a docstring comes first: the code of a comprehension begins with its own constants.
+    for const in code.co_consts[1:] if doc and code.co_consts[:1] == (doc,) else code.co_consts:
         if isinstance(const, types.CodeType):
             yield from _code_parts(const)
         else:
