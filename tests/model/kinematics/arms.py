@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 from tests.model.collision.exact_hulls import directions
 
+from momapos.core.geometry.transforms import rotation_about
 from momapos.model.kinematics.chain import Chain
 
 UP, LEFT, AHEAD = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
@@ -59,3 +62,24 @@ def lift_and_telescope() -> Chain:
         (0.25, 0, 0),
         slides=(0, 1),
     )
+
+
+def geared(seed: int) -> Chain:
+    """Build seven joints with four degrees of freedom; three joints follow with other ratios."""
+    rng = np.random.default_rng(seed)
+    chain = skew(7, seed, slides=(1, 5))
+    return replace(
+        chain, names=chain.names[:4], dof=np.array([0, 1, 2, 3, 0, 1, 2]),
+        ratio=np.where(np.arange(7) < 4, 1.0, rng.uniform(-2.0, 2.0, 7)),
+        lower=chain.lower[:4], upper=chain.upper[:4], velocity=chain.velocity[:4],
+    )  # fmt: skip
+
+
+def segments(chain: Chain, q: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotations and origins of the base and all joints, one motion after the other."""
+    R, p = [np.eye(3)], [np.zeros(3)]
+    for j, value in enumerate(chain.ratio * q[chain.dof]):
+        slides = chain.slides[j]
+        p.append(p[-1] + R[-1] @ (chain.d[j] + (value * chain.h[j] if slides else 0.0)))
+        R.append(R[-1] if slides else R[-1] @ rotation_about(chain.h[j], np.array(value)))
+    return np.array(R), np.array(p)

@@ -1,15 +1,17 @@
-"""Forward kinematics agrees with pinocchio."""
+"""Forward kinematics agrees with pinocchio, and with the motions of geared joints in turn."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from tests.model.collision.exact_hulls import random_states
+from tests.model.collision.exact_hulls import random_states, rotations
+from tests.model.kinematics import arms
 from tests.real import BUILT_IN, furniture
 
 from momapos.core.errors import RobotError, UnknownNameError
@@ -105,6 +107,31 @@ def test_links_are_rigidly_attached_to_their_segments(robot: Robot) -> None:
             joint = robot.model.joints[robot.arm_joints[segment - 1]]
             origin = T_base_root @ moved[joint.child]
             assert_allclose(T_base_segment[:3, 3], origin[:3, 3], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_joints_with_a_ratio_move_one_after_the_other(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    chain = replace(arms.geared(seed), tool_rotation=rotations(1, rng)[0])
+    q = rng.uniform(-2.0, 2.0, (5, chain.size))
+    for state, T in zip(q, chain.tool_poses(q), strict=True):
+        R, p = arms.segments(chain, state)
+        assert_allclose(T[:3, 3], p[-1] + R[-1] @ chain.tool_offset, atol=1e-12)
+        assert_allclose(T[:3, :3], R[-1] @ chain.tool_rotation, atol=1e-12)
+
+
+def test_joints_move_about_the_middle_of_their_range_by_half_their_travel() -> None:
+    rng = np.random.default_rng(0)
+    chain = replace(arms.geared(0), offset=rng.normal(size=7))
+    lower, upper = rng.uniform(-3.0, 0.0, 4), rng.uniform(0.0, 1.0, 4)
+    chain = replace(chain, lower=lower, upper=upper)
+    ends = chain.joint_values(np.stack([lower, upper])) - chain.offset
+    assert_allclose(chain.middle - chain.half_travel, ends.min(0))
+    assert_allclose(chain.middle + chain.half_travel, ends.max(0))
+    assert_allclose(replace(chain, lower=-np.inf * np.ones(4), upper=upper * np.inf).middle, 0.0)
+    assert_allclose(chain.freedom_values(chain.joint_values(lower)) - chain.offset[:4], lower)
+    assert chain.coupled
+    assert not chain.ends_turning  # its last joint moves with the third one
 
 
 def test_joints_that_form_no_chain_are_rejected(robot: Robot) -> None:

@@ -34,6 +34,19 @@ def test_the_tool_poses_of_nearby_states_are_reached(robot: Robot, seed: int) ->
     assert np.abs(found - q).max() < 0.5
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_poses_are_reached_where_all_joints_move_one_way(robot: Robot, sign: float) -> None:
+    rng = np.random.default_rng(3)
+    q = middle(robot, rng, 20)
+    there = robot.chain.tool_poses(q + sign * rng.uniform(0.02, 0.05, q.shape))
+    together = track_tools(robot.chain, q, there)
+    assert together is not None
+    for k in range(len(q)):
+        alone = track_tools(robot.chain, q[k : k + 1], there[k : k + 1])
+        assert alone is not None
+        np.testing.assert_allclose(alone[0], together[k], atol=1e-6)
+
+
 def test_a_pose_out_of_reach_has_no_state(robot: Robot) -> None:
     q = middle(robot, np.random.default_rng(0), 5)
     there = robot.chain.tool_poses(q)
