@@ -19,7 +19,7 @@ from momapos.verification.convex import Body, overlap
 from momapos.verification.exact_shapes import Shapes, shapes_of
 from momapos.verification.link_bodies import bodies_of
 from momapos.verification.polygon import outside
-from momapos.verification.sweep import all_pairs, deepest
+from momapos.verification.sweep import all_pairs, deepest, first_contact
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -136,3 +136,23 @@ def test_outside_is_the_signed_distance_from_the_polygon() -> None:
     points = np.array([[0.5, 0.5], [1.5, 1.5], [3.0, 0.5], [3.0, -1.0], [1.0, 1.0]])
     expected = [-0.5, 0.5, 1.0, np.sqrt(2), 0.0]
     np.testing.assert_allclose(outside(corner, points), expected, atol=1e-12)
+
+
+def one_shape(kind: str, size: tuple[float, ...]) -> Shapes:
+    link = Link("body", (Geometry(kind, size, np.eye(4)),), ())
+    model = Articulated(Urdf("shape", None, "body", {"body": link}, ()))
+    return shapes_of(model, bodies_of(model))
+
+
+@pytest.mark.parametrize("press", [0.0, 0.01, 0.05])
+def test_a_ball_on_its_way_first_touches_where_the_gap_ends(press: float) -> None:
+    """It then moves on by `press`, or to the end of its path."""
+    ball, wall = one_shape("sphere", (0.05,)), one_shape("box", (0.2, 1.0, 1.0))
+    travel = np.linspace(0.0, 0.3, 601)
+    Ts = np.tile(np.eye(4), (601, 1, 1, 1))
+    Ts[:, 0, 0, 3] = -0.4 + travel  # it touches the wall at -0.15
+    state, depth = first_contact(ball, Ts, travel, wall, np.eye(4)[None], press)
+    assert travel[state] == pytest.approx(0.25, abs=6e-4)
+    assert depth == pytest.approx(min(press, 0.05), abs=1.1e-3)
+    state, depth = first_contact(ball, Ts[:400], travel[:400], wall, np.eye(4)[None], press)
+    assert (state, depth) == (-1, -np.inf)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +63,30 @@ def test_links_that_touch_at_rest_are_still_checked_in_other_states(tmp_path: Pa
     _, state = deepest(model.arm, Ts, model.arm, Ts, model.arm_arm_pairs, 0.0)
     names = np.array(model.arm.names)[model.arm_arm_pairs[state >= 0]]
     assert {"upper", "palm"} in [set(pair) for pair in names.tolist()]
+
+
+def test_neighbors_are_no_pair_in_whatever_order_a_file_lists_its_links(tmp_path: Path) -> None:
+    """Links of one body and of bodies with a joint between them may always touch."""
+    found = []
+    for name, order in (("listed", 1), ("reversed", -1)):
+        case = make_case()
+        links = re.findall(r'<link name="[^\n]*', case.robot)
+        rest = "\n".join(line for line in case.robot.splitlines() if line not in links)
+        begin, end = rest.split("\n", 1)
+        case.robot = "\n".join([begin, *links[::order], end])
+        case.write(tmp_path / name)
+        model = robot_collision_model(toy_arm(tmp_path / name))
+        arm, base = np.array(model.arm.names), np.array(model.base.names)
+        (a, b), (c, d) = model.arm_arm_pairs.T, model.arm_base_pairs.T
+        pairs = [*zip(arm[a], arm[b], strict=True), *zip(arm[c], base[d], strict=True)]
+        found.append({frozenset(pair) for pair in pairs})
+    row = ("base", "shoulder", "upper", "fore", "knuckle", "palm")  # the wrist has no shape
+    fingers = ("left", "right")
+    expected = {frozenset(p) for p in combinations(row, 2)} - {
+        frozenset(p) for p in pairwise(row) if p != ("fore", "knuckle")
+    }
+    expected |= {frozenset((one, finger)) for one in row[:-1] for finger in fingers}
+    assert found[0] == found[1] == expected | {frozenset(fingers)}
 
 
 def test_a_plan_along_the_arc_of_the_handle_is_valid(tmp_path: Path) -> None:

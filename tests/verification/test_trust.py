@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from door_case import Case, make_case
 
+from momapos.model.records.plans import Motion
+from momapos.model.robots.robot import Robot
 from momapos.verification.plan_check import verify_files
-from momapos.verification.report import Report
+from momapos.verification.report import DEFAULT, Report
+from momapos.verification.robot_collision_model import robot_collision_model
+from momapos.verification.time_checks import time_checks
 
 SPEED = 1.0
 """Speed limit of every joint of the toy arm [rad/s]."""
@@ -73,6 +79,38 @@ def test_starting_faster_than_the_acceleration_limit_is_a_violation(
 ) -> None:
     found = failed(verified(timed(0.9 * SPEED, limit), tmp_path))
     assert found == (["joint acceleration by the plan's times"] if fails else [])
+
+
+@pytest.mark.parametrize("phase", ["approach", "manipulation"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_constant_acceleration_is_found_at_any_times(
+    robots: Callable[[str], Robot], phase: str, seed: int
+) -> None:
+    """Joints speed up and slow down for 1 s each, from rest to rest; one limit is unknown."""
+    rng = np.random.default_rng(seed)
+    model = robot_collision_model(robots("segway_ur5e"))
+    count = len(model.joints)
+    acceleration = rng.uniform(0.5, 2.0, count) * rng.choice([-1.0, 1.0], count)
+    limit = rng.uniform(0.5, 2.0, count)
+    limit[seed] = np.inf
+    share = np.abs(acceleration) / limit
+    half = np.sort(rng.uniform(0.0, 1.0, 9))
+    times = np.concatenate([[0.0], half, [1.0], 1.0 + half, [2.0]])
+    travel = np.where(times < 1.0, times**2 / 2, 1.0 - (2.0 - times) ** 2 / 2)
+    fast, slow = np.outer(travel, acceleration), np.outer(travel, acceleration / 3)
+    first, second = (fast, slow) if phase == "approach" else (slow, fast)
+    Ts = np.tile(np.eye(4), (len(times), 1, 1))
+    motion = Motion(first, second, np.zeros(len(times)), Ts, times, times)
+    robot = replace(model, acceleration=limit, speed=np.full(count, 4.0))
+    speed, change = time_checks(robot, motion, DEFAULT)
+    assert change.value == pytest.approx(100 * share.max())
+    assert change.culprit == model.joints[share.argmax()]
+    assert change.ok == (share.max() <= DEFAULT.speed)
+    means = np.abs(np.diff(travel) / np.diff(times)).max() * np.abs(acceleration)
+    assert speed.value == pytest.approx(100 * means.max() / 4.0)
+    assert speed.culprit == model.joints[means.argmax()]
+    untimed = replace(motion, approach_times=None, times=None)
+    assert list(time_checks(robot, untimed, DEFAULT)) == []
 
 
 def test_pairs_that_an_srdf_disables_are_named(tmp_path: Path) -> None:
