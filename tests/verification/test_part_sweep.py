@@ -174,3 +174,10 @@ def test_the_support_of_an_object_does_not_block_its_lift(tmp_path: Path) -> Non
     case = stick_room(([0.3, 0.3, 0.02], board))
     world = world_of(tmp_path, case, Task("pick", "stick"))
     assert world.blocked(0.05) is None
+
+
+def test_the_value_of_a_task_that_moves_no_joint_does_not_count(tmp_path: Path) -> None:
+    world = world_of(tmp_path, stick_room(), Task("pick", "stick", to=0.4))
+    assert world.part.joint is None
+    assert world.part.goal == world.part.start == 0.0
+    assert world.check(BASE, carried()[0]).valid
