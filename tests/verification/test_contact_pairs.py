@@ -26,7 +26,9 @@ def boxes(rng: np.random.Generator, count: int) -> Scene:
 
 def test_the_depth_of_aligned_boxes_is_their_smallest_overlap() -> None:
     scene = boxes(np.random.default_rng(1), 60)
-    found = {(one.first, one.second): one.depth for one in object_contacts(scene, 0.0)}
+    contacts = object_contacts(scene, 0.0)
+    found = {(one.first, one.second): one.depth for one in contacts}
+    assert [one.depth for one in contacts] == sorted(found.values(), reverse=True)
     expected = {}
     for i, j in combinations(range(60), 2):
         a, b = scene.objects[i].bounds, scene.objects[j].bounds

@@ -13,7 +13,12 @@ from tests.cupboards import Box, carcass, furniture_room, joint, link
 from momapos.model.records.tasks import Task
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.verification.floor_contact import TOUCH, depths_below_floor, meets_floor_at
+from momapos.verification.floor_contact import (
+    TOUCH,
+    depths_below_floor,
+    floor_contact,
+    meets_floor_at,
+)
 from momapos.verification.moved_part import moved_part, split
 from momapos.verification.part_sweep import part_sweep_check
 from momapos.verification.report import DEFAULT
@@ -70,6 +75,18 @@ def test_a_flap_meets_the_floor_where_its_lowest_corner_does(tmp_path: Path, kin
     degrees = round(math.degrees(contact))
     assert words == f"cupboard/flap meets the floor at {degrees} deg, moving from 0 to 90 deg"
     assert blocked(scene, "cupboard", "hinge", contact - 0.01) is None
+
+
+def test_a_part_is_found_on_the_floor_between_values_that_are_a_step_apart(tmp_path: Path) -> None:
+    """A lever that turns over dips to the floor halfway, and ends as high as it began."""
+    lever = link("lever", ((0.3, 0.5, 0.02), (-0.15, 0, 0)))
+    turn = joint("turn", "revolute", ("body", "lever"), (FRONT, 0, 0.2), (0, -1, 0), (0, math.pi))
+    scene = furniture_room(tmp_path, [carcass(), lever, turn])
+    part = moved_part(scene.object("cupboard"), Task("open", "cupboard", "turn", math.pi))
+    contact = floor_contact(part, math.pi, math.pi / 2)
+    assert contact is not None
+    below = lowest(0.2, (((0.3, 0.5, 0.02), (-0.15, 0, 0)),), np.linspace(0.0, 2.0, 20_001)) < 0.0
+    assert contact[0] == pytest.approx(np.linspace(0.0, 2.0, 20_001)[np.argmax(below)], abs=0.05)
 
 
 def test_a_flap_high_above_the_floor_opens_wholly(tmp_path: Path) -> None:

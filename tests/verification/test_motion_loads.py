@@ -23,9 +23,10 @@ from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.verification.exact_check import PlanVerifier
-from momapos.verification.motion_loads import HandLoad
+from momapos.verification.motion_loads import HandLoad, MeasuredLoads
 from momapos.verification.path_checks import DensePath
 from momapos.verification.plan_check import verify_files
+from momapos.verification.report import DEFAULT
 from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.robot_efforts import robot_efforts
 
@@ -49,6 +50,22 @@ def test_it_agrees_with_the_planner_at_any_state_and_load(name: str, robots: Rob
     inside = planned.stability > 0
     np.testing.assert_allclose(stability[inside], planned.stability[inside], atol=1e-6)
     assert (stability[~inside] <= 0).all()
+
+
+def test_the_sign_of_an_effort_does_not_count(robots: Robots) -> None:
+    robot = robots("fetch")
+    model = robot_collision_model(robot)
+    judge = robot_efforts(robot.model, model.bodies, robot.base_link, model.joints)
+    needs = np.zeros((3, len(judge.names)))
+    needs[1, 2] = -1.2 * judge.limits[2]
+    needs[2, 3] = 0.5 * judge.limits[3]
+    path = DensePath(np.zeros((3, 1)), np.zeros(3), np.arange(3.0), 0)
+    for sign in (1.0, -1.0):
+        loads = MeasuredLoads(judge, sign * needs, None, np.zeros(3))
+        assert loads.record(None).worst == (judge.names[2], pytest.approx(1.2))
+        effort = loads.checks(path, DEFAULT)[0]
+        assert (effort.value, effort.culprit) == (pytest.approx(120.0), judge.names[2])
+        assert not effort.ok
 
 
 @pytest.fixture(scope="module")
