@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damaged_plans import MUTATIONS
 from door_case import BASE, Case, make_case, tool_poses
 from tests.verification.moving_case import case_of
 
@@ -22,6 +23,7 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.verification.plan_check import verify_files
+from momapos.verification.plan_numbers import check_plan_numbers
 from momapos.verification.report import Report
 
 FINGER_AND_HEAD = """
@@ -364,3 +366,44 @@ def test_the_base_stands_in_the_areas_to_keep_in(edge: float, inside: bool, tmp_
     case.plan["region"] = {"keep_in": [area, [[9, 9], [10, 9], [9, 10]]]}
     names = failed(verified(case, tmp_path))
     assert ("base outside the areas to keep in" in names) != inside
+
+
+NUMBERS = (
+    "base_shifted", "base_turned", "tool_poses_turned", "tool_poses_scaled", "a_step_back",
+    "approach_ends_elsewhere", "a_joint_beyond_its_limit", "another_goal",
+    "the_door_stands_open_in_the_scene", "the_door_turns_less_far",
+)  # fmt: skip
+COLLISIONS = (
+    "furniture_under_the_base", "an_obstacle_in_the_way_of_the_door",
+    "an_obstacle_in_the_way_of_the_forearm",
+)  # fmt: skip
+
+
+def check_numbers(case: Case, folder: Path) -> None:
+    path = case.write(folder)
+    (folder / "robot.toml").write_text(ROBOT_FILE)
+    scene, robot = load_scene(folder / "scene.json"), load_robot(folder / "robot.toml")
+    check_plan_numbers(read_plan(path), scene, robot, "plan.json")
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_plan_is_refused_for_a_number_that_its_verification_rejects(
+    name: str, tmp_path: Path
+) -> None:
+    case = case_with_robot_file()
+    MUTATIONS[name][0](case)
+    with pytest.raises(FileFormatError, match=r"^plan\.json: not a usable plan: ") as refused:
+        check_numbers(case, tmp_path)
+    words = str(refused.value)
+    rejected = failed(verify_files(tmp_path / "plan.json"))
+    assert any(words.startswith(f"plan.json: not a usable plan: {one}") for one in rejected)
+
+
+def test_a_plan_is_not_refused_for_its_collisions(tmp_path: Path) -> None:
+    """It can be shown and simulated."""
+    check_numbers(case_with_robot_file(), tmp_path / "valid")
+    for name in COLLISIONS:
+        case = case_with_robot_file()
+        MUTATIONS[name][0](case)
+        check_numbers(case, tmp_path / name)
+        assert MUTATIONS[name][1] in failed(verify_files(tmp_path / name / "plan.json"))
