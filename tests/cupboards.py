@@ -294,6 +294,25 @@ def oven_door(folder: Path, gap: float, low: float = 0.15) -> list[str]:
     return [carcass(), f'<link name="door">{mesh}</link>', hinge]
 
 
+def hollow_door(folder: Path, depth: float = 0.06) -> tuple[tuple[Box, ...], list[str]]:
+    """Return the boxes of a drop-down door of one mesh, by lower and upper corner, and its parts.
+
+    Its tub begins below the middle, so that the rim is thin, as that of a dishwasher's door. A bar
+    is its handle.
+
+    Args:
+        folder: Where the mesh is written.
+        depth: How far the tub stands out from the panel, toward the inside [m].
+    """
+    panel = ((-0.01, -0.28, 0.0), (0.01, 0.28, 0.6))
+    tub = ((0.01, -0.25, 0.02), (0.01 + depth, 0.25, 0.25))
+    write_obj(folder / "hollow.obj", triangles_of((panel, tub)))
+    mesh = '<collision><geometry><mesh filename="hollow.obj"/></geometry></collision>'
+    hinge = joint("hinge", "revolute", ("body", "door"), (-0.262, 0.0, 0.15), (0, -1, 0), (0, 1.5))
+    bar = link("", handle=((0.016, 0.3, 0.016), (-0.05, 0.0, 0.55))).removeprefix('<link name="">')
+    return (panel, tub), [carcass(), f'<link name="door">{mesh}{bar}', hinge]
+
+
 def wardrobe(*bars: float, height: float = 3.0) -> list[str]:
     """Return a tall door with upright bars at some heights, the first one first in the file [m]."""
     shapes = [("", (0.02, 0.59, height - 0.02), (0.0, 0.295, 0.0))]

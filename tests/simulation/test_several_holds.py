@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cupboards import furniture_room, hollow_door
 from tests.simulation.toy import execute, gripping
 from tests.verification.door_case import BASE
 
@@ -30,6 +31,7 @@ from momapos.simulation.config import (
     Stage,
 )
 from momapos.simulation.dynamics import read_dynamics
+from momapos.simulation.exact_run import run_exactly
 from momapos.simulation.execution_run import ExecutionRun, Stretch
 from momapos.simulation.geoms import HAND, Kind
 from momapos.simulation.simulated_hand import find_hand
@@ -91,6 +93,21 @@ def test_a_door_opens_with_two_grasps_or_a_rotating_grasp(
     assert done.success, done.reason
     assert done.ending in (Ending.DONE, Ending.STOPPED_AT_END)
     assert done.hold == hold
+
+
+@pytest.mark.slow
+def test_a_hollow_door_follows_the_states_of_a_push(tmp_path: Path) -> None:
+    """Pushed at its hull, it would stay behind the hand."""
+    robot, (_, parts) = load_robot("fetch"), hollow_door(tmp_path)
+    scene = furniture_room(tmp_path, parts)
+    task = make_task(scene, "open", "cupboard", "hinge", "80deg")
+    plan = plan_base_placement(scene, robot, task, load_reach_map(robot, tmp_path)).plan
+    assert plan.motion is not None
+    assert [hold.family for hold in plan.motion.holds] == ["pinch", "push"]
+    done = run_exactly(plan, scene, robot).execution
+    assert done is not None
+    assert done.success, done.reason
+    assert abs(np.degrees(done.reached) - 80.0) < 3.0
 
 
 @pytest.mark.parametrize("hold", HOLDS)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cupboards import furniture_room, hollow_door
 from tests.rooms import cabinet_room
 
 from momapos.model.robots.robot import Robot
@@ -33,14 +34,14 @@ def inside(hand: Hand) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "fetch",
-        pytest.param("husky_ur5e", marks=pytest.mark.slow),
-        pytest.param("ranger_rm63", marks=pytest.mark.slow),
-    ],
+HANDS = (
+    "fetch",
+    pytest.param("husky_ur5e", marks=pytest.mark.slow),
+    pytest.param("ranger_rm63", marks=pytest.mark.slow),
 )
+
+
+@pytest.mark.parametrize("name", HANDS)
 def test_fingers_touch_the_back_of_a_door(
     name: str, robots: Callable[[str], Robot], tmp_path: Path
 ) -> None:
@@ -59,3 +60,23 @@ def test_fingers_touch_the_back_of_a_door(
         assert np.max(there @ to_hinge) == pytest.approx(0.0, abs=1e-9)
         # The points resolve where the plane cuts an edge only to one step.
         assert -0.002 < np.min(over @ back.out) < 1e-9 + 0.002
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_fingers_touch_the_surface_of_a_hollow_door_not_its_hull(
+    name: str, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    """Pushed at its hull, the door would stay behind the hand by the depth of the hollow."""
+    boxes, parts = hollow_door(tmp_path)
+    robot, door = robots(name), furniture_room(tmp_path, parts).object("cupboard").model
+    found = push_from_behind(robot, door, "hinge", 1.0, GraspConfig())
+    assert found is not None
+    _, Ts, _ = found
+    points = inside(hand_of(robot))
+    for T in Ts:
+        there = points @ T[:3, :3].T + T[:3, 3]
+        low, high = np.array(boxes).transpose(1, 0, 2)[:, :, None]
+        outside = np.linalg.norm(np.maximum(0.0, np.maximum(low - there, there - high)), axis=2)
+        deep = np.minimum(there - low, high - there).min(2)
+        assert outside.min() < 0.003
+        assert deep.max() < 0.003

@@ -15,14 +15,17 @@ from .config import HANDLE_POINTS, GraspConfig
 from .fronts import PUSH_INSET, front_face, front_part
 from .hand_boxes import Hand, hand_of
 from .handle_records import Handle
-from .handle_shapes import CarriedPart, part_elements
+from .handle_shapes import CarriedPart, Element, in_pieces, part_elements
 from .part_grasps import grasp_frames
+from .swept_boxes import NEVER, touches_hull
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 LEANS = (0.0, 20.0, 40.0)
 """Angles from the panel to the fingers [deg]."""
+START_HEIGHT = 0.1
+"""Height above the hull of the part's rim from which a hand comes down on its back [m]."""
 
 
 def push_from_behind(
@@ -30,7 +33,9 @@ def push_from_behind(
 ) -> tuple[Handle, Float[np.ndarray, "g 4 4"], Float[np.ndarray, " g"]] | None:
     """Build tool poses in which the side of a finger touches a part's back near its free edge.
 
-    The palm stays beyond the edge, so that the arm need not reach around the part.
+    The palm stays beyond the edge, so that the arm need not reach around the part. Many doors are
+    hollow inside: meshes count as convex pieces, since a hand that stopped at their hull would
+    leave the part behind.
 
     Args:
         robot: The robot.
@@ -39,9 +44,9 @@ def push_from_behind(
         config: Points along the edge, and tilts.
 
     Returns:
-        The back of the part, the poses in the part's frame and their complexity; None if the part
-        has no back or the robot no fingers. Poses with the tool's origin farther from the part than
-        the exact check allows are left out: wide hands touch it with one finger at their side.
+        The back of the part's hull, the poses in the part's frame and their complexity; None if the
+        part has no back or the robot no fingers. Poses with the tool's origin farther from the part
+        than the exact check allows are left out: wide hands touch it with one finger at their side.
     """
     back, hand = front_face(front_part(model, joint, sign), -sign), hand_of(robot)
     if back is None or not (hand.side != 0).any():
@@ -61,19 +66,22 @@ def push_from_behind(
     approach = R @ inward
     closing = np.einsum("gij,gj->gi", rotation_of(approach * roll[:, None]), R @ back.long)
     T = grasp_frames(robot, point[:, None] * back.long, approach, closing)
-    T[:, :3, 3] += _touching(hand, back, inward, T[:, :3, :3])
+    T[:, :3, 3] += _touching_hull(hand, back, inward, T[:, :3, :3])
+    part = CarriedPart(model, joint, back.carrier)
+    height = _height(hand, part, back.out, T)
+    met = np.isfinite(height)
+    T[met, :3, 3] -= height[met, None] * back.out
     complexity = np.abs(lean - np.radians(LEANS[1])) + np.abs(tilt) + 5 * np.abs(point)
-    near = T[:, :3, 3] @ back.out - _top(model, joint, back) <= Limits().reach
+    near = met & (T[:, :3, 3] @ back.out - _top(part, back.out) <= Limits().reach)
     return (back, T[near], complexity[near]) if near.any() else None
 
 
-def _top(model: Articulated, joint: str, back: Handle) -> float:
-    """Return how far a part extends along the normal of its back, from the carrier's origin [m]."""
-    part = CarriedPart(model, joint, back.carrier)
-    return max(float((e.convex.vertices @ back.out).max()) for e in part_elements(part))
+def _top(part: CarriedPart, out: Float[np.ndarray, "3"]) -> float:
+    """Return how far a part extends in a direction, from the carrier's origin [m]."""
+    return max(float((e.convex.vertices @ out).max()) for e in part_elements(part))
 
 
-def _touching(
+def _touching_hull(
     hand: Hand, back: Handle, inward: Float[np.ndarray, "3"], R: Float[np.ndarray, "g 3 3"]
 ) -> Float[np.ndarray, "g 3"]:
     """Return tool origins at which the fingers touch the back, with their tips at its middle point.
@@ -83,3 +91,30 @@ def _touching(
     reach = hand.finger_reach(inward @ R)
     toward = hand.finger_reach(-back.out @ R, inward @ R, reach - PUSH_INSET)
     return back.center - reach[:, None] * inward + toward[:, None] * back.out
+
+
+def _height(
+    hand: Hand, part: CarriedPart, out: Float[np.ndarray, "3"], T: Float[np.ndarray, "g 4 4"]
+) -> Float[np.ndarray, " g"]:
+    """Return how far the fingers of hands are above the pieces of a part, in a direction [m].
+
+    Negative where something next to the rim, as a rack, stands higher; infinite where they pass
+    the part.
+    """
+    fingers = hand.boxes.take(np.flatnonzero(hand.side))
+    R, height = np.ascontiguousarray(T[:, :3, :3]), np.full(len(T), NEVER)
+    start = T[:, :3, 3] + START_HEIGHT * out
+    ways, same = np.unique(np.round(-out @ R, 9), axis=0, return_inverse=True)
+
+    def met(element: Element) -> Float[np.ndarray, " g"]:
+        found = np.full(len(T), NEVER)
+        for k, way in enumerate(ways):
+            rows = np.flatnonzero(same.ravel() == k)
+            touch = touches_hull(fingers, element.convex, R[rows], start[rows], way)
+            found[rows] = np.where(touch.end < 0.0, NEVER, touch.begin).min(1)
+        return found
+
+    for whole in part_elements(part):
+        if np.isfinite(met(whole)).any():
+            height = np.min([height, *map(met, in_pieces(part, [whole]))], axis=0)
+    return height - START_HEIGHT
