@@ -80,3 +80,22 @@ def test_fingers_touch_the_surface_of_a_hollow_door_not_its_hull(
         deep = np.minimum(there - low, high - there).min(2)
         assert outside.min() < 0.003
         assert deep.max() < 0.003
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_fingers_come_in_clear_of_the_edge_of_the_door(
+    name: str, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    """A door that stands a millimeter off its planned angle must not catch them."""
+    robot, door = robots(name), cabinet_room(tmp_path).object("cabinet").model
+    found = push_from_behind(robot, door, "hinge", 1.0, GraspConfig())
+    assert found is not None
+    back, Ts, _ = found
+    edge = min(hull.vertices[:, 0].min() for hull in door.hulls["door"])
+    points = inside(hand_of(robot))
+    for T in Ts:
+        approach = T[:3, :3] @ robot.approach_axis
+        there = points @ T[:3, :3].T + T[:3, 3]
+        there = there - (there[:, 0].max() - edge) / approach[0] * approach  # the tips at the edge
+        tips = there[there[:, 0] > edge - 0.002]
+        assert np.min((tips - back.center) @ back.out) > 0.005

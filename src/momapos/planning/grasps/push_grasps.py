@@ -22,8 +22,9 @@ from .swept_boxes import NEVER, touches_hull
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-LEANS = (0.0, 20.0, 40.0)
-"""Angles from the panel to the fingers [deg]."""
+LEANS = (10.0, 20.0, 40.0)
+"""Angles from the panel to the fingers, along which they come in [deg]. Parallel to the panel they
+would graze it all the way, and catch on its edge where the door stands a millimeter off."""
 START_HEIGHT = 0.1
 """Height above the hull of the part's rim from which a hand comes down on its back [m]."""
 
