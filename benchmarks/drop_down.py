@@ -26,6 +26,7 @@ from momapos.apps.bench.articulated import SETS, parts, set_of
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.core.geometry.transforms import apply
+from momapos.model.robots.hand_openings import opened_as
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
@@ -86,10 +87,10 @@ def confirmed(robot: Robot, scene: Scene, joint: str, seeds: int) -> dict[str, A
         return {"status": plan.status, "reason": next(iter(plan.candidates.rejections), "")}
     assert plan.motion is not None
     assert plan.base_pose is not None
-    runs = []
+    runs, hand = [], opened_as(robot, plan.robot_rest)
     for seed in range(seeds):
         outcome = attempt(
-            scene.with_resistance(plan.resistance), robot, plan.base_pose, plan.motion, plan.task,
+            scene.with_resistance(plan.resistance), hand, plan.base_pose, plan.motion, plan.task,
             EXACT, np.random.default_rng(seed),
         )  # fmt: skip
         done = outcome.execution
