@@ -70,7 +70,7 @@ def geared(seed: int) -> Chain:
     chain = skew(7, seed, slides=(1, 5))
     return replace(
         chain, names=chain.names[:4], dof=np.array([0, 1, 2, 3, 0, 1, 2]),
-        ratio=np.where(np.arange(7) < 4, 1.0, rng.uniform(-2.0, 2.0, 7)),
+        ratio=np.append(np.ones(4), rng.uniform(0.3, 2.0, 3) * [-1.0, 1.0, -1.0]),
         lower=chain.lower[:4], upper=chain.upper[:4], velocity=chain.velocity[:4],
     )  # fmt: skip
 
