@@ -70,6 +70,52 @@ def written(path: Path, content: Any) -> Path:
     return path
 
 
+def with_indices(*indices: int, name: str = "view {}") -> list[Frame]:
+    gray = np.zeros((4, 6, 3), np.uint8)
+    return [
+        Frame(name.format(chr(97 + k)), gray, None, np.eye(3), np.eye(4), k) for k in indices
+    ]  # fmt: skip
+
+
+def ids(tmp_path: Path, listed: list[Any], images: list[Frame]) -> Results:
+    return read_coco(written(tmp_path / "a.json", [result(62, image_id=k) for k in listed]), images)
+
+
+def test_numbers_count_the_images_of_the_recording_not_those_that_the_scan_uses(
+    tmp_path: Path,
+) -> None:
+    results = ids(tmp_path, [0, 1, 2, 3, 4, 5], with_indices(0, 2, 5))
+    assert {name: len(one) for name, one in results.found.items()} == {
+        "view a": 1, "view c": 1, "view f": 1
+    }  # fmt: skip
+    (line,) = results.warnings
+    assert (
+        "3 of 6 detections are in 3 images that the scan does not use, such as image_id 1" in line
+    )
+
+
+def test_numbers_from_one_are_recognized_by_the_last(tmp_path: Path) -> None:
+    results = ids(tmp_path, [1, 2, 3], with_indices(0, 1, 2))
+    assert set(results.found) == {"view a", "view b", "view c"}
+    (line,) = results.warnings
+    assert (
+        "counted from 1; a file of categories with the names of its images says otherwise" in line
+    )
+    assert set(ids(tmp_path, [1, 2], with_indices(0, 1, 2)).found) == {"view b", "view c"}
+    assert set(ids(tmp_path, [3], with_indices(0, 1, 2)).found) == {"view c"}
+
+
+def test_the_number_in_a_name_comes_before_the_index(tmp_path: Path) -> None:
+    images = [
+        Frame(f"frame-{n:06d}", f.color, None, f.intrinsics, f.T_world_camera, f.index)
+        for n, f in zip((10, 20, 30), with_indices(0, 1, 2), strict=True)
+    ]
+    results = ids(tmp_path, [10, 20, 21, "frame-000030"], images)
+    assert set(results.found) == {"frame-000010", "frame-000020", "frame-000030"}
+    assert "1 of 4 detections" in results.warnings[0]
+    assert set(ids(tmp_path, [0, 1], images).found) == {"frame-000010", "frame-000020"}
+
+
 def labels(results: Results) -> list[str]:
     return [item.label for one in results.found.values() for item in one]
 

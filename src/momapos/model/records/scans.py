@@ -40,6 +40,8 @@ class Frame:
     """Intrinsics of color and depth, which are registered [px]."""
     T_world_camera: Float[np.ndarray, "4 4"]
     """Camera axes as in OpenCV: x right, y down, z forward."""
+    index: int | None = None
+    """Index of the image in its recording, from which others may be left out; None if unknown."""
 
     def __repr__(self) -> str:
         height, width = self.color.shape[:2]

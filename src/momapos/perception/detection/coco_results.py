@@ -6,7 +6,8 @@ for COCO 1 to 90 with gaps. Omni3D's evaluator adds the corners of a 3-D box in 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,8 +49,10 @@ class _Entry:
 def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = None) -> Results:
     """Read `coco_instances_results.json` of Detectron2, or `omni_instances_results.json` of Omni3D.
 
-    A result belongs to the frame whose name is its `image_id`, or whose index in the scan it is, or
-    whose name is that of the image with this id in the file of categories.
+    Its `image_id` are the names of images, or numbers: of images in the file of categories, of
+    names such as frame-000012, or of images in the recording, from which a scan uses some, counted
+    from 0 or from 1. One of these meanings holds for a whole file: the first one that most results
+    have an image by.
 
     Args:
         path: A list of results; or a dataset file with "annotations" and "categories".
@@ -76,18 +79,28 @@ def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = Non
         raise FileFormatError(f"{path}: must be a list of COCO detections")
     entries = [_entry(item, f"{path}: detection {index}") for index, item in enumerate(data)]
     labels, warnings = _labels(entries, given, path, categories)
-    names = {str(index): frame.name for index, frame in enumerate(frames)}
-    names |= {frame.name: frame.name for frame in frames}
-    names |= {} if given is None else given.images
-    known, found = {frame.name for frame in frames}, dict[str, list[ImageDetection]]()
+    found, warnings = dict[str, list[ImageDetection]](), [*warnings]
+    names, first = _frame_names(entries, frames, {} if given is None else given.images)
+    if first is not None and "0" not in {entry.image for entry in entries}:
+        warnings.append(
+            f"{path}: its image_id are read as indices of images counted from {first}; a file of "
+            "categories with the names of its images says otherwise"
+        )
     for entry in entries:
         image = names.get(entry.image)
-        if image in known and entry.box is not None:
+        if image is not None and entry.box is not None:
             item = ImageDetection(entry.box, labels[entry.category], entry.score, entry.corners)
             found.setdefault(image, []).append(item)
     empty = sum(entry.box is None for entry in entries)
     if empty:
         warnings.append(f"{path}: skipped {empty} of {len(entries)} detections with an empty box")
+    others = {entry.image for entry in entries} - set(names)
+    if others and found:
+        count = sum(entry.image in others for entry in entries)
+        warnings.append(
+            f"{path}: {count} of {len(entries)} detections are in {len(others)} images that the "
+            f"scan does not use, such as image_id {min(others)}"
+        )
     if len(entries) > empty and not found:
         raise FileFormatError(
             f"{path}: none of its image_id names a frame of the scan, such as {frames[0].name!r}"
@@ -95,6 +108,40 @@ def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = Non
             else f"{path}: the scan has no images"
         )
     return Results(found, tuple(warnings))
+
+
+def _frame_names(
+    entries: Sequence[_Entry], frames: Sequence[Frame], images: Mapping[str, str]
+) -> tuple[dict[str, str], int | None]:
+    """Return the name of the frame that each `image_id` means, see `read_coco`.
+
+    Also return from what number the images of the recording are counted, if they are.
+    """
+    known = {frame.name: frame.name for frame in frames}
+    listed = {number: known[name] for number, name in images.items() if name in known}
+    numbers = [_number_in(frame.name) for frame in frames]
+    numbered = {str(n): f.name for n, f in zip(numbers, frames, strict=True) if n is not None}
+    if len(numbered) < len(frames):  # some have no number, or two have the same
+        numbered = {}
+    places = [k if frame.index is None else frame.index for k, frame in enumerate(frames)]
+    from_0 = {str(k): frame.name for k, frame in zip(places, frames, strict=True)}
+    from_1 = {str(k + 1): frame.name for k, frame in zip(places, frames, strict=True)}
+    used = {entry.image for entry in entries}
+    # Numbers without a 0 that end one beyond the last image are counted from 1.
+    last = max((int(one) for one in used if one.isdecimal()), default=0)
+    start = int("0" not in used and last == max(places, default=0) + 1)
+    if images:
+        return known | listed, None
+    by_name, by_index = known | numbered, known | (from_1 if start else from_0)
+    if len(used & set(by_index)) > len(used & set(by_name)):
+        return by_index, start
+    return by_name, None
+
+
+def _number_in(name: str) -> int | None:
+    """Return the number at the end of a name."""
+    found = re.search(r"\d{1,18}$", name)
+    return None if found is None else int(found[0])
 
 
 def _labels(

@@ -340,7 +340,9 @@ def _frames(
                 f"{where}: color is {color.shape[1::-1]} and depth {depth.shape[::-1]} pixels, "
                 f"{_UNREGISTERED}"
             )
-        frames[number] = Frame(shot.name, color, depth, K, shot.T_world_camera)
+        frames[number] = Frame(
+            shot.name, color, depth, K, shot.T_world_camera, shot.color
+        )  # fmt: skip
     sizes = {number: frame.color.shape[1::-1] for number, frame in frames.items()}
     kept = keep_common_size(sizes, skips, str(path))
     skips.refuse_none_left(len(kept), str(path))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -52,6 +52,8 @@ class FrameFiles:
     depth: Path | None
     pose: Path | Float[np.ndarray, "4 4"]
     """Camera to world, or the file with it."""
+    index: int = -1
+    """Index among the frames of the folder; `read_frames` sets it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +109,8 @@ def read_frames(
     """
     where, scale = str(layout.folder), depth_scale or layout.depth_scale
     skips = Skips(len(layout.frames))
-    posed = _with_poses(layout.frames, skips)
+    listed = [replace(files, index=i) for i, files in enumerate(layout.frames)]
+    posed = _with_poses(listed, skips)
     skips.refuse_none_left(len(posed), where)
     poses = np.array([T for _, T in posed]).reshape(-1, 4, 4)
     sharpness = sharpness_of([files.color for files, _ in posed])
@@ -140,7 +143,7 @@ def _read_frame(
     depth = None if files.depth is None else read_depth(files.depth, depth_scale)
     if depth is not None and (color.shape[:2] != depth.shape or not np.allclose(K, K_color)):
         color = match_color(color, K_color, K, (depth.shape[1], depth.shape[0]))
-    return Frame(files.name, color, depth, K, T_world_camera)
+    return Frame(files.name, color, depth, K, T_world_camera, files.index)
 
 
 def _common_intrinsics(
