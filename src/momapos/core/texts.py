@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import sys
-from typing import TextIO, TypeGuard
+from typing import Protocol, TypeGuard, runtime_checkable
 
 MAX_MESSAGE_LENGTH = 500
 """Largest number of characters in a message; longer ones lose their middle [-]."""
@@ -16,6 +16,14 @@ MAX_NAME_LENGTH = 1000
 """Largest number of characters of a name in a file [-]."""
 MAX_LABEL_LENGTH = 300
 """Largest number of characters of a text in a figure [-]."""
+
+
+@runtime_checkable
+class Writable(Protocol):
+    """A stream of text."""
+
+    def write(self, text: str, /) -> object: ...
+    def flush(self) -> object: ...
 
 
 def is_name(value: object, longest: int = MAX_NAME_LENGTH) -> TypeGuard[str]:
@@ -68,7 +76,7 @@ def escape_markdown(text: str) -> str:
 
 
 def say(
-    *words: object, sep: str = " ", end: str = "\n", file: TextIO | None = None,
+    *words: object, sep: str = " ", end: str = "\n", file: Writable | None = None,
     flush: bool = False,
 ) -> None:  # fmt: skip
     """Print words for people, as `print` does, without what controls their terminal."""
