@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from momapos.apps.bench.laboratory import ROOM, TASKS, draw_layout, shared_data, small_objects
-from momapos.apps.bench.printed import LABORATORY
+from momapos.apps.bench.authors_data import LABORATORY, authors_data
+from momapos.apps.bench.laboratory import TASKS, draw_layout, small_objects
+from momapos.apps.bench.printed import LABORATORY as PRINTED
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.model.records.protocols import ReachScorer
@@ -73,8 +74,8 @@ def trial(
 
 def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict[str, Any]]:
     """Run all trials, with the same worlds for every method."""
-    data = shared_data()
-    robot, room, small = load_robot(ROBOT), load_scene(data / ROOM), small_objects(data)
+    robot, small = load_robot(ROBOT), small_objects()
+    room = load_scene(authors_data("paper_tasks", LABORATORY) / LABORATORY)
     reach = load_reach_map(robot, default_cache_dir(), None)
     rows = []
     plan_by_method(
@@ -109,7 +110,7 @@ def report(rows: list[dict[str, Any]]) -> str:
         lines += [
             f"| | {one.name}, as printed | | | {one.time} +- {one.time_spread} | "
             f"{one.driving} +- {one.driving_spread} | | {one.success:.0f} |"
-            for one in LABORATORY.lines
+            for one in PRINTED.lines
             if one.task == task
         ]
     failed = Counter((r["task"], r["method"], str(r["reason"])) for r in rows if not r["success"])

@@ -13,7 +13,7 @@ from momapos.apps.bench.cells import Table
 from momapos.apps.bench.figures import bar_figure
 from momapos.apps.bench.html_report import page
 from momapos.apps.bench.metrics import labeled
-from momapos.apps.bench.printed import PRINTED
+from momapos.apps.bench.printed import LABORATORY
 from momapos.apps.bench.report_tables import all_tables
 from momapos.apps.bench.scan_stages import modeling_times, pies
 
@@ -32,14 +32,14 @@ def test_printed_figures_stand_beside_ours_in_every_line_of_a_printed_method() -
         row("c", method="m3", group="open fridge", outcome="gave up"),
         row("d", group="open fridge"),
     ]  # fmt: skip
-    table = by_title(all_tables(made, rows))["The paper's table and ours (retry, all)"]
+    table = by_title(all_tables(made, rows))["The published table and ours (retry, all)"]
     lines = {line[0].text + line[1].text: [cell.text for cell in line[2:]] for line in table.lines}
     assert lines["open fridgem3 (M3*)"] == [
         "67 % of 3", "26 %", "2.00 +- 0.00 m", "2.2 +- 0.1 m", "2.00 +- 1.00 s", "18.2 +- 8.4 s"
     ]  # fmt: skip
     assert lines["open fridgeours"][1::2] == ["-", "-", "-"]
     assert lines["grasp cuphabitat (Habitat)"][::2] == ["-", "-", "-"]
-    assert len(table.lines) == 1 + len(PRINTED)
+    assert len(table.lines) == 1 + len(LABORATORY.lines)
 
 
 def test_each_protocol_of_a_run_has_its_own_figures() -> None:
@@ -50,7 +50,7 @@ def test_each_protocol_of_a_run_has_its_own_figures() -> None:
     ]
     tables = by_title(all_tables(made, rows))
     for protocol, solved in (("first, pinch", "0 % of 1"), ("retry, all", "100 % of 1")):
-        lines = tables[f"The paper's table and ours ({protocol})"].lines
+        lines = tables[f"The published table and ours ({protocol})"].lines
         (line,) = (line for line in lines if line[1].text == "ours")
         assert line[2].text == solved
     methods = [line[0].text for line in tables["Methods"].lines]
@@ -71,7 +71,7 @@ def fridge_rows(**solved: range) -> list[Row]:
 def sentences(rows: list[Row], figure: str) -> list[str]:
     made = replace(suite(), name="paper-real")
     table = by_title(all_tables(made, rows))[
-        "Orders of the methods that differ from the paper's table (retry, all)"
+        "Orders of the methods that differ from the published table (retry, all)"
     ]
     return [line[0].text for line in table.lines if f", {figure} [" in line[0].text]
 

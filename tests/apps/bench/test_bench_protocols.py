@@ -222,8 +222,8 @@ def test_the_table_of_a_run_with_two_protocols_has_both_and_the_printed_figures(
     assert main(["bench", "report", out, *shown]) == 0
     text = capsys.readouterr().out
     for protocol in ("first, pinch", "retry, all"):
-        assert f"The paper's table and ours ({protocol})" in text
-        assert f"Orders of the methods that differ from the paper's table ({protocol})" in text
+        assert f"The published table and ours ({protocol})" in text
+        assert f"Orders of the methods that differ from the published table ({protocol})" in text
     lines = [line for line in text.splitlines() if line.startswith("| grasp cup | habitat (Habi")]
     assert len(lines) == 2
     assert all("100 % of 1 | 100 % |" in line and "3.2 +- 0.0 m" in line for line in lines)

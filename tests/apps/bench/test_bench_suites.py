@@ -12,11 +12,12 @@ import pytest
 from tests import optional
 from tests.real import DATA
 
-from momapos.apps.bench import laboratory, suites
+from momapos.apps.bench import authors_kitchens, laboratory, suites
+from momapos.apps.bench.authors_data import LABORATORY, SHARED, authors_data, data_lines
 from momapos.apps.bench.bench_records import Container, SuiteTask
 from momapos.apps.bench.containers import opened, without
 from momapos.apps.bench.dining_rooms import OBJECT_SIZES, PLACES, DiningRoom, make_room
-from momapos.apps.bench.laboratory import TASKS, laboratory_tasks, shared_data
+from momapos.apps.bench.laboratory import TASKS, laboratory_tasks
 from momapos.apps.bench.microwaves import MICROWAVE, microwave_on
 from momapos.apps.bench.suites import (
     SMOKE_TASKS,
@@ -26,7 +27,7 @@ from momapos.apps.bench.suites import (
     kitchen_tasks,
     spread,
 )
-from momapos.core.errors import FileFormatError
+from momapos.core.errors import FileFormatError, InputError
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
@@ -43,6 +44,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
 from momapos.model.scene.scene_object import SceneObject, upright_boxes
 from momapos.planning.grasps.task_requests import make_task, openable
+from momapos.planning.importance.ranking import rank
 from momapos.verification.exact_check import PlanVerifier
 
 
@@ -214,8 +216,8 @@ def test_the_same_seed_draws_the_same_room(drawn: DiningRoom, tmp_path: Path) ->
 def test_trials_differ_in_the_pose_of_the_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    optional.there(DATA / laboratory.ROOM)
-    monkeypatch.setenv(laboratory.SHARED, str(DATA))
+    optional.there(DATA / "bestman" / LABORATORY)
+    monkeypatch.setenv(SHARED, str(DATA))
     monkeypatch.setattr(laboratory, "TRIALS", 2)
     tasks = laboratory_tasks(0, ["ranger_rm63"], tmp_path)
     assert Counter(task.group for task in tasks) == dict.fromkeys(TASKS, 2)
@@ -229,6 +231,45 @@ def test_trials_differ_in_the_pose_of_the_table(
 def test_without_the_authors_data_the_message_states_the_searched_paths(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(laboratory.SHARED, str(tmp_path / "nowhere"))
-    with pytest.raises(FileFormatError, match=r"no file .*nowhere/data.* or .*MOMAPOS_SHARED"):
-        shared_data()
+    monkeypatch.setenv(SHARED, str(tmp_path / "nowhere"))
+    where = r"there is no .*nowhere/data/bestman/Asset.* or .*'momapos bench data paper'"
+    with pytest.raises(FileFormatError, match=where):
+        authors_data("paper-real", LABORATORY)
+    lines, complete = data_lines("paper")
+    assert not complete
+    assert sum(line.endswith("missing") for line in lines) == 5
+
+
+def test_the_authors_data_are_found_in_a_clone_of_their_repository(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SHARED, str(tmp_path))
+    clone = tmp_path / "bestman"
+    (clone / LABORATORY).parent.mkdir(parents=True)
+    (clone / LABORATORY).write_text("[]")
+    assert authors_data("paper-real", LABORATORY) == clone
+    assert not data_lines("paper-real")[1]
+    (clone / "Asset/Scene/URDF_models/B512").mkdir(parents=True)
+    assert data_lines("paper-real")[1]
+    with pytest.raises(InputError, match="no data belong to 'smoke'; choose from paper, "):
+        data_lines("smoke")
+
+
+def test_the_authors_bowl_stands_at_each_place_and_what_they_open_is_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    optional.there(DATA / "bestman" / "Asset/Scene/Kitchen_models")
+    monkeypatch.setenv(SHARED, str(DATA))
+    tasks = authors_kitchens.kitchen_tasks(0, ["segway_ur5e"], tmp_path)
+    assert Counter(task.group for task in tasks) == dict.fromkeys(
+        authors_kitchens.PLACES, authors_kitchens.TRIALS
+    )
+    for name, place in authors_kitchens.PLACES.items():
+        scene = load_scene(tmp_path / next(t.scene for t in tasks if t.group == name))
+        kept = {item.name for item in scene.objects}
+        assert kept >= {*place.kept, authors_kitchens.BOWL}
+        for item, joint, value in place.opened:
+            assert scene.object(item).values()[joint] == pytest.approx(value)
+        ranked = rank(scene, authors_kitchens.BOWL)
+        related = {"near"} if name == "in dishwasher" else {"carries", "contains"}  # a steep tray
+        assert related & set(ranked.relations), name

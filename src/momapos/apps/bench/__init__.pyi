@@ -7,6 +7,7 @@ from .arm_suite import check_arm_suite as check_arm_suite
 from .arm_suite import read_arm_results as read_arm_results
 from .arm_suite import run_arm_suite as run_arm_suite
 from .arm_suite import write_arm_results as write_arm_results
+from .authors_data import data_lines as data_lines
 from .bench_records import Commit as Commit
 from .bench_records import GraspSet as GraspSet
 from .bench_records import Outcome as Outcome

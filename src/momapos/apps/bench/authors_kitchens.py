@@ -10,6 +10,8 @@ Source: Project_MoMa-Pos, `utils_Kitchen_*.py` and `MoMa_main.py`.
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,11 +22,41 @@ from momapos.core.geometry import pose
 from momapos.model.scene import Scene, SceneObject, copied, load_scene, save_scene
 from momapos.model.urdf import Articulated, box_urdf
 
+from .authors_data import authors_data
 from .bench_records import SuiteTask
-from .laboratory import shared_data
 
-KITCHEN = "bestman/derived/kitchen_v2.json"
-BOWL = "Bowl_Target"
+MODELS = "Asset/Scene/Kitchen_models/models"
+CHAIR = "Asset/Scene/URDF_models/furniture_chair/model.urdf"
+FURNITURE = (
+    ("elementA", f"{MODELS}_yan/elementA/urdf/kitchen_part_right_gen_convex.urdf",
+     (4.0, 2.0, 1.477), 180.0, 1.0),
+    ("elementB1", f"{MODELS}_yan/elementB/model.urdf", (4.1, 4.55, 0.55), 270.0, 1.1),
+    ("elementB2", f"{MODELS}_yan/elementB/model.urdf", (4.1, 5.25, 0.55), 270.0, 1.1),
+    ("elementC", f"{MODELS}/Dishwasher/2085/mobility.urdf", (3.85, 3.2, 0.35), 0.0, 0.75),
+    ("elementD", f"{MODELS}/Microwave/7128/mobility.urdf", (4.0, 2.9, 1.1), 0.0, 0.5),
+    ("elementE", f"{MODELS}/Fridge/10144/mobility.urdf", (4.1, 5.42, 1.055), 0.0, 1.1),
+    ("elementF", "Asset/Scene/URDF_models/furniture_table_rectangle_high/table.urdf",
+     (1.5, 2.0, 0.0), 90.0, 1.0),
+    ("elementG1", CHAIR, (1.5, 2.8, 0.0), 270.0, 1.0),
+    ("elementG2", CHAIR, (2.1, 2.2, 0.0), 180.0, 1.0),
+    ("elementG3", CHAIR, (1.5, 1.1, 0.0), 90.0, 1.0),
+    ("elementG4", CHAIR, (2.1, 2.7, 0.0), 180.0, 1.0),
+)  # fmt: skip
+"""Name, model below the authors' repository, position [m], yaw [deg] and scale."""
+SMALL = {
+    "peach": ((0.077, 0.075, 0.071), (1.8, 2.0, 0.861)),
+    "banana": ((0.081, 0.203, 0.043), (1.3, 2.2, 0.847)),
+    "orange": ((0.074, 0.072, 0.072), (1.7, 1.7, 0.861)),
+    "lemon": ((0.065, 0.067, 0.060), (1.8, 1.8, 0.855)),
+    "plate": ((0.155, 0.155, 0.023), (1.5, 2.2, 0.837)),
+    "mug": ((0.130, 0.161, 0.114), (3.9, 4.6, 0.966)),
+    "toothpaste": ((0.050, 0.187, 0.035), (3.9, 4.9, 0.926)),
+    "pudding": ((0.120, 0.096, 0.045), (4.0, 0.8, 0.949)),
+    "sugar": ((0.099, 0.183, 0.052), (3.8, 0.7, 0.953)),
+}
+"""Edges and middle of boxes for other things on tables and counters [m]."""
+BOWL, BOWL_HEIGHT = "bowl", 0.055
+"""The target, and its height [m]."""
 START = (2.0, 6.0, np.pi / 2)
 """Start of the robot in every trial [m], [rad]."""
 TRIALS = 5
@@ -49,7 +81,7 @@ PLACES = {
     "on dinner table": Place((1.7, 2.2, 0.85)),
     "on table": Place((1.7, 2.2, 1.0), ("elementF",)),
     "on countertop": Place(
-        (4.0, 4.0, 1.0), ("elementB1", "elementB2", "elementC", "mug", "toothpaste_1")
+        (4.0, 4.0, 1.0), ("elementB1", "elementB2", "elementC", "mug", "toothpaste")
     ),
     "in fridge": Place((4.0, 5.3, 1.4), ("elementE",), (("elementE", "fridge_door", np.pi / 2),)),
     "in drawer": Place(
@@ -70,7 +102,7 @@ def kitchen_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteT
     Raises:
         FileFormatError: The authors' data are missing.
     """
-    kitchen = load_scene(shared_data() / KITCHEN)
+    kitchen = _kitchen(folder)
     files = {name: f"scenes/{name.replace(' ', '_')}.json" for name in PLACES}
     with copied(kitchen, folder / "scenes" / "kitchen.json") as room:
         for name, place in PLACES.items():
@@ -86,20 +118,35 @@ def kitchen_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteT
     ]  # fmt: skip
 
 
+def _kitchen(folder: Path) -> Scene:
+    """Return the kitchen without the bowl, with its models in the authors' repository."""
+    root, rows = authors_data("authors-sim", FURNITURE[0][1]), []
+    for name, model, position, yaw, scale in FURNITURE:
+        rows.append({
+            "obj_name": name, "model_path": model, "object_position": position, "scale": scale,
+            "object_orientation": (0.0, 0.0, math.radians(yaw)), "fixed_base": True,
+        })  # fmt: skip
+    file = folder / "scenes" / "furniture.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(rows))
+    boxes = [
+        SceneObject(name, name, pose(middle), Articulated(box_urdf(name, edges)))
+        for name, (edges, middle) in SMALL.items()
+    ]
+    scene = load_scene(file, root=root)
+    return replace(scene, objects=(*scene.objects, *boxes))
+
+
 def _furnished(kitchen: Scene, place: Place) -> Scene:
     """Return the kitchen with what the authors keep, and the bowl standing at its place."""
     for item, joint, value in place.opened:
         kitchen = kitchen.with_joints({item: {joint: value}})
-    others = [
-        o for o in kitchen.objects if o.name != BOWL and (not place.kept or o.name in place.kept)
-    ]
-    height = float(np.ptp(kitchen.object(BOWL).bounds[:, 2]))
-    model = Articulated(box_urdf(BOWL, (WIDTH, WIDTH, height)))
+    others = [o for o in kitchen.objects if not place.kept or o.name in place.kept]
+    model = Articulated(box_urdf(BOWL, (WIDTH, WIDTH, BOWL_HEIGHT)))
     x, y, _ = place.position
-    T = pose((x, y, _top_below(place.position, others) + height / 2))
-    return replace(
-        kitchen, objects=(*others, SceneObject(BOWL, "bowl", T, model)), start=np.array(START)
-    )
+    T = pose((x, y, _top_below(place.position, others) + BOWL_HEIGHT / 2))
+    bowl = SceneObject(BOWL, BOWL, T, model)
+    return replace(kitchen, objects=(*others, bowl), start=np.array(START))
 
 
 def _top_below(position: tuple[float, float, float], others: Sequence[SceneObject]) -> float:

@@ -7,8 +7,6 @@ table and the objects on it; the fridge and the robot's start stay.
 
 from __future__ import annotations
 
-import csv
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -17,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import FileFormatError, SceneError
+from momapos.core import SceneError
 from momapos.core.geometry import pose, pose_planar
 from momapos.model.collision import FREE, base_hits
 from momapos.model.robots import Robot, load_robot
@@ -26,23 +24,22 @@ from momapos.model.urdf import Articulated, box_urdf
 from momapos.planning.grasps import make_task
 from momapos.verification import PlanVerifier
 
+from .authors_data import LABORATORY, authors_data
 from .bench_records import SuiteTask, Verb
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-SHARED = "MOMAPOS_SHARED"
-"""Environment variable that names the folder of the authors' data."""
 TRIALS = 50
-ROOM = "bestman/Asset/Scene/Scene/b512.json"
-SIZES = "bestman/derived/urdf_models_sizes.csv"
 START = (-2.0, -6.0, np.pi)
 """Start of the robot in every trial: 3 m in front of the table, facing it [m], [rad]."""
 TABLE, MICROWAVE = "Table", "Mic"
 SMALL_OBJECTS = {
-    "apple": "plastic_apple", "cup": "blue_cup", "box": "lipton_tea", "can": "green_cup",
+    "apple": (0.082646, 0.082646, 0.079053002), "cup": (0.087695002, 0.112706001, 0.074358),
+    "box": (0.077892001, 0.162460002, 0.094790998), "can": (0.085962, 0.111511002, 0.072714002),
 }  # fmt: skip
-"""Objects on the table, and the object of the shared data whose size each has."""
+"""Edges of the objects on the table [m]: those of an apple, two cups and a box of tea in a public
+collection of household objects (yding25/URDF_models)."""
 MAX_SHIFT, MAX_TURN = 0.3, np.radians(15.0)
 """Maximum displacement of the table in x and in y [m], and its maximum rotation [rad]."""
 FRONT_DEPTH = 0.45
@@ -58,34 +55,16 @@ TASKS: dict[str, tuple[Verb, str, str | None]] = {
 }
 
 
-def shared_data() -> Path:
-    """Find the folder that contains `bestman`, the authors' data.
-
-    Raises:
-        FileFormatError: There is none; the message states the searched paths.
-    """
-    given = Path(os.environ.get(SHARED, "shared"))
-    folders = (given / "data", given)
-    for folder in folders:
-        if (folder / ROOM).is_file() and (folder / SIZES).is_file():
-            return folder
-    searched = " or ".join(str((folder / ROOM).absolute()) for folder in folders)
-    raise FileFormatError(
-        f"paper-real needs the authors' laboratory, which is not part of momapos: no file "
-        f"{searched}; set {SHARED} to the folder that contains bestman/"
-    )
-
-
 def laboratory_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
     """Return the four tasks of every trial; write scene files and models below the folder.
 
     Raises:
         FileFormatError: The authors' data are missing.
     """
-    data = shared_data()
-    small, first = small_objects(data), load_robot(robots[0])
+    root = authors_data("paper-real and paper-table", LABORATORY)
+    small, first = small_objects(), load_robot(robots[0])
     names = [f"scenes/trial_{number:02d}.json" for number in range(TRIALS)]
-    with copied(load_scene(data / ROOM), folder / "scenes" / "laboratory.json") as room:
+    with copied(load_scene(root / LABORATORY), folder / "scenes" / "laboratory.json") as room:
         for number, name in enumerate(names):
             rng = np.random.default_rng([seed, number])
             save_scene(draw_layout(room, first, small, rng), folder / name)
@@ -99,20 +78,12 @@ def laboratory_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[Sui
     ]  # fmt: skip
 
 
-def small_objects(data: Path) -> list[SceneObject]:
-    """Build boxes with the sizes of household objects, on the floor at the origin.
-
-    Args:
-        data: The folder that contains `bestman`.
-    """
-    with (data / SIZES).open(encoding="utf-8") as file:
-        sizes = {row["object_name"]: row for row in csv.DictReader(file)}
-    made = []
-    for name, like in SMALL_OBJECTS.items():
-        x, y, z = (float(sizes[like][f"size_{axis}"]) for axis in "xyz")
-        T = pose((0.0, 0.0, z / 2))
-        made.append(SceneObject(name, name, T, Articulated(box_urdf(name, (x, y, z)))))
-    return made
+def small_objects() -> list[SceneObject]:
+    """Build boxes with the sizes of household objects, on the floor at the origin."""
+    return [
+        SceneObject(name, name, pose((0.0, 0.0, edges[2] / 2)), Articulated(box_urdf(name, edges)))
+        for name, edges in SMALL_OBJECTS.items()
+    ]
 
 
 def moved(item: SceneObject, T_world_world: Float[np.ndarray, "4 4"]) -> SceneObject:

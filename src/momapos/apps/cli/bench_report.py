@@ -22,6 +22,22 @@ if TYPE_CHECKING:
     from momapos.apps.bench import AnswerMap, Contents, Row
 
 
+def bench_data(suite: Annotated[Positional[str], arg(metavar="SUITE")], /) -> int:
+    """Print what a suite needs that momapos does not contain, and where it must lie.
+
+    Exit status: 0 all is there; 2 something is missing.
+
+    Args:
+        suite: paper for all suites of the paper, or one of paper-real, paper-table, authors-sim.
+    """
+    from momapos.apps.bench import data_lines
+
+    lines, complete = data_lines(suite)
+    for line in lines:
+        say(line)
+    return 0 if complete else 2
+
+
 def bench_report(
     folder: Annotated[Positional[Path], arg(metavar="DIR")],
     /,

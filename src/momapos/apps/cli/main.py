@@ -54,7 +54,10 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     ),
     "bench": (
         "compare methods: run a suite of tasks, report the results",
-        {"run": "bench:bench_run", "report": "bench_report:bench_report"},
+        {
+            "run": "bench:bench_run", "report": "bench_report:bench_report",
+            "data": "bench_report:bench_data",
+        },
     ),
 }  # fmt: skip
 """Summary of each command, and its function, or those of its subcommands, in `momapos.apps.cli`.
