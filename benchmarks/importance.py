@@ -27,7 +27,7 @@ from momapos.model.scene.scene_names import builtin_names
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
-from momapos.planning.importance.config import ImportanceConfig, ScorerName
+from momapos.planning.importance.config import GraphConfig, ImportanceConfig, ScorerName
 from momapos.planning.importance.ranking import rank
 from momapos.planning.importance.relations import KINDS
 from momapos.planning.importance.scene_graph import build_graph
@@ -80,7 +80,8 @@ def noise(scene: Scene, target: str) -> str:
     """Return the standard deviation of deepwalk's scores over seeds, and how many cross alpha."""
     if len(scene.objects) > 100:
         return "-"
-    walks = ImportanceConfig(scorer="deepwalk")
+    graph = GraphConfig(edges="near")
+    walks = ImportanceConfig(scorer="deepwalk", weights="scaled", exceed=False, graph=graph)
     runs = [rank(scene, target, walks, seed=seed) for seed in range(SEEDS)]
     scores = np.array([[run.score(name) for name in run.graph.names] for run in runs])
     mean, alpha = scores.mean(0), runs[0].alpha

@@ -16,11 +16,11 @@ import argparse
 import json
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -40,7 +40,7 @@ from momapos.planning.arm_motion.free_grasps import collision_free_grasps
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import hand_path, make_task
-from momapos.planning.importance.config import ImportanceConfig, ScorerName
+from momapos.planning.importance.config import EdgesName, GraphConfig, ImportanceConfig, ScorerName
 from momapos.planning.importance.ranking import rank
 from momapos.planning.placement.area import BaseStatus, base_pose_status, sampling_box, task_frame
 from momapos.planning.reachability.map_store import load_reach_map
@@ -54,6 +54,8 @@ MIN_POSES = 10
 SEEDS = 3
 PLAIN: tuple[ScorerName, ...] = ("distance", "size", "reach", "names")
 K0 = (0.0, 0.25, 0.5, 0.75, 1.0)
+WALKERS: tuple[ScorerName, ...] = ("deepwalk", "node2vec")
+"""Scorers that walk over the graph; each is measured with each choice of its edges."""
 Rows = Int[np.ndarray, " m"]
 
 
@@ -154,14 +156,21 @@ def truth(question: Question) -> dict[str, Any] | None:
 
 def scores(question: Question) -> dict[str, list[list[float]]]:
     """Return the scores of the objects by each scorer, one list per seed."""
-    configs = {f"deepwalk k0={k0:g}": ImportanceConfig(scorer="deepwalk", k0=k0) for k0 in K0}
+    walks = ImportanceConfig(
+        scorer="deepwalk", weights="scaled", exceed=False, graph=GraphConfig(edges="near")
+    )
+    configs = {f"deepwalk k0={k0:g}": replace(walks, k0=k0) for k0 in K0}
+    for scorer in WALKERS:
+        for edges in get_args(EdgesName):
+            graph = GraphConfig(edges=edges)
+            configs[f"{scorer}, {edges}"] = ImportanceConfig(scorer=scorer, graph=graph)
     configs |= {name: ImportanceConfig(scorer=name) for name in PLAIN}
     task = question.task
     path = hand_path(question.scene, task.object, task.joint, task.to)
     return {
         name: [
             [ranked.score(item.name) for item in question.others]
-            for seed in range(SEEDS if "deepwalk" in name else 1)
+            for seed in range(SEEDS if config.scorer in WALKERS else 1)
             for ranked in [rank(question.scene, task.object, config, path=path, seed=seed)]
         ]
         for name, config in configs.items()

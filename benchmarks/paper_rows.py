@@ -1,0 +1,134 @@
+"""Keep the rows of a run of the paper's suites, and print its table for docs/results/paper.md.
+
+    python benchmarks/paper_rows.py DIR [--out docs/results/rows]
+
+DIR is a folder of `momapos bench run paper-table` or `authors-sim`. The rows go into a compressed
+CSV file, from which a test computes every line of the table again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import gzip
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from momapos.apps.bench import all_rows, read_folder
+from momapos.apps.bench.metrics import succeeded
+from momapos.apps.bench.report_tables import PUBLISHED
+
+
+class Answer(NamedTuple):
+    """What the table needs of an answer."""
+
+    task: str
+    group: str
+    method: str
+    protocol: str
+    success: bool
+    seconds: float
+    """Processor time of the answer [s]."""
+    driving: float
+    """Driving length [m]; NaN without a plan."""
+
+
+def answers_of(folder: Path) -> tuple[str, list[Answer]]:
+    """Return the suite of a results folder, and its answers."""
+    suite = read_folder(folder).suite
+    found = [
+        Answer(
+            row.task, row.group, row.method, row.protocol, succeeded(row),
+            round(row.seconds or 0.0, 4), np.nan if row.driving is None else round(row.driving, 4),
+        )
+        for row in all_rows(folder)
+    ]  # fmt: skip
+    return suite.name, sorted(found)
+
+
+def write(answers: Sequence[Answer], file: Path) -> None:
+    """Write answers as CSV, compressed without a date so that equal answers give equal files."""
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow(Answer._fields)
+    for one in answers:
+        driving = "" if np.isnan(one.driving) else one.driving
+        lines.writerow([*one[:4], int(one.success), one.seconds, driving])
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
+
+
+def read(file: Path) -> list[Answer]:
+    """Read what `write` wrote."""
+    text = gzip.decompress(file.read_bytes()).decode()
+    return [
+        Answer(
+            row["task"], row["group"], row["method"], row["protocol"], row["success"] == "1",
+            float(row["seconds"]), float(row["driving"] or "nan"),
+        )
+        for row in csv.DictReader(io.StringIO(text))
+    ]  # fmt: skip
+
+
+def table(suite: str, answers: Sequence[Answer]) -> list[str]:
+    """Return the lines of a suite's table as Markdown: time [s], driving [m], success [%]."""
+    published = PUBLISHED[suite]
+    counts = [len({a.task for a in answers if a.group == task}) for task in published.tasks]
+    heads = [f"{task} ({count})" for task, count in zip(published.tasks, counts, strict=True)]
+    lines = [f"| method | condition | {' | '.join(heads)} |", "|---" * (len(heads) + 2) + "|"]
+    names = {ours: name for name, ours in published.methods.items()}
+    for method in dict.fromkeys(a.method for a in sorted(answers, key=lambda a: _order(a.method))):
+        if method in names:
+            printed = [one for one in published.lines if one.name == names[method]]
+            cells = [f"{one.time:.1f}, {one.driving:.1f}, {one.success:.0f}" for one in printed]
+            lines.append(f"| {names[method]} | as published | {' | '.join(cells)} |")
+        for protocol in sorted({a.protocol for a in answers}):
+            mine = [a for a in answers if (a.method, a.protocol) == (method, protocol)]
+            cells = [_cell([a for a in mine if a.group == task]) for task in published.tasks]
+            lines.append(f"| `{method}` | {protocol} | {' | '.join(cells)} |")
+    return lines
+
+
+def medians(suite: str, answers: Sequence[Answer]) -> list[str]:
+    """Return the lines of a table of median times under the first protocol [ms], as Markdown."""
+    tasks, first = PUBLISHED[suite].tasks, min(a.protocol for a in answers)
+    head = f"| median time, {first} [ms] | {' | '.join(tasks)} |"
+    lines = [head, "|---" * (len(tasks) + 1) + "|"]
+    for method in sorted({a.method for a in answers}, key=_order):
+        mine = [a for a in answers if (a.method, a.protocol) == (method, first) and a.success]
+        times = [[1000 * a.seconds for a in mine if a.group == task] for task in tasks]
+        cells = [f"{np.median(some):.0f}" if some else "-" for some in times]
+        lines.append(f"| `{method}` | {' | '.join(cells)} |")
+    return lines
+
+
+def _order(method: str) -> tuple[int, str]:
+    first = ("ours", "paper", "authors", "habitat", "m3", "reuleaux")
+    return first.index(method.partition(":")[0]), method
+
+
+def _cell(answers: Sequence[Answer]) -> str:
+    good = [a for a in answers if a.success]
+    if not good:
+        return "-, -, 0"
+    seconds, driving = (float(np.mean([getattr(a, f) for a in good])) for f in Answer._fields[-2:])
+    return f"{seconds:.2f}, {driving:.2f}, {100 * len(good) / len(answers):.0f}"
+
+
+def main() -> None:
+    """Keep the rows and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("docs/results/rows"))
+    args = parser.parse_args()
+    suite, answers = answers_of(args.folder)
+    write(answers, args.out / f"{suite}.csv.gz")
+    print("\n".join([*table(suite, answers), "", *medians(suite, answers)]))
+
+
+if __name__ == "__main__":
+    main()
