@@ -54,7 +54,7 @@ SMALL = {
     "pudding": ((0.120, 0.096, 0.045), (4.0, 0.8, 0.949)),
     "sugar": ((0.099, 0.183, 0.052), (3.8, 0.7, 0.953)),
 }
-"""Edges and middle of boxes for other things on tables and counters [m]."""
+"""Edges and middle of boxes for small objects on tables and counters [m]."""
 BOWL, BOWL_HEIGHT = "bowl", 0.055
 """The target, and its height [m]."""
 START = (2.0, 6.0, np.pi / 2)
