@@ -133,7 +133,9 @@ def front_of(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) 
     faces = box_faces(item.box)
     sides = [at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in faces]
     backed = [sides[face.opposite] for face in faces]
-    return choose_view(item.box, survey.frames, seen, look, method, survey.rows, backed)
+    return choose_view(
+        item.box, survey.frames, seen, look, method, survey.rows, backed, tools.frontal
+    )
 
 
 def shows_handles(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) -> bool:

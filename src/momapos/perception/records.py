@@ -78,6 +78,9 @@ class Tools:
     """Used if `predict` finds no parts on a front."""
     detect: Detector | None = None
     """Labels objects in the images; without it, labels follow from sizes."""
+    frontal: Mapping[str, float] | None = None
+    """Scores of a frontal classifier by frame, from 0 to 1; None: camera poses and `look`. They
+    count where the first frontal image decides, see `ScanConfig.views`."""
 
 
 class PartSource(StrEnum):

@@ -21,6 +21,7 @@ from momapos.model.records.scans import Frame
 from momapos.perception.detection.categories import read_categories
 from momapos.perception.detection.coco import CATEGORIES
 from momapos.perception.detection.coco_results import Results, read_coco
+from momapos.perception.detection.frontal_scores import read_frontal
 
 
 def frames() -> list[Frame]:
@@ -114,6 +115,32 @@ def test_the_number_in_a_name_comes_before_the_index(tmp_path: Path) -> None:
     assert set(results.found) == {"frame-000010", "frame-000020", "frame-000030"}
     assert "1 of 4 detections" in results.warnings[0]
     assert set(ids(tmp_path, [0, 1], images).found) == {"frame-000010", "frame-000020"}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [{"view a": 0.9, "view c": 0}, [{"image_id": 0, "score": 0.9}, {"image_id": 2, "score": 0}]],
+)
+def test_scores_of_a_frontal_classifier_belong_to_frames(tmp_path: Path, content: Any) -> None:
+    found = read_frontal(written(tmp_path / "s.json", content), with_indices(0, 2))
+    assert found == {"view a": 0.9, "view c": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"view a": 1.5}, r"score 0: must be from 0 to 1, not 1\.5"),
+        ({"view a": float("nan")}, "must be from 0 to 1, not nan"),
+        ([{"score": 0.5}], "needs image_id"),
+        ({"other": 0.5}, "none of its images is one of the scan"),
+        (3, "must be an object of scores by image, or a list"),
+    ],
+)
+def test_a_wrong_file_of_frontal_scores_is_refused_in_one_line(
+    tmp_path: Path, content: Any, words: str
+) -> None:
+    with pytest.raises(FileFormatError, match=words):
+        read_frontal(written(tmp_path / "s.json", content), with_indices(0, 2))
 
 
 def labels(results: Results) -> list[str]:

@@ -95,6 +95,17 @@ def test_first_takes_the_most_central_frontal_image() -> None:
     assert view.frame == passing[0]
 
 
+def test_a_frontal_classifier_decides_instead_of_pose_and_front_score() -> None:
+    frames = [replace(f, name=f"view {k}") for k, f in enumerate(around([1.5, 0.2, 0.0], FRONT))]
+    seen = observations(FRIDGE, frames)
+    for chosen in range(3):
+        scores = {f"view {k}": 0.9 if k == chosen else 0.4 for k in range(3)}
+        view = choose_view(FRIDGE, frames, seen, red_is_front, "first", frontal=scores)
+        assert view is not None
+        assert view.frame == chosen
+    assert choose_view(FRIDGE, frames, seen, red_is_front, "first", frontal={}) is None
+
+
 def test_no_front_is_found_if_no_image_shows_one() -> None:
     frames = around([0.0], 3)
     seen = observations(FRIDGE, frames)

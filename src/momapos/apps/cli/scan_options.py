@@ -40,6 +40,9 @@ class ScanOptions:
     """Detections in the images: results of Detectron2, or of Omni3D with 3-D boxes."""
     categories: OptionalFile = None
     """Names of the categories in --detections, as COCO's dataset files and Omni3D have them."""
+    frontal: OptionalFile = None
+    """Scores of a frontal classifier by image (JSON); the first frontal image then chooses the
+    front of an object, as in the paper."""
     detector: Annotated[Text, optional("DETECTOR")] = None
     """Detector that labels objects: a YOLOX ONNX file, or a name of `momapos models list`."""
     label: LabelsArg = ()
@@ -106,9 +109,11 @@ def scan_config(options: ScanOptions, settings: ScanSettings) -> ScanConfig:
 
     if options.predictor == "urdformer" and options.checkpoint is None:
         raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
+    if options.frontal is not None and settings.views == "voting":
+        raise InputError("--frontal names the image that decides; leave out scan.views=voting")
     return ScanConfig(
         voxel=settings.voxel,
-        views=settings.views,
+        views=settings.views if options.frontal is None else "first",
         model=ModelConfig(grid=12 if settings.grid else None),
     )
 
@@ -128,7 +133,12 @@ def tools_for(scan: Scan, options: ScanOptions, detector: Detector | None) -> To
         assert options.checkpoint is not None, "scan_config checks it"
         predict = UrdformerPredictor(load_urdformer(options.checkpoint), tools.look)
     segment = tools.segment if options.instances is None else _reader(scan, options.instances)
-    return replace(tools, segment=segment, predict=predict)
+    frontal = None
+    if options.frontal is not None:
+        from momapos.perception.detection import read_frontal
+
+        frontal = read_frontal(options.frontal, scan.frames)
+    return replace(tools, segment=segment, predict=predict, frontal=frontal)
 
 
 def _reader(scan: Scan, path: Path) -> Segmenter:
@@ -173,7 +183,7 @@ def stand_ins(options: ScanOptions) -> dict[str, str]:
     }
     return {
         "Detectron2": projected if detections is None else f"{detections}, else {projected}",
-        "ResNet50": "camera poses and momapos' front network",
+        "ResNet50": str(options.frontal or "camera poses and momapos' front network"),
         "URDFormer": predictors[options.predictor],
         "Mask3D": "momapos' segmentation" if options.instances is None else str(options.instances),
     }

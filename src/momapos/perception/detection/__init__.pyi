@@ -9,6 +9,7 @@ from .detector_models import cached_path as cached_path
 from .detector_models import fetch as fetch
 from .detector_models import find_model as find_model
 from .frames import detect as detect
+from .frontal_scores import read_frontal as read_frontal
 from .relabel import parse_labels as parse_labels
 from .relabel import relabeled as relabeled
 from .relabel import with_given_labels as with_given_labels

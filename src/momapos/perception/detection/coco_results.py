@@ -7,7 +7,7 @@ for COCO 1 to 90 with gaps. Omni3D's evaluator adds the corners of a 3-D box in 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,8 +80,9 @@ def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = Non
     entries = [_entry(item, f"{path}: detection {index}") for index, item in enumerate(data)]
     labels, warnings = _labels(entries, given, path, categories)
     found, warnings = dict[str, list[ImageDetection]](), [*warnings]
-    names, first = _frame_names(entries, frames, {} if given is None else given.images)
-    if first is not None and "0" not in {entry.image for entry in entries}:
+    used = {entry.image for entry in entries}
+    names, first = frame_names(used, frames, {} if given is None else given.images)
+    if first is not None and "0" not in used:
         warnings.append(
             f"{path}: its image_id are read as indices of images counted from {first}; a file of "
             "categories with the names of its images says otherwise"
@@ -94,7 +95,7 @@ def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = Non
     empty = sum(entry.box is None for entry in entries)
     if empty:
         warnings.append(f"{path}: skipped {empty} of {len(entries)} detections with an empty box")
-    others = {entry.image for entry in entries} - set(names)
+    others = used - set(names)
     if others and found:
         count = sum(entry.image in others for entry in entries)
         warnings.append(
@@ -110,12 +111,17 @@ def read_coco(path: Path, frames: Sequence[Frame], categories: Path | None = Non
     return Results(found, tuple(warnings))
 
 
-def _frame_names(
-    entries: Sequence[_Entry], frames: Sequence[Frame], images: Mapping[str, str]
+def frame_names(
+    used: Set[str], frames: Sequence[Frame], images: Mapping[str, str]
 ) -> tuple[dict[str, str], int | None]:
     """Return the name of the frame that each `image_id` means, see `read_coco`.
 
     Also return from what number the images of the recording are counted, if they are.
+
+    Args:
+        used: Each `image_id` of a file.
+        frames: The images of the scan.
+        images: Names of images by `image_id`, if the file has them.
     """
     known = {frame.name: frame.name for frame in frames}
     listed = {number: known[name] for number, name in images.items() if name in known}
@@ -126,7 +132,6 @@ def _frame_names(
     places = [k if frame.index is None else frame.index for k, frame in enumerate(frames)]
     from_0 = {str(k): frame.name for k, frame in zip(places, frames, strict=True)}
     from_1 = {str(k + 1): frame.name for k, frame in zip(places, frames, strict=True)}
-    used = {entry.image for entry in entries}
     # Numbers without a 0 that end one beyond the last image are counted from 1.
     last = max((int(one) for one in used if one.isdecimal()), default=0)
     start = int("0" not in used and last == max(places, default=0) + 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -115,6 +115,7 @@ def choose_view(
     method: ViewMethod = "voting",
     known: Sequence[KnownFront] = (),
     backed: Sequence[bool] = (False,) * FACES,
+    frontal: Mapping[str, float] | None = None,
 ) -> FrontView | None:
     """Find the front of a box (MoMa-Pos, III-B).
 
@@ -130,12 +131,14 @@ def choose_view(
         method: Vote of all images for each face, or the first image that passes, as in the paper.
         known: Fronts of rows that the box may be a piece of (voting).
         backed: Whether the side opposite to each face stands against a wall (voting).
+        frontal: Scores of a frontal classifier by frame, in place of pose and front score (first);
+            a frame without a score is not frontal.
 
     Returns:
         The front; None if no image shows one.
     """
     if method == "first":
-        return _first(box, frames, seen, look)
+        return _first(box, frames, seen, look, frontal)
     return _voting(box, frames, seen, look, known, backed)
 
 
@@ -144,20 +147,24 @@ def _first(
     frames: Sequence[Frame],
     seen: Sequence[Observation],
     look: FrontDetector,
+    frontal: Mapping[str, float] | None,
 ) -> FrontView | None:
     faces = box_faces(box)
     for sight in seen:
         cosines = np.array([cosines_to(face, [frames[sight.frame]])[0] for face in faces])
-        face = faces[int(np.argmax(cosines))]
-        if cosines.max() < np.cos(np.radians(MAX_FRONTAL_ANGLE)):
-            continue
-        frame = frames[sight.frame]
-        if visible_share(face, frame) < MIN_SHOWN:
+        face, frame = faces[int(np.argmax(cosines))], frames[sight.frame]
+        if frontal is not None:
+            if frontal.get(frame.name, 0.0) < MIN_FRONT_PROBABILITY:
+                continue
+        elif (
+            cosines.max() < np.cos(np.radians(MAX_FRONTAL_ANGLE))
+            or visible_share(face, frame) < MIN_SHOWN
+        ):
             continue
         image = face_image(face, [frame])
         views = FaceViews(face, [frame], [0])
         front = views.look(0, look, MIN_FRONT_PROBABILITY)
-        if front_evidence(front, image) >= MIN_FRONT_PROBABILITY:
+        if frontal is not None or front_evidence(front, image) >= MIN_FRONT_PROBABILITY:
             angle = float(np.arccos(min(1.0, cosines.max())))
             around = views.surroundings([0])
             return FrontView(face, sight.frame, angle, image, front, around, ())
