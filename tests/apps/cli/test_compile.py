@@ -85,14 +85,15 @@ def test_checking_a_car_like_robot_compiles_only_the_announced_kernels(
     assert used <= {*ANSWER, *CHECK}
 
 
-@pytest.mark.parametrize("command", ["rank", "walks", "verify"])
+@pytest.mark.parametrize("command", ["rank", "walks", "near", "verify"])
 def test_verifying_and_ranking_compile_only_the_announced_kernels(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = tmp_path / "plan.json"
+    plan, walks = tmp_path / "plan.json", ["rank", "kitchen_small", "fridge", "--scorer"]
     words, announced = {
         "rank": (["rank", "kitchen_small", "fridge"], RANK),
-        "walks": (["rank", "kitchen_small", "fridge", "--scorer", "deepwalk"], RANK + WALKS),
+        "walks": ([*walks, "node2vec"], RANK[:1] + WALKS),
+        "near": ([*walks, "deepwalk", "--set", "importance.graph.edges=near"], RANK + WALKS),
         "verify": (["verify", str(plan)], VERIFY),
     }[command]
     if command == "verify":

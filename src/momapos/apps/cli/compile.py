@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import importlib
 import sys
+from typing import TYPE_CHECKING
 
 from momapos.core.compiled import ENTRIES, store
+
+if TYPE_CHECKING:
+    from momapos.planning.importance import ImportanceConfig
 
 ANSWER = (
     "momapos.core.geometry.monotone_chain._chain",
@@ -66,7 +70,18 @@ WALKS = (
     "momapos.planning.importance.embedding._train",
     "momapos.planning.importance.random_walks._walk",
 )
-"""Further kernels for the deepwalk scores."""
+"""Further kernels for the scores of walks."""
+
+
+def rank_kernels(config: ImportanceConfig) -> tuple[str, ...]:
+    """Return the kernels for the scene graph and the scores of a configuration."""
+    from momapos.planning.importance import WALKERS
+
+    graph, nearest = RANK
+    near = (nearest,) if config.resolved.graph.edges == "near" else ()
+    return (graph, *near, *(WALKS if config.scorer in WALKERS else ()))
+
+
 ON_FIRST_USE = {
     "momapos.planning.reachability": "a map is built once per robot, and shows its progress",
     "momapos.model.collision.arm_collision": "exact reach, compact tours and drawings",

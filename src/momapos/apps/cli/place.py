@@ -362,12 +362,13 @@ def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) ->
     """Plan with each arm, and add what the options ask for."""
     from momapos.core import Stopwatch, processor_time
     from momapos.planning import cheapest, with_advice, with_max_opening, with_tolerance
+    from momapos.planning.importance import WALKERS
     from momapos.workflows import plan_by_hypothesis
 
-    from .compile import ANSWER, RANK, WALKS, compile_once
+    from .compile import ANSWER, compile_once, rank_kernels
     from .console import busy
 
-    walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
+    walks = rank_kernels(config.ranking) if config.ranking.scorer in WALKERS else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm), strict=True))
     config = with_time_left(config)

@@ -71,10 +71,10 @@ def rank_objects(
     refuse_unknown_object(find_scene(scene), name)
     from momapos.planning.importance import rank
 
-    from .compile import RANK, WALKS, compile_once
+    from .compile import compile_once, rank_kernels
 
     loaded = load_scene_with_joints(scene, joint)
-    compile_once(RANK + WALKS if config.scorer == "deepwalk" else RANK)
+    compile_once(rank_kernels(config))
     with busy(f"{loaded.name}: scoring {len(loaded.objects)} objects"):
         result = rank(loaded, name, config, joint=moved or None, seed=seed)
     if plot is not None:

@@ -1,3 +1,4 @@
+from .config import WALKERS as WALKERS
 from .config import ImportanceConfig as ImportanceConfig
 from .config import ScorerName as ScorerName
 from .config import WeightsName as WeightsName

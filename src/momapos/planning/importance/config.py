@@ -105,3 +105,5 @@ class ImportanceConfig:
 
 _EDGES: dict[ScorerName, EdgesName] = {"deepwalk": "support", "node2vec": "dense"}
 """Edges of the scorers that walk over the graph."""
+WALKERS: tuple[ScorerName, ...] = tuple(_EDGES)
+"""These scorers."""
