@@ -22,9 +22,12 @@ from .swept_boxes import NEVER, touches_hull
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-LEANS = (10.0, 20.0, 40.0)
-"""Angles from the panel to the fingers, along which they come in [deg]. Parallel to the panel they
-would graze it all the way, and catch on its edge where the door stands a millimeter off."""
+LEANS = (0.0, 20.0, 40.0)
+"""Angles from the panel to the fingers, along which they come in [deg]."""
+GRAZING, CLEAR = 10.0, 0.007
+"""Fingers at a smaller angle [deg] stay this far off the panel [m], less than the exact check
+allows. They would graze it all the way in, and catch on the edge of a released door: in physics a
+fridge's stands so far off that 3 mm were too few."""
 START_HEIGHT = 0.1
 """Height above the hull of the part's rim from which a hand comes down on its back [m]."""
 
@@ -72,6 +75,7 @@ def push_from_behind(
     height = _height(hand, part, back.out, T)
     met = np.isfinite(height)
     T[met, :3, 3] -= height[met, None] * back.out
+    T[:, :3, 3] += np.where(lean < np.radians(GRAZING), CLEAR, 0.0)[:, None] * back.out
     complexity = np.abs(lean - np.radians(LEANS[1])) + np.abs(tilt) + 5 * np.abs(point)
     near = met & (T[:, :3, 3] @ back.out - _top(part, back.out) <= Limits().reach)
     return (back, T[near], complexity[near]) if near.any() else None
