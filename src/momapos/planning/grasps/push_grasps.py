@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import rotation_about, rotation_of
 from momapos.model.robots import Robot
 from momapos.model.urdf import Articulated
@@ -32,6 +33,7 @@ START_HEIGHT = 0.1
 """Height above the hull of the part's rim from which a hand comes down on its back [m]."""
 
 
+@owner_cache()
 def push_from_behind(
     robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
 ) -> tuple[Handle, Float[np.ndarray, "g 4 4"], Float[np.ndarray, " g"]] | None:
