@@ -201,6 +201,15 @@ def test_vertices_that_no_face_uses_are_not_part_of_the_shape(tmp_path: Path, fa
     assert hull.vertices.max() == 1.0
 
 
+@pytest.mark.parametrize("face", ["f 1 2 x", f"f 1 2 {10**30}", f"f 1 2 {'9' * 5000}"])
+def test_damaged_faces_are_refused_where_triangles_count_only(tmp_path: Path, face: str) -> None:
+    file = tmp_path / "part.obj"
+    file.write_text(CORNERS + face + "\n")
+    np.testing.assert_array_equal(surface_vertices(file), mesh_points(file))
+    with pytest.raises(UrdfError, match="not a usable OBJ mesh"):
+        mesh_triangles(file)
+
+
 def test_a_mesh_without_faces_is_all_its_vertices(tmp_path: Path) -> None:
     file = tmp_path / "points.obj"
     file.write_text(CORNERS)

@@ -75,7 +75,10 @@ def _known(
 
 
 def _points(path: Path) -> Float[np.ndarray, "n 3"]:
-    points = _vertices(path, mesh_bytes(path))
+    return _checked(path, _vertices(path, mesh_bytes(path)))
+
+
+def _checked(path: Path, points: np.ndarray) -> Float[np.ndarray, "n 3"]:
     if len(points) == 0:
         raise UrdfError(f"{path}: the mesh is empty")
     if points.ndim != 2 or points.shape[1] != 3:
@@ -91,29 +94,19 @@ def _points(path: Path) -> Float[np.ndarray, "n 3"]:
 
 
 def _surface(path: Path) -> Float[np.ndarray, "n 3"]:
-    points = mesh_points(path)
     if path.suffix.lower() == ".obj":
-        corners = _obj_corners(mesh_bytes(path))
+        points = mesh_points(path)
+        try:
+            corners = _obj_faces(path, len(points)).ravel()
+        except UrdfError:  # damaged faces matter only where triangles count
+            return points
     else:
-        corners = np.asarray(parse_mesh(path, mesh_bytes(path)).faces, np.int64).ravel()
+        mesh = parse_mesh(path, mesh_bytes(path))
+        points = _checked(path, np.array(mesh.vertices, float))
+        corners = np.asarray(mesh.faces, np.int64).ravel()
     used = np.zeros(len(points), bool)
     used[corners[(corners >= 0) & (corners < len(points))]] = True
     return points[used] if used.any() else points
-
-
-def _obj_corners(data: bytes) -> Int[np.ndarray, " c"]:
-    """Return the vertices that the faces of an OBJ file use, without textures and normals."""
-    seen, found = 0, list[int]()
-    for line in data.splitlines():
-        if line.startswith(b"v "):
-            seen += 1
-        elif line.startswith(b"f "):
-            for word in line.split()[1:]:
-                number = word.partition(b"/")[0]
-                if number.lstrip(b"-").isdigit():
-                    index = int(number)
-                    found.append(index - 1 if index > 0 else seen + index)
-    return np.array(found, np.int64)
 
 
 def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
@@ -159,10 +152,10 @@ def _obj_faces(path: Path, count: int) -> Int[np.ndarray, "t 3"]:
                 named = [int(word.split("/")[0]) for word in line.split()[1:]]
                 corners = [k - 1 if k > 0 else seen + k for k in named]
                 faces += [(corners[0], a, b) for a, b in pairwise(corners[1:])]
-    except ValueError as error:
+        _check_size(0, count + 3 * len(faces))
+        return np.array(faces, np.int64).reshape(-1, 3)
+    except (ValueError, OverflowError) as error:
         raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
-    _check_size(0, count + 3 * len(faces))
-    return np.array(faces, np.int64).reshape(-1, 3)
 
 
 def mesh_digest(path: Path | Mesh) -> bytes:
