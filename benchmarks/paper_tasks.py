@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from momapos.apps.bench.authors_data import LABORATORY, authors_data
+from momapos.apps.bench.authors_data import LABORATORY_FILE, authors_data
 from momapos.apps.bench.laboratory import TASKS, draw_layout, small_objects
-from momapos.apps.bench.printed import LABORATORY as PRINTED
+from momapos.apps.bench.printed import LABORATORY
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
 from momapos.model.records.protocols import ReachScorer
@@ -75,7 +75,7 @@ def trial(
 def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict[str, Any]]:
     """Run all trials, with the same worlds for every method."""
     robot, small = load_robot(ROBOT), small_objects()
-    room = load_scene(authors_data("paper_tasks", LABORATORY) / LABORATORY)
+    room = load_scene(authors_data("paper_tasks", LABORATORY_FILE) / LABORATORY_FILE)
     reach = load_reach_map(robot, default_cache_dir(), None)
     rows = []
     plan_by_method(
@@ -110,7 +110,7 @@ def report(rows: list[dict[str, Any]]) -> str:
         lines += [
             f"| | {one.name}, as printed | | | {one.time} +- {one.time_spread} | "
             f"{one.driving} +- {one.driving_spread} | | {one.success:.0f} |"
-            for one in PRINTED.lines
+            for one in LABORATORY.lines
             if one.task == task
         ]
     failed = Counter((r["task"], r["method"], str(r["reason"])) for r in rows if not r["success"])

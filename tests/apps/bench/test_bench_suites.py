@@ -13,7 +13,7 @@ from tests import optional
 from tests.real import DATA
 
 from momapos.apps.bench import authors_kitchens, laboratory, suites
-from momapos.apps.bench.authors_data import LABORATORY, SHARED, authors_data, data_lines
+from momapos.apps.bench.authors_data import LABORATORY_FILE, SHARED, authors_data, data_lines
 from momapos.apps.bench.bench_records import Container, SuiteTask
 from momapos.apps.bench.containers import opened, without
 from momapos.apps.bench.dining_rooms import OBJECT_SIZES, PLACES, DiningRoom, make_room
@@ -216,7 +216,7 @@ def test_the_same_seed_draws_the_same_room(drawn: DiningRoom, tmp_path: Path) ->
 def test_trials_differ_in_the_pose_of_the_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    optional.there(DATA / "bestman" / LABORATORY)
+    optional.there(DATA / "bestman" / LABORATORY_FILE)
     monkeypatch.setenv(SHARED, str(DATA))
     monkeypatch.setattr(laboratory, "TRIALS", 2)
     tasks = laboratory_tasks(0, ["ranger_rm63"], tmp_path)
@@ -234,7 +234,7 @@ def test_without_the_authors_data_the_message_states_the_searched_paths(
     monkeypatch.setenv(SHARED, str(tmp_path / "nowhere"))
     where = r"there is no .*nowhere/data/bestman/Asset.* or .*'momapos bench data paper'"
     with pytest.raises(FileFormatError, match=where):
-        authors_data("paper-real", LABORATORY)
+        authors_data("paper-real", LABORATORY_FILE)
     lines, complete = data_lines("paper")
     assert not complete
     assert sum(line.endswith("missing") for line in lines) == 5
@@ -245,9 +245,9 @@ def test_the_authors_data_are_found_in_a_clone_of_their_repository(
 ) -> None:
     monkeypatch.setenv(SHARED, str(tmp_path))
     clone = tmp_path / "bestman"
-    (clone / LABORATORY).parent.mkdir(parents=True)
-    (clone / LABORATORY).write_text("[]")
-    assert authors_data("paper-real", LABORATORY) == clone
+    (clone / LABORATORY_FILE).parent.mkdir(parents=True)
+    (clone / LABORATORY_FILE).write_text("[]")
+    assert authors_data("paper-real", LABORATORY_FILE) == clone
     assert not data_lines("paper-real")[1]
     (clone / "Asset/Scene/URDF_models/B512").mkdir(parents=True)
     assert data_lines("paper-real")[1]
@@ -260,7 +260,7 @@ def test_the_authors_bowl_stands_at_each_place_and_what_they_open_is_open(
 ) -> None:
     optional.there(DATA / "bestman" / "Asset/Scene/Kitchen_models")
     monkeypatch.setenv(SHARED, str(DATA))
-    tasks = authors_kitchens.kitchen_tasks(0, ["segway_ur5e"], tmp_path)
+    tasks = authors_kitchens.simulation_tasks(0, ["segway_ur5e"], tmp_path)
     assert Counter(task.group for task in tasks) == dict.fromkeys(
         authors_kitchens.PLACES, authors_kitchens.TRIALS
     )

@@ -10,10 +10,10 @@ from momapos.core import FileFormatError, InputError
 SHARED = "MOMAPOS_SHARED"
 """Environment variable that names the folder of the authors' data."""
 REPOSITORY = "https://github.com/AutonoBot-Lab/BestMan_Pybullet"
-LABORATORY = "Asset/Scene/Scene/b512.json"
+LABORATORY_FILE = "Asset/Scene/Scene/b512.json"
 NEEDED = {
-    "paper-real": (LABORATORY, "Asset/Scene/URDF_models/B512"),
-    "paper-table": (LABORATORY, "Asset/Scene/URDF_models/B512"),
+    "paper-real": (LABORATORY_FILE, "Asset/Scene/URDF_models/B512"),
+    "paper-table": (LABORATORY_FILE, "Asset/Scene/URDF_models/B512"),
     "authors-sim": (
         "Asset/Scene/Kitchen_models", "Asset/Scene/URDF_models/furniture_chair",
         "Asset/Scene/URDF_models/furniture_table_rectangle_high",

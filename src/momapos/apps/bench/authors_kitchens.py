@@ -96,7 +96,7 @@ PLACES = {
 }  # fmt: skip
 
 
-def kitchen_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
+def simulation_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
     """Return a pick at each place for each trial; write scene files and models below the folder.
 
     Raises:

@@ -24,7 +24,7 @@ from momapos.model.urdf import Articulated, box_urdf
 from momapos.planning.grasps import make_task
 from momapos.verification import PlanVerifier
 
-from .authors_data import LABORATORY, authors_data
+from .authors_data import LABORATORY_FILE, authors_data
 from .bench_records import SuiteTask, Verb
 
 if TYPE_CHECKING:
@@ -61,10 +61,10 @@ def laboratory_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[Sui
     Raises:
         FileFormatError: The authors' data are missing.
     """
-    root = authors_data("paper-real and paper-table", LABORATORY)
+    root = authors_data("paper-real and paper-table", LABORATORY_FILE)
     small, first = small_objects(), load_robot(robots[0])
     names = [f"scenes/trial_{number:02d}.json" for number in range(TRIALS)]
-    with copied(load_scene(root / LABORATORY), folder / "scenes" / "laboratory.json") as room:
+    with copied(load_scene(root / LABORATORY_FILE), folder / "scenes" / "laboratory.json") as room:
         for number, name in enumerate(names):
             rng = np.random.default_rng([seed, number])
             save_scene(draw_layout(room, first, small, rng), folder / name)

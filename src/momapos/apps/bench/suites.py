@@ -203,9 +203,9 @@ def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTas
 
 
 def _authors_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
-    from .authors_kitchens import kitchen_tasks as authors_tasks
+    from .authors_kitchens import simulation_tasks
 
-    return authors_tasks(seed, robots, folder)
+    return simulation_tasks(seed, robots, folder)
 
 
 def _articulated(seed: int, robots: Sequence[str], folder: Path, objects: Path) -> list[SuiteTask]:
