@@ -58,7 +58,7 @@ def test_a_help_text_has_few_options(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     assert main([*command.split(), "--help"]) == 0
-    names = re.findall(r"^\W{0,4}(--[a-z-]+)", capsys.readouterr().out, re.MULTILINE)
+    names = re.findall(r"^\W{0,4}(--[a-z][a-z-]*)", capsys.readouterr().out, re.MULTILINE)
     assert {"--json", "--config", "--set", "--help-all"} <= set(names)
     assert len(set(names)) <= most
 
