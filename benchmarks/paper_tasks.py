@@ -75,7 +75,7 @@ def trial(
 def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict[str, Any]]:
     """Run all trials, with the same worlds for every method."""
     robot, small = load_robot(ROBOT), small_objects()
-    room = load_scene(authors_data("paper_tasks", LABORATORY_FILE) / LABORATORY_FILE)
+    room = load_scene(authors_data("paper-real") / LABORATORY_FILE)
     reach = load_reach_map(robot, default_cache_dir(), None)
     rows = []
     plan_by_method(

@@ -232,12 +232,12 @@ def test_without_the_authors_data_the_message_states_the_searched_paths(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(SHARED, str(tmp_path / "nowhere"))
-    where = r"there is no .*nowhere/data/bestman/Asset.* or .*'momapos bench data paper'"
+    where = r"no .*nowhere/data/bestman/Asset.*b512.json, .*/B512; 'momapos bench data paper-real'"
     with pytest.raises(FileFormatError, match=where):
-        authors_data("paper-real", LABORATORY_FILE)
+        authors_data("paper-real")
     lines, complete = data_lines("paper")
     assert not complete
-    assert sum(line.endswith("missing") for line in lines) == 5
+    assert sum(line.endswith("missing") for line in lines) == 9
 
 
 def test_the_authors_data_are_found_in_a_clone_of_their_repository(
@@ -247,9 +247,11 @@ def test_the_authors_data_are_found_in_a_clone_of_their_repository(
     clone = tmp_path / "bestman"
     (clone / LABORATORY_FILE).parent.mkdir(parents=True)
     (clone / LABORATORY_FILE).write_text("[]")
-    assert authors_data("paper-real", LABORATORY_FILE) == clone
+    with pytest.raises(FileFormatError, match=f"there is no {clone}/Asset/Scene/URDF_models/B512;"):
+        authors_data("paper-real")  # a clone without its submodule
     assert not data_lines("paper-real")[1]
     (clone / "Asset/Scene/URDF_models/B512").mkdir(parents=True)
+    assert authors_data("paper-real") == clone
     assert data_lines("paper-real")[1]
     with pytest.raises(InputError, match="no data belong to 'smoke'; choose from paper, "):
         data_lines("smoke")

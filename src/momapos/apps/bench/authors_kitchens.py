@@ -120,7 +120,7 @@ def simulation_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[Sui
 
 def _kitchen(folder: Path) -> Scene:
     """Return the kitchen without the bowl, with its models in the authors' repository."""
-    root, rows = authors_data("authors-sim", FURNITURE[0][1]), []
+    root, rows = authors_data("authors-sim"), []
     for name, model, position, yaw, scale in FURNITURE:
         rows.append({
             "obj_name": name, "model_path": model, "object_position": position, "scale": scale,

@@ -61,7 +61,7 @@ def laboratory_tasks(seed: int, robots: Sequence[str], folder: Path) -> list[Sui
     Raises:
         FileFormatError: The authors' data are missing.
     """
-    root = authors_data("paper-real and paper-table", LABORATORY_FILE)
+    root = authors_data("paper-real")
     small, first = small_objects(), load_robot(robots[0])
     names = [f"scenes/trial_{number:02d}.json" for number in range(TRIALS)]
     with copied(load_scene(root / LABORATORY_FILE), folder / "scenes" / "laboratory.json") as room:
