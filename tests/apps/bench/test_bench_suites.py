@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import pytest
 from tests import optional
 from tests.real import DATA
 
-from momapos.apps.bench import authors_kitchens, laboratory, suites
+from momapos.apps.bench import authors_kitchens, dining_rooms, laboratory, suites
 from momapos.apps.bench.authors_data import LABORATORY_FILE, SHARED, authors_data, data_lines
 from momapos.apps.bench.bench_records import Container, SuiteTask
 from momapos.apps.bench.containers import opened, without
@@ -211,6 +213,36 @@ def test_the_same_seed_draws_the_same_room(drawn: DiningRoom, tmp_path: Path) ->
     again = make_room("single_wall", np.random.default_rng([0, 0]), tmp_path / "room.json")
     assert (again.objects, again.parts) == (drawn.objects, drawn.parts)
     assert again.file.read_bytes() == drawn.file.read_bytes()
+
+
+def test_a_room_is_drawn_once_and_a_failed_drawing_leaves_nothing(
+    drawn: DiningRoom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
+    calls = []
+
+    def draw(layout: str, rng: np.random.Generator, out: Path) -> DiningRoom:
+        calls.append((layout, rng.bit_generator.state["state"]["state"]))
+        if len(calls) == 1:
+            out.parent.mkdir()
+            out.write_text("half")
+            raise KeyboardInterrupt
+        shutil.copytree(drawn.file.parent, out.parent)
+        (out.parent / drawn.file.name).rename(out)
+        return replace(drawn, file=out)
+
+    monkeypatch.setattr(dining_rooms, "make_room", draw)
+    with pytest.raises(KeyboardInterrupt):
+        dining_rooms.drawn_room(0, 3)
+    assert not list((tmp_path / "cache" / "rooms").iterdir())
+    copies = [dining_rooms.copied_room(0, 3, tmp_path / name) for name in "ab"]
+    assert len(calls) == 2
+    assert calls[0] == calls[1]
+    for copy, name in zip(copies, "ab", strict=True):
+        assert copy == replace(drawn, file=tmp_path / name / "room_03.json")
+        assert {o.name for o in load_scene(copy.file).objects} >= {o.name for o in drawn.objects}
+    dining_rooms.copied_room(1, 3, tmp_path / "c")
+    assert len(calls) == 3  # another seed is another room
 
 
 def test_trials_differ_in_the_pose_of_the_table(

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from momapos.model.scene import empty_kitchen, free_start, with_joint_limits
+from momapos.core import (
+    content_key,
+    default_cache_dir,
+    read_bytes_bounded,
+    require,
+    temporary_folder,
+    version_of,
+)
+from momapos.model.scene import LAYOUTS, empty_kitchen, free_start, with_joint_limits
 from momapos.model.scene.library import (
     Box,
     FurniturePart,
@@ -23,7 +34,7 @@ from momapos.model.scene.library import (
     write_kitchen,
 )
 
-from .bench_records import Container
+from .bench_records import Container, from_plain, to_plain
 from .microwaves import MICROWAVE, microwave_on
 
 OBJECT_SIZES: Mapping[str, Vec] = {
@@ -57,6 +68,9 @@ FRONT_SHARE = 0.6
 """Share of the depth of a surface, from its front, that holds objects; tables hold them anywhere
 [-]."""
 MAX_DRAWS = 60
+REVISION = 1
+"""Increased when the same seed draws another room."""
+CONTENTS, MAX_BYTES = "contents.json", 1_000_000
 OPEN_SIDES = (("wall_front", 1, 0), ("wall_right", 0, 1), ("wall_left", 0, 0), ("wall_back", 1, 1))
 """Walls, and the edge of the floor at which they stand: axis, and 0 for its lower end."""
 
@@ -103,6 +117,41 @@ class DiningRoom:
     def carried(self, box: Container | None) -> tuple[str, ...]:
         """Return the names of the objects in a drawer; none for other containers."""
         return tuple(o.name for o in self.objects if o.place == "in drawer" and o.inside == box)
+
+
+def drawn_room(seed: int, number: int) -> Path:
+    """Return the cache's folder with a room; draw it if there is none, which may take a minute.
+
+    Raises:
+        MissingExtraError: scene-synthesizer is not installed.
+    """
+    with require("kitchens"):
+        versions = [version_of(name) for name in ("momapos", "numpy", "scene-synthesizer")]
+    key = content_key(REVISION, seed, number, *versions)
+    home = default_cache_dir() / "rooms" / key
+    if not home.exists():
+        home.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(home.parent, key) as temporary:
+            rng, new = np.random.default_rng([seed, number]), temporary / "new"
+            room = make_room(LAYOUTS[number % len(LAYOUTS)], rng, new / f"room_{number:02d}.json")
+            contents = {"objects": to_plain(room.objects), "parts": to_plain(room.parts)}
+            (new / CONTENTS).write_text(json.dumps(contents))
+            if not home.exists():  # else another process was faster, with an equal result
+                os.rename(new, home)
+    return home
+
+
+def copied_room(seed: int, number: int, folder: Path) -> DiningRoom:
+    """Copy a room of the cache to a folder."""
+    home = drawn_room(seed, number)
+    shutil.copytree(home, folder, ignore=shutil.ignore_patterns(CONTENTS), dirs_exist_ok=True)
+    contents = json.loads(read_bytes_bounded(home / CONTENTS, MAX_BYTES))
+    where = str(home)
+    return DiningRoom(
+        folder / f"room_{number:02d}.json",
+        tuple(from_plain(one, MovableObject, where) for one in contents["objects"]),
+        tuple(from_plain(one, RoomPart, where) for one in contents["parts"]),
+    )
 
 
 def make_room(layout: str, rng: np.random.Generator, out: Path) -> DiningRoom:

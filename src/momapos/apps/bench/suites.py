@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 Build: TypeAlias = Callable[..., list[SuiteTask]]
 """Builds the tasks from a seed and robots; scene files go below the given folder. A suite that
 needs objects takes the user's folder, too."""
+Report: TypeAlias = Callable[[float, str], None]
+"""Takes the share that is done, in [0, 1], and the current step."""
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
 PAPER_METHODS = ("ours", "paper", "habitat", "m3", "reuleaux")
@@ -78,6 +80,8 @@ class SuiteKind:
     """The protocols of the suite; empty if the user chooses one."""
     needs_objects: bool = False
     """Whether its tasks need a folder of the user with objects."""
+    prepare: Callable[[int, Report], None] | None = None
+    """Draws into the cache what takes minutes, from a seed; an interrupted call is resumed."""
 
 
 def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
@@ -137,17 +141,12 @@ def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
 
 def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
     """Generate rooms, and spread the tasks evenly over the classes; all robots get the same."""
-    import numpy as np
-
-    from momapos.model.scene import LAYOUTS
-
-    from .dining_rooms import make_room
+    from .dining_rooms import copied_room
 
     by_group: dict[str, list[SuiteTask]] = {}
     for k in range(ROOMS):
-        name, rng = f"scenes/room_{k:02d}.json", np.random.default_rng([seed, k])
-        room = make_room(LAYOUTS[k % len(LAYOUTS)], rng, folder / name)
-        for task in _tasks_of_room(room, name, f"{k:02d}"):
+        room = copied_room(seed, k, folder / "scenes")
+        for task in _tasks_of_room(room, f"scenes/{room.file.name}", f"{k:02d}"):
             by_group.setdefault(task.group, []).append(task)
     chosen = spread(by_group, SIM_TASKS)
     return [
@@ -155,6 +154,14 @@ def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask
         for robot in robots
         for task in chosen
     ]
+
+
+def _draw_rooms(seed: int, report: Report) -> None:
+    from .dining_rooms import drawn_room
+
+    for k in range(ROOMS):
+        report(k / ROOMS, f"room {k + 1} of {ROOMS}")
+        drawn_room(seed, k)
 
 
 def _tasks_of_room(room: DiningRoom, scene: str, number: str) -> Iterator[SuiteTask]:
@@ -222,7 +229,8 @@ SUITES = {
         _openings, ("segway_ur5e", "husky_ur5e", "fetch"), ("ours", "paper", *BASELINES)
     ),
     "paper-sim": SuiteKind(
-        _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, 2, scannable=False
+        _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, 2, scannable=False,
+        prepare=_draw_rooms,
     ),
     "paper-real": SuiteKind(_paper_real, ("ranger_rm63",), PAPER_METHODS),
     "paper-table": SuiteKind(

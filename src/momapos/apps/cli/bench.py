@@ -146,6 +146,9 @@ def bench_run(
     folder = "" if problems is None else str(resolved(problems))
     settings = Settings(timeout, task_limit, execute, scan, disturbances, protocols, folder)
     with locked(out), _executor(workers, scheduler) as (executor, width, do):
+        if (prepare := SUITES[suite].prepare) and not (out / "suite.json").exists():
+            with progress(f"{suite}: drawing the rooms") as report:
+                prepare(seed, report)
         with busy(f"{suite}: preparing the tasks"):
             made = open_folder(out, suite, seed, robots, settings)
         jobs = jobs_of(
