@@ -39,3 +39,9 @@ def test_a_thick_handle_at_the_end_of_a_face_is_a_bar() -> None:
     raised(face, (0.975, 0.0, 1.0, 1.0), -0.3)
     (bar,) = bars(face, area_of(WHOLE, face), 0.02, 0.06, 0.06)
     assert bar.width == pytest.approx(0.021, abs=0.005)
+
+
+def test_the_surface_that_an_object_stands_on_is_not_a_bar_of_its_face() -> None:
+    face = face_of(0.45, 0.24, 0.0)
+    raised(face, (0.0, 0.97, 1.0, 1.0), 0.044)
+    assert not bars(face, area_of(WHOLE, face), 0.03, 0.1, 0.12)

@@ -25,8 +25,8 @@ MIN_FILLED = 0.3
 """Share of a merged bar that its pieces cover: specks in line are no bar [-]."""
 
 EDGE_NOISE, EDGE_STEP = 0.015, 0.05
-"""At the end of a face, where the surface beyond is unmeasured or off by the second, protrusions
-thinner than the first are noise [m]."""
+"""At the end of a face, where the surface beyond is outside of it, unmeasured or off by the second,
+protrusions thinner than the first are noise or what the object stands on [m]."""
 
 
 @dataclass(frozen=True)
@@ -161,9 +161,8 @@ def _at_an_end(face: FaceImage, bar: Area, plane: float) -> bool:
     ):
         strip = Area(left, along.bottom, right, along.top)
         beyond = face.height_map[pixels(face, strip if upright else strip.turned())]
-        if (
-            beyond.size and (np.abs(beyond - plane) < EDGE_STEP).mean() < 0.5
-        ):  # NaN compares as false
+        whole = EDGE_NOISE * along.height * face.height_map.size / (face.width * face.height)
+        if (np.abs(beyond - plane) < EDGE_STEP).sum() < 0.5 * whole:  # NaN compares as false
             return True
     return False
 
