@@ -104,7 +104,7 @@ def _arrays(cloud: Cloud) -> tuple[np.ndarray, ...]:
     return cloud.points, cloud.normals, cloud.colors
 
 
-@pytest.mark.parametrize("degrees", [-30.0, 4.0, 20.0])
+@pytest.mark.parametrize("degrees", [-30.0, 2.0, 5.0, 20.0])
 def test_turned_objects_get_turned_boxes(degrees: float, rng: np.random.Generator) -> None:
     angle = np.radians(degrees)
     cloud = cloud_of([((-0.5, -0.3, 0.0), (0.5, 0.3, 0.9))], rng)

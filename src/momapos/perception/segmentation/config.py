@@ -15,7 +15,9 @@ MIN_SLAB_LENGTH = 1.2
 TOUCHING = 0.05
 """Furniture closer than this is one piece, unless planes divide it [m]."""
 TOUCHING_SMALL = 0.025
-"""The same for objects on a surface [m]."""
+"""The same for objects on a surface [m]; less in a cloud whose points are closer."""
+SPACING_PERCENT = 95.0
+"""Share of points that are this close: meshes have few points on planes and many at edges [%]."""
 MIN_POINTS = 25
 """Smaller groups of points are noise [-]."""
 MAX_OBJECT_HEIGHT = 0.5

@@ -22,6 +22,7 @@ from momapos.core.geometry import (
 )
 from momapos.model.records import UNKNOWN, Cloud, Detection, Instance, LabelSource
 
+from .config import SPACING_PERCENT
 from .room_shell import RoomShell, area, peaks
 from .size_labels import Stand, features_of, guesses_of
 
@@ -42,8 +43,6 @@ cloud is sparse [m]."""
 OUTLIER_FACTOR = 1.3
 """In a sparse cloud, outliers are this much farther from their neighbors than `SPACING_PERCENT` of
 its points [-]. A cloud fused in voxels of 15 mm gets about `MAX_NEIGHBOR_DISTANCE`."""
-SPACING_PERCENT = 95.0
-"""Meshes have few points on planes and many at edges, so the median is too small [%]."""
 OUTSIDE_PERCENT = 1.0
 """Share of points that may lie outside on each side [%]."""
 FACE_SEARCH = 0.08
@@ -58,8 +57,12 @@ WALL_SNAP = 0.1
 """Backs closer to a wall are snapped to it; they are never seen [m]."""
 SUPPORT_SNAP = 0.1
 """Bottoms closer to a surface are snapped to it [m]."""
-MIN_YAW = 7.0
-"""Objects whose faces are turned by more from x and y get a turned box [deg]."""
+MIN_YAW = 3.0
+"""Objects whose faces are turned by more from x and y get a turned box [deg]; the normals of small
+ones are off by up to 2."""
+MIN_AGREEMENT = 0.3
+"""Agreement of the directions of an object's faces, in [0, 1]: arcs of a circle of a quarter and
+more have up to 0.22, boxes seen by a depth camera at least 0.35 [-]."""
 MAX_SMALL_SIDE = 0.35
 """Smaller objects are extended if a side was not seen [m]."""
 MAX_SHEET_THICKNESS = 0.12
@@ -243,7 +246,7 @@ def _yaw(normals: Float[np.ndarray, "n 3"]) -> float:
     mean = np.exp(4j * angle).mean()
     offset = float(np.angle(mean)) / 4
     # Round objects have faces on all sides: their normals cancel.
-    clear = abs(mean) > 0.5 and abs(offset) > np.radians(MIN_YAW)
+    clear = abs(mean) > MIN_AGREEMENT and abs(offset) > np.radians(MIN_YAW)
     return offset if clear else 0.0
 
 

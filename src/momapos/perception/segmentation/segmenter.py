@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from momapos.core import InputError
-from momapos.core.geometry import UprightBox, corners, from_corners
+from momapos.core.geometry import UprightBox, corners, from_corners, point_spacing
 from momapos.model.records import Cloud, Instance
 
 from .cabinet_extent import MAX_EDGE_DISTANCE, cabinet_extent, closed_share
@@ -37,6 +37,7 @@ from .config import (
     MIN_WALL_PROTRUSION,
     SEAT,
     SLAB_THICKNESS,
+    SPACING_PERCENT,
     TOUCHING,
     TOUCHING_SMALL,
 )
@@ -93,6 +94,7 @@ class _Segmentation:
         self.room = find_room(cloud)
         self.free = ~in_room(self.room, cloud)
         self.raster = floor_raster(cloud.points, OUTLINE_CELL)
+        self.touching = min(TOUCHING_SMALL, point_spacing(cloud.points, SPACING_PERCENT))
 
     def run(self) -> list[Instance]:
         among = np.flatnonzero(self.free)
@@ -129,7 +131,7 @@ class _Segmentation:
         # Sides of taller furniture start at the edge of the surface.
         inner = ndimage.binary_erosion(support.outline)
         inside = np.flatnonzero(possible & self.raster.within(inner, points))
-        label = components(points[inside], TOUCHING_SMALL)
+        label = components(points[inside], self.touching)
         found = []
         for k in range(label.max(initial=-1) + 1):
             members = inside[label == k]
@@ -154,7 +156,7 @@ class _Segmentation:
         low, high = points[members].min(axis=0) - margin, points[members].max(axis=0) + margin
         low[2], high[2] = low[2] + margin, high[2]
         near = np.flatnonzero(possible & ((points > low) & (points < high)).all(axis=1))
-        label = components(points[near], TOUCHING_SMALL)
+        label = components(points[near], self.touching)
         own = np.isin(near, members)
         return near[np.isin(label, np.unique(label[own]))]
 
