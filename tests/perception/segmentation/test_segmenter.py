@@ -240,6 +240,29 @@ def test_a_machine_next_to_a_taller_one_ends_before_the_gap() -> None:
     assert best_overlap(machine, boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))) > 0.95
 
 
+def test_tall_furniture_far_from_walls_is_one_object() -> None:
+    fridge: Corners = ((-0.3, -1.3, 0.0), (0.3, -0.7, 1.45))
+    cloud = cloud_of([*ROOM, fridge], np.random.default_rng(4))
+    x, y, z = cloud.points.T
+    cloud = kept(cloud, (z < 1.44) | (np.abs(x) > 0.32) | (np.abs(y + 1.0) > 0.32))  # a low camera
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert len(found) == 1
+    assert best_overlap(fridge, found) > 0.9
+
+
+def test_small_objects_are_divided_as_finely_as_the_cloud_is_dense() -> None:
+    floor: Corners = ((-0.6, -0.5, -0.1), (0.6, 0.5, 0.0))
+    table: Corners = ((-0.5, -0.4, 0.0), (0.5, 0.4, 0.7))
+    cups: list[Corners] = [
+        ((x, 0.0, 0.7), (x + 0.08, 0.08, 0.8)) for x in (-0.3, -0.19, -0.08, 0.03)
+    ]
+    for spacing, count in ((0.006, 4), (0.015, 1)):
+        rng = np.random.default_rng(6)
+        cloud = cloud_of([floor, table, *cups], rng, spacing=spacing, noise=0.001)
+        small = [one for one in ClassicalSegmenter()(cloud) if one.score == 0.5]
+        assert len(small) == count
+
+
 def test_an_object_that_hides_the_middle_of_a_counter_does_not_divide_it() -> None:
     counter: Corners = ((-1.0, 0.4, 0.0), (1.0, 1.0, 0.9))
     microwave: Corners = ((-0.4, 0.52, 0.9), (0.2, 0.98, 1.22))

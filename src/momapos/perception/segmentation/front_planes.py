@@ -220,15 +220,15 @@ def _front(
     else:
         around, facing = cloud.points[among], sign * cloud.normals[among, axis]
         away = sign * (face - around[:, axis])
-        column = (around[:, other] > low[other]) & (around[:, other] < high[other])
-        column &= (around[:, 2] > low[2]) & (around[:, 2] < high[2] + 0.03)
-        column &= (away > -0.02) & (away < MAX_FURNITURE_DEPTH)
-        alike = column & (facing > 0.8)
+        beyond = np.maximum(low[other] - around[:, other], around[:, other] - high[other])
+        column = (around[:, 2] > low[2]) & (around[:, 2] < high[2] + 0.03)
+        column &= (away > -HALF_MAX_STEP) & (away < MAX_FURNITURE_DEPTH)
+        alike = column & (beyond < -2 * HALF_MAX_GAP) & (facing > 0.8)  # not of noisy sides
         end = _next_front(away[alike], around[alike][:, [other, 2]])
-        away = away[column & (away < end)]
-        back = face - sign * max(
-            MIN_FURNITURE_DEPTH, float(np.percentile(away, 98, method="higher"))
-        )
+        # Sides, top and back tell the depth; most points are of the front itself.
+        column &= (beyond < HALF_MAX_STEP) & (away < end) & (facing < 0.8)
+        depth = float(np.percentile(away[column], 98)) if column.any() else 0.0
+        back = face - sign * max(MIN_FURNITURE_DEPTH, depth)
     low[axis], high[axis] = min(face, back), max(face, back)
     low[2] = 0.0 if low[2] < MAX_FOOT_HEIGHT else low[2]
     box = from_corners(low, high)
