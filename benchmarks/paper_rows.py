@@ -106,6 +106,49 @@ def medians(suite: str, answers: Sequence[Answer]) -> list[str]:
     return lines
 
 
+def phrases(answers: Sequence[Answer]) -> list[str]:
+    """Return what docs/paper.md and docs/results/paper.md say of the paper's table in words."""
+    first = min(a.protocol for a in answers)
+
+    def some(method: str, *groups: str) -> list[Answer]:
+        return [
+            a for a in answers if (a.method, a.protocol) == (method, first) and a.group in groups
+        ]
+
+    def rate(method: str, *groups: str) -> str:
+        return f"{100 * np.mean([a.success for a in some(method, *groups)]):.0f}"
+
+    def times(method: str) -> list[float]:
+        return [a.seconds for a in some(method, "grasp apple") if a.success]
+
+    fridge, oven, all_checks = "open fridge", "open microwave", "paper:planner.optimize=true"
+    unchecked = rate("paper:paper.check_stops=false", oven)
+    named = {"Habitat": "habitat", "M3*": "m3", "Reuleaux": "reuleaux"}
+    median = {name: f"{1000 * np.median(times(method)):.0f}" for name, method in named.items()}
+    lost = {n: f"{100 - float(rate(m, fridge, oven)):.0f} % ({n})" for n, m in named.items()}
+    apart = [rate(m, door) for m in named.values() for door in (fridge, oven)]
+    apart = sorted((one for one in apart if one != "100"), key=float)
+    means = [f"{np.mean(times(method)):.2f}" for method in ("paper", all_checks)]
+    medians_ = [f"{np.median(times(method)):.2f}" for method in ("paper", all_checks)]
+    door = {name: (rate(m, fridge), rate(m, oven)) for name, m in named.items()}
+    return [
+        f"{1000 * np.median(times('paper')):.0f} ms against {median['Habitat']} (Habitat), "
+        f"{median['M3*']} (M3*) and {median['Reuleaux']} (Reuleaux) for the apple",
+        f"the unchecked first stop opens {unchecked} % of the microwaves",
+        f"its first stop opens {unchecked} % of the microwaves",
+        f"{apart[0]} to {apart[-1]} %, but Habitat opens every fridge",
+        f"takes {means[0]} s instead of {means[1]} s for the apple on average, and {medians_[0]} "
+        f"instead of {medians_[1]} s in the median",
+        f"opens {rate('authors', fridge)} % of the fridges and {rate('authors', oven)} % of the "
+        "microwaves at its first stop",
+        f"fail at {lost['Habitat']}, {lost['M3*']} and {lost['Reuleaux']} of the openings",
+        f"here MoMa-Pos {rate('paper', fridge)} = Habitat {door['Habitat'][0]} > M3* "
+        f"{door['M3*'][0]} > Reuleaux {door['Reuleaux'][0]}",
+        f"here MoMa-Pos {rate('paper', oven)} > M3* {door['M3*'][1]} > Reuleaux "
+        f"{door['Reuleaux'][1]} = Habitat {door['Habitat'][1]}",
+    ]
+
+
 def _order(method: str) -> tuple[int, str]:
     first = ("ours", "paper", "authors", "habitat", "m3", "reuleaux")
     return first.index(method.partition(":")[0]), method

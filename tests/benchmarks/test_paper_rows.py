@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -33,6 +34,31 @@ def test_every_line_of_a_table_is_computed_from_the_rows(rows: ModuleType, file:
     assert len(lines) > 12
     assert not [line for line in lines if line not in text]
     assert len({(a.task, a.method, a.protocol) for a in answers}) == len(answers)
+
+
+def test_what_the_pages_say_of_the_papers_table_is_computed_from_the_rows(rows: ModuleType) -> None:
+    pages = (RESULTS / "paper.md", ROOT / "docs" / "paper.md")
+    text = " ".join(" ".join(page.read_text(encoding="utf-8").split()) for page in pages)
+    said = rows.phrases(rows.read(RESULTS / "rows" / "paper-table.csv.gz"))
+    assert not [phrase for phrase in said if phrase not in text.replace("\\*", "*")]
+
+
+def test_the_shares_of_the_papers_simulation_are_those_of_its_counts() -> None:
+    pages = [(path / "paper.md").read_text(encoding="utf-8") for path in (RESULTS, ROOT / "docs")]
+    lines = re.findall(
+        r"\| `(\w+)`[^|\n]* \|((?: \d+, \d+ % \|){4} \d+(?:, [\d.]+ %)? \|)", pages[0]
+    )
+    counts = {}
+    for method, cells in lines:
+        *robots, every = [tuple(map(int, pair)) for pair in re.findall(r"(\d+), (\d+) % ", cells)][
+            :4
+        ]
+        assert every[0] == sum(solved for solved, _ in robots)
+        assert [share for _, share in robots] == [round(100 * one / 500) for one, _ in robots]
+        assert every[1] == round(100 * every[0] / 1500)
+        counts[method] = [share for _, share in robots]
+    assert len(counts) == 6
+    assert "{}, {} and {} % of 500 tasks each".format(*counts["paper"]) in pages[1]
 
 
 def test_rows_are_kept_without_loss(rows: ModuleType, tmp_path: Path) -> None:
