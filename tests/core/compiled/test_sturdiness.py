@@ -127,6 +127,31 @@ def test_two_processes_can_fill_one_store_concurrently(tmp_path: Path) -> None:
     assert cache.Cache(tmp_path).get(file.name) is not None  # its checksum matches
 
 
+_INTERRUPTED = """
+import signal
+import numpy as np
+from momapos.core.geometry.monotone_chain import _chain
+
+def interrupt(*_):
+    raise InterruptedError
+
+points, ended = np.repeat(np.arange(200_000.0), 2).reshape(-1, 2), 0
+signal.signal(signal.SIGALRM, interrupt)
+while ended < 20:
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1e-4)
+        while True:
+            assert len(_chain(points)) == 2
+    except InterruptedError:
+        ended += 1
+"""
+
+
+def test_a_signal_during_a_kernel_raises_after_it() -> None:
+    done = subprocess.run([sys.executable, "-c", _INTERRUPTED], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EROFS, errno.EACCES])
 def test_a_read_only_store_only_costs_compile_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int

@@ -21,8 +21,6 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
-_Unpickle = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)
-
 
 @dataclass(frozen=True)
 class Code:
@@ -83,7 +81,7 @@ def _runtime() -> ModuleType:
         if isinstance(value, type) and issubclass(value, BaseException):
             symbols[f"PyExc_{value.__name__}"] = id(value)
     if "numba" not in sys.modules:
-        symbols["numba_unpickle"] = ctypes.cast(_unpickle, ctypes.c_void_p).value or 0
+        symbols["numba_unpickle"] = _unpickle().get_function_address("unpickle")
     for name, address in symbols.items():
         llvm.add_symbol(name, address)
     return dynfunc
@@ -123,12 +121,30 @@ def _extension(name: str) -> ModuleType:
     return module
 
 
-@_Unpickle
-def _unpickle(data: int, size: int, _: int) -> object:
-    """Replace numba's function of this name, which imports numba."""
-    return _unpickled(ctypes.string_at(data, size))
-
-
 @functools.cache
-def _unpickled(raw: bytes) -> object:
-    return pickle.loads(raw)
+def _unpickle() -> llvm.ExecutionEngine:
+    """Return a replacement for numba's function of this name, which imports numba.
+
+    Kernels call it when they return an array. Neither it nor `_unpickled` is Python code: in such
+    code a signal that came during the kernel would raise, and the kernel would crash.
+    """
+    engine = _engine()
+    engine.add_module(llvm.parse_assembly(_UNPICKLE.format(id(_unpickled))))
+    engine.finalize_object()
+    return engine
+
+
+_UNPICKLE = """
+declare i8* @PyBytes_FromStringAndSize(i8*, i64)
+declare i8* @PyObject_CallFunctionObjArgs(i8*, ...)
+declare void @Py_DecRef(i8*)
+define i8* @unpickle(i8* %data, i32 %size, i8* %hash) {{
+  %count = sext i32 %size to i64
+  %bytes = call i8* @PyBytes_FromStringAndSize(i8* %data, i64 %count)
+  %loads = inttoptr i64 {} to i8*
+  %value = call i8* (i8*, ...) @PyObject_CallFunctionObjArgs(i8* %loads, i8* %bytes, i8* null)
+  call void @Py_DecRef(i8* %bytes)
+  ret i8* %value
+}}
+"""
+_unpickled = functools.cache(pickle.loads)
