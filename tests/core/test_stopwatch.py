@@ -12,6 +12,7 @@ from momapos.core.errors import OutOfTimeError
 from momapos.core.geometry.monotone_chain import convex_hull
 from momapos.core.stopwatch import (
     GRACE_PERIOD,
+    ProcessorClock,
     Stopwatch,
     look,
     time_left,
@@ -113,3 +114,20 @@ def test_every_kernel_looks_at_the_clock() -> None:
         clock.now = 2.0
         with pytest.raises(OutOfTimeError):
             convex_hull(points)
+
+
+def test_a_stopped_clock_stands_still_and_goes_on_from_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    hand = Hand()
+    monkeypatch.setattr("momapos.core.stopwatch.time.process_time", hand)
+    clock = ProcessorClock()
+    hand.now = 1.0
+    with clock.stopped():
+        hand.now = 5.0
+        with clock.stopped():
+            hand.now = 8.0
+        assert clock() == 1.0
+    assert clock() == 1.0
+    hand.now = 9.0
+    assert clock() == 2.0

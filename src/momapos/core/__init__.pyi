@@ -39,6 +39,7 @@ from .files import resolved as resolved
 from .forking import fork_safe_lock as fork_safe_lock
 from .owned_results import owner_cache as owner_cache
 from .saved_arrays import load_array as load_array
+from .stopwatch import GRACE_PERIOD as GRACE_PERIOD
 from .stopwatch import Clock as Clock
 from .stopwatch import Stopwatch as Stopwatch
 from .stopwatch import look as look

@@ -30,18 +30,24 @@ class ProcessorClock:
 
     def __init__(self) -> None:
         self._uncounted = 0.0
+        self._stopped_at: float | None = None
 
     def __call__(self) -> float:
-        return time.process_time() - self._uncounted
+        at = self._stopped_at
+        return (time.process_time() if at is None else at) - self._uncounted
 
     @contextmanager
     def stopped(self) -> Iterator[None]:
-        """Stop the clock during a block."""
-        began = time.process_time()
+        """Stop the clock during a block, for other threads as well."""
+        if self._stopped_at is not None:
+            yield
+            return
+        self._stopped_at = began = time.process_time()
         try:
             yield
-        finally:
+        finally:  # in this order, so that another thread sees no later time in between
             self._uncounted += time.process_time() - began
+            self._stopped_at = None
 
 
 processor_time = ProcessorClock()

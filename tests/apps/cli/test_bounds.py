@@ -1,17 +1,23 @@
-"""Work on untrusted files is limited in time and memory."""
+"""Commands are limited in time, and work on untrusted files in time and memory."""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import resource
 import signal
 import subprocess
 import sys
 import threading
+from typing import NoReturn
 
 import numpy as np
 import pytest
 
-from momapos.apps.cli.bounds import within_bounds
+from momapos.apps.cli import bounds
+from momapos.apps.cli.bounds import ended_after, within_bounds, within_time
+from momapos.apps.cli.main import COMMANDS, main
+from momapos.core.errors import OutOfTimeError
 
 _BEGIN = """
 import contextlib, signal, sys, time
@@ -89,3 +95,67 @@ def test_work_that_ends_in_time_leaves_no_trace() -> None:
 def test_other_errors_pass_through() -> None:
     with pytest.raises(KeyError), within_bounds("robot.urdf"):
         raise KeyError("name")
+
+
+NAMES = [
+    [name, *sub]
+    for name, (_, functions) in COMMANDS.items()
+    for sub in ([[]] if isinstance(functions, str) else [[one] for one in functions])
+]
+
+
+@pytest.mark.parametrize("name", NAMES, ids=" ".join)
+def test_every_command_has_a_time_limit(
+    name: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*name, "--help"]) == 0
+    assert "--timeout " in capsys.readouterr().out
+
+
+@pytest.fixture
+def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock on which a second passes each time that something reads it."""
+    ticks = itertools.count()
+    monkeypatch.setattr(bounds, "processor_time", lambda: float(next(ticks)))
+    monkeypatch.setattr(bounds, "_PERIOD", 0.001)
+
+
+def endless() -> NoReturn:
+    while True:
+        with contextlib.suppress(Exception):
+            sum(range(100))
+
+
+@pytest.mark.usefixtures("ticking")
+def test_a_command_that_looks_at_no_clock_ends_in_one_line_with_status_4(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> int:
+        """Do what has no end."""
+        endless()
+
+    monkeypatch.setattr("momapos.apps.cli.schema.schema", command)
+    assert main(["schema", "--timeout", "3"]) == 4
+    shown = capsys.readouterr()
+    assert shown.err == "momapos: the time limit of 3 s is over; give more --timeout\n"
+    assert shown.out == ""
+
+
+@pytest.mark.usefixtures("ticking")
+def test_a_search_that_looks_at_no_clock_ends_as_well() -> None:
+    with pytest.raises(OutOfTimeError, match="limit of 3 s is over before"), within_time(3.0):
+        endless()
+
+
+@pytest.mark.usefixtures("ticking")
+def test_the_first_of_nested_limits_ends_the_work() -> None:
+    handler = signal.getsignal(signal.SIGPROF)
+    for outer, inner in ((3.0, 1e6), (1e6, 3.0)):
+        with (
+            pytest.raises(OutOfTimeError, match="limit of 3 s"), ended_after(outer),
+            ended_after(inner),
+        ):  # fmt: skip
+            endless()
+        with pytest.raises(OutOfTimeError), ended_after(3.0), within_bounds("robot.urdf"):
+            endless()
+    assert signal.getsignal(signal.SIGPROF) == handler

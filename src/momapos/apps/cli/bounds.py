@@ -18,7 +18,10 @@ from types import FrameType
 from typing import Any
 
 from momapos.core import (
+    GRACE_PERIOD,
+    Clock,
     InputError,
+    MomaposError,
     OutOfTimeError,
     look,
     processor_time,
@@ -59,17 +62,22 @@ class _LookingImports(MetaPathFinder):
     """
 
     def find_spec(self, *_: object) -> None:
-        numpy = getattr(sys.modules.get("numpy"), "__spec__", None)
-        if not getattr(numpy, "_initializing", False):  # numpy's import cannot be repeated
+        if not _imports_numpy():
             look()
 
 
 _IMPORTS = _LookingImports()
 
 
+def _imports_numpy() -> bool:
+    """Return whether numpy is being imported, which cannot be repeated if it is interrupted."""
+    spec = getattr(sys.modules.get("numpy"), "__spec__", None)
+    return bool(getattr(spec, "_initializing", False))
+
+
 @contextmanager
 def within_time(seconds: float) -> Iterator[None]:
-    """End the work of a command when its time limit is over.
+    """End the search of a command when its time limit is over, and soon after it anything else.
 
     Args:
         seconds: Processor time since the command began [s].
@@ -77,15 +85,37 @@ def within_time(seconds: float) -> Iterator[None]:
     Raises:
         OutOfTimeError: It is over.
     """
+    left = _left(seconds)
+    error = OutOfTimeError(
+        f"the time limit of {seconds:g} s is over before a search ended; give more --timeout"
+    )
+    # What catches the error of a look may put together what is known, in twice the grace period.
+    with _interrupted(left + 2.0 * GRACE_PERIOD, processor_time, error):
+        try:
+            with time_limit(left, processor_time), _looking_imports():
+                yield
+        except OutOfTimeError:
+            raise error from None
+
+
+def _left(seconds: float) -> float:
     began = _began.get(None)
-    spent = 0.0 if began is None else processor_time() - began
-    try:
-        with time_limit(seconds - spent, processor_time), _looking_imports():
-            yield
-    except OutOfTimeError:
-        raise OutOfTimeError(
-            f"the time limit of {seconds:g} s is over before a search ended; give more --timeout"
-        ) from None
+    return seconds if began is None else seconds - (processor_time() - began)
+
+
+@contextmanager
+def ended_after(seconds: float) -> Iterator[None]:
+    """End a command when its time limit is over; no search in it returns what is known so far.
+
+    Args:
+        seconds: Processor time since the command began [s].
+
+    Raises:
+        OutOfTimeError: It is over.
+    """
+    error = OutOfTimeError(f"the time limit of {seconds:g} s is over; give more --timeout")
+    with _interrupted(_left(seconds), processor_time, error):
+        yield
 
 
 @contextmanager
@@ -123,41 +153,24 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
     Raises:
         InputError: The work exceeds a limit.
     """
-    alone = threading.current_thread() is threading.main_thread()
-    if not (alone and hasattr(signal, "SIGPROF")):
+    if not _interruptible():
         yield
         return
     import resource
 
-    done = threading.Event()
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        if not done.is_set():
-            raise _TooLong
-
-    # A thread, not a system timer: signals may be blocked when the program starts, and a timer
-    # fires only once, which is too few if the exception is raised in a destructor.
-    watch = threading.Thread(target=_watch, args=(time.process_time() + seconds, done), daemon=True)
+    late = InputError(f"{what} takes more than {seconds:g} s of processor time; use simpler shapes")
     limits = resource.getrlimit(resource.RLIMIT_DATA)
     most = memory + _data_size()
     least = most if limits[1] == resource.RLIM_INFINITY else min(most, limits[1])
-    before = signal.signal(signal.SIGPROF, stop)
-    try:
-        watch.start()
-        resource.setrlimit(resource.RLIMIT_DATA, (least, limits[1]))
-        yield
-    except _TooLong:
-        done.set()
-        more = f"{seconds:g} s of processor time"
-        raise InputError(f"{what} takes more than {more}; use simpler shapes") from None
-    except MemoryError:
-        more = f"{memory / 1e9:g} GB of memory"
-        raise InputError(f"{what} takes more than {more}; use simpler shapes") from None
-    finally:
-        done.set()
-        resource.setrlimit(resource.RLIMIT_DATA, limits)
-        watch.join()
-        signal.signal(signal.SIGPROF, before)
+    with _interrupted(seconds, time.process_time, late):  # its thread starts with enough memory
+        try:
+            resource.setrlimit(resource.RLIMIT_DATA, (least, limits[1]))
+            yield
+        except MemoryError:
+            more = f"{memory / 1e9:g} GB of memory"
+            raise InputError(f"{what} takes more than {more}; use simpler shapes") from None
+        finally:
+            resource.setrlimit(resource.RLIMIT_DATA, limits)
 
 
 def _data_size() -> int:
@@ -169,8 +182,57 @@ def _data_size() -> int:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def _watch(until: float, done: threading.Event) -> None:
-    """Interrupt the main thread after a processor time, repeatedly, until its work is done."""
-    while not done.wait(_PERIOD):
-        if time.process_time() > until:
-            _thread.interrupt_main(signal.SIGPROF)
+def _interruptible() -> bool:
+    alone = threading.current_thread() is threading.main_thread()
+    return alone and hasattr(signal, "SIGPROF")
+
+
+@contextmanager
+def _interrupted(seconds: float, clock: Clock, error: MomaposError) -> Iterator[None]:
+    """Interrupt the main thread after a time, wherever it is, until the block ends.
+
+    Blocks may be nested. In another thread, nothing is interrupted.
+
+    Args:
+        seconds: Time from now on [s].
+        clock: Measures it.
+        error: Raised if the time is over.
+    """
+    if not _interruptible():
+        yield
+        return
+    until, due, done = clock() + seconds, threading.Event(), threading.Event()
+    before = signal.getsignal(signal.SIGPROF)
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if due.is_set() and not done.is_set():
+            due.clear()
+            if not _imports_numpy():
+                raise _TooLong(done)
+        elif callable(before):
+            before(number, frame)
+
+    def watch() -> None:
+        period = _PERIOD
+        while not done.wait(period):
+            if clock() > until:
+                due.set()
+                _thread.interrupt_main(signal.SIGPROF)
+                period = GRACE_PERIOD  # to clean up
+
+    # A thread, not a system timer: signals may be blocked when the program starts, and a timer
+    # fires only once, which is too few if the exception is raised in a destructor.
+    watcher = threading.Thread(target=watch, daemon=True)
+    signal.signal(signal.SIGPROF, stop)
+    try:
+        watcher.start()
+        yield
+    except _TooLong as late:
+        if late.args != (done,):
+            raise
+        done.set()
+        raise error from None
+    finally:
+        done.set()
+        watcher.join()
+        signal.signal(signal.SIGPROF, before)

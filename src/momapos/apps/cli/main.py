@@ -159,11 +159,10 @@ def _run(args: list[str]) -> int:
 
 
 def _load(function: str) -> Callable[..., int]:
+    from .parse import with_time_limit
+
     module, name = function.split(":")
-    loaded: Callable[..., int] = getattr(
-        importlib.import_module(f"momapos.apps.cli.{module}"), name
-    )
-    return loaded
+    return with_time_limit(getattr(importlib.import_module(f"momapos.apps.cli.{module}"), name))
 
 
 def _print_completion(shell: list[str]) -> int:

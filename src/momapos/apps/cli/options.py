@@ -43,6 +43,7 @@ PoseArg = Annotated[Text, optional("X,Y,YAW")]
 ValueArg = Annotated[Text, optional("VALUE")]
 RobustArg = Annotated[Text, optional("LENGTH,ANGLE")]
 BaseArg = Annotated[Text, optional("fixed|stops|moving|auto")]
+SecondsArg = Annotated[Number, optional("SECONDS")]
 MassArg = Annotated[Number, optional("KG")]
 BoxArg = Annotated[Text, optional("LxWxH")]
 if TYPE_CHECKING:

@@ -10,12 +10,44 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from typing import Any
+from typing import Any, get_type_hints
 
-from momapos.core import InputError
+from momapos.core import InputError, finite_number
 
+from .bounds import MIN_TIMEOUT, ended_after
+from .options import SecondsArg
+
+TIMEOUT = "timeout"
+"""Name of the option for the time limit of a command."""
 _FRAME = re.compile(r"\x1b\[[0-9;]*m|[\u2500-\u257f]|-{8,}")
 """Colors of tyro's messages, and lines around them and between their parts."""
+
+
+def with_time_limit(command: Callable[..., int]) -> Callable[..., int]:
+    """Return a command with the option --timeout, unless it has one of its own for its search."""
+    signature = inspect.signature(command)
+    every = signature.parameters.items()
+    if any(name == TIMEOUT or hasattr(one.default, TIMEOUT) for name, one in every):
+        return command
+
+    @functools.wraps(command)
+    def limited(*values: Any, timeout: float | None = None, **options: Any) -> int:
+        if timeout is None:
+            return command(*values, **options)
+        with ended_after(finite_number(f"--{TIMEOUT}", timeout, MIN_TIMEOUT)):
+            return command(*values, **options)
+
+    kind, hint = inspect.Parameter.KEYWORD_ONLY, SecondsArg
+    option = inspect.Parameter(TIMEOUT, kind, default=None, annotation=hint)
+    limited.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[*signature.parameters.values(), option]
+    )
+    del limited.__wrapped__  # tyro would read the options of the command itself
+    limited.__annotations__ = {**get_type_hints(command, include_extras=True), TIMEOUT: hint}
+    text = inspect.cleandoc(command.__doc__ or "")
+    head = "" if "\nArgs:\n" in text else "\n\nArgs:"
+    limited.__doc__ = f"{text}{head}\n    {TIMEOUT}: Processor time after which the command ends."
+    return limited
 
 
 def parse(command: Callable[..., int], args: Sequence[str], prog: str) -> Callable[[], int]:
