@@ -12,7 +12,7 @@ from tests.rooms import Everywhere, corridor_room
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.tour import split
-from momapos.core.errors import FileFormatError, TaskError
+from momapos.core.errors import FileFormatError, OutOfTimeError, TaskError
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.plan_files.tour_format import read_tour
 from momapos.model.robots.robot import Robot, load_robot
@@ -21,6 +21,9 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_placement
+from momapos.planning.query import PlacementQuery
+from momapos.planning.result import PlacementResult
 from momapos.planning.tour import Request
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.tour_check import verify_tour
@@ -124,6 +127,26 @@ def test_a_task_without_an_answer_ends_the_tour_with_its_reasons(
     assert tour.stops == (1, 2)
     assert [step.plan.status for step in tour.steps] == ["solved", "infeasible"]
     assert tour.steps[-1].plan.candidates.rejections
+
+
+def test_a_tour_keeps_the_plans_that_it_has_when_its_time_is_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def late(query: PlacementQuery) -> PlacementResult:
+        if query.task.object == "cup":
+            raise OutOfTimeError("late")
+        return plan_placement(query)
+
+    monkeypatch.setattr("momapos.planning.tour.plan_placement", late)
+    file = tmp_path / "tour.json"
+    words = [*WORDS[:4], "then", "pick", "cup", "then", "close", "/".join(DRAWER), *WORDS[-2:]]
+    assert main([*words, "--out", str(file)]) == 4
+    assert "2 further tasks have no answer yet" in capsys.readouterr().out
+    tour = read_tour(file)
+    assert tour.status == "timeout"
+    assert [step.plan for step in tour.steps] == ["tour_1.json"]
+    assert main(["verify", str(tmp_path / "tour_1.json")]) == 0
+    assert main(["verify", str(file)]) == 1
 
 
 def test_the_meaning_of_a_task_depends_on_the_tasks_before_it(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -58,17 +59,21 @@ class Tour:
     """Answers of several tasks, in order."""
 
     steps: tuple[PlacementResult, ...]
-    """One per task; the first task without an answer is the last."""
+    """One per task; the first task without a plan is the last."""
     stops: tuple[int, ...]
     """Number of the stop of each task, from 1."""
     assumed: tuple[str, ...] = ()
     """Assumptions between the tasks."""
     seconds: float = 0.0
     """Planning time [s]."""
+    unanswered: int = 0
+    """Number of tasks, after these, that the time limit left without an answer [-]."""
 
     @property
     def status(self) -> Status:
         """Return the status of the last task, or `assumed` if only that keeps it from solved."""
+        if self.unanswered:
+            return "timeout"
         return status_of_all([step.plan for step in self.steps])
 
     @property
@@ -97,6 +102,7 @@ def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
         TaskError: A request makes no sense in the scene at its turn, or there are too many.
         SceneError: The robot collides at its start pose.
         UnknownNameError: There is no such object or joint.
+        OutOfTimeError: The time was over before the first task had an answer.
     """
     clock = query.watch.clock
     began = clock()
@@ -110,7 +116,8 @@ def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     visits = planner.stops(0, query.start)
     steps = [step for visit in visits for step in visit]
     stops = [k for k, visit in enumerate(visits, 1) for _ in visit]
-    return Tour(tuple(steps), tuple(stops), _assumed(requests), clock() - began)
+    unanswered = len(requests) - len(steps) if steps[-1].plan.feasible else 0
+    return Tour(tuple(steps), tuple(stops), _assumed(requests), clock() - began, unanswered)
 
 
 def scenes_of(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]]:
@@ -208,8 +215,7 @@ class _Planner:
                     break
                 visit = self.stop(first, start, in_others)
             except OutOfTimeError:
-                if not best:
-                    raise
+                best = max(best, found, key=_tasks_done)
                 break
         return best or [visit]
 
@@ -250,11 +256,11 @@ class _Planner:
         if not found.plan.feasible or pose is None:
             return [found]
         base = np.array(pose)
-        others = [
-            plan_at_pose(replace(self._query(k), start=base), base)
-            for k in range(first + 1, last + 1)
-        ]
-        return [found, *others]
+        visit = [found]
+        with suppress(OutOfTimeError):
+            for k in range(first + 1, last + 1):
+                visit.append(plan_at_pose(replace(self._query(k), start=base), base))
+        return visit
 
     def _from_one_pose(
         self, first: int, last: int, start: Float[np.ndarray, "3"] | None,

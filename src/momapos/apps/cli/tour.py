@@ -213,9 +213,10 @@ def _deliver(tour: Tour, options: Options) -> None:
         ))  # fmt: skip
     plans = [step.plan for step in tour.steps]
     if options.out is not None:
-        write_tour(options.out, plans, tour.stops, tour.assumed)
+        write_tour(options.out, plans, tour.stops, tour.assumed, tour.status)
     if options.json:
-        record = tour_of(options.out or Path("tour.json"), plans, tour.stops, tour.assumed)
+        file = options.out or Path("tour.json")
+        record = tour_of(file, plans, tour.stops, tour.assumed, tour.status)
         say(json.dumps(tour_to_dict(record, [plan_to_dict(plan) for plan in plans])))
     else:
         say(_summary(tour, options))
@@ -249,6 +250,8 @@ def _summary(tour: Tour, options: Options) -> str:
     lines += [f"  time        {1000 * tour.seconds:.0f} ms{tolerance}"]
     if not tour.steps[-1].plan.feasible:
         lines += ["", summary(tour.steps[-1], None)]
+    if tour.unanswered:
+        lines.append(f"  timeout     {tour.unanswered} further tasks have no answer yet")
     if options.out is not None:
         files = [f"{options.out.stem}_{k}.json" for k in range(1, 1 + len(tour.steps))]
         lines.append(f"  plans       {options.out}, {', '.join(files)}")

@@ -60,8 +60,9 @@ def tour_to_dict(tour: TourFile, plans: Sequence[Any]) -> dict[str, Any]:
 
 
 def write_tour(
-    path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str]
-) -> TourFile:
+    path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str],
+    status: Status | None = None,
+) -> TourFile:  # fmt: skip
     """Write a tour, and its plans in the same folder as NAME_1.json and so on.
 
     Args:
@@ -69,11 +70,12 @@ def write_tour(
         plans: One plan per task, in order.
         stops: The stop of each task, from 1.
         assumed: Assumptions about the state between the tasks.
+        status: Status of the tour, if it is not that of its plans: some tasks have none.
 
     Raises:
         InputError: A plan names a file that does not exist, or a file cannot be written.
     """
-    tour = tour_of(path, plans, stops, assumed)
+    tour = tour_of(path, plans, stops, assumed, status)
     for step, plan in zip(tour.steps, plans, strict=True):
         write_plan(plan, path.with_name(step.plan))
     data = tour_to_dict(tour, [step.plan for step in tour.steps])
@@ -82,14 +84,15 @@ def write_tour(
 
 
 def tour_of(
-    path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str]
-) -> TourFile:
+    path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str],
+    status: Status | None = None,
+) -> TourFile:  # fmt: skip
     """Build the content of a tour file, see `write_tour`."""
     steps = tuple(
         TourStep(stop, f"{path.stem}_{number}.json") for number, stop in enumerate(stops, start=1)
     )
     driving = sum(plan.navigation_cost or 0.0 for plan in plans)
-    return TourFile(status_of_all(plans), steps, max(stops), driving, tuple(assumed))
+    return TourFile(status or status_of_all(plans), steps, max(stops), driving, tuple(assumed))
 
 
 def is_tour(path: Path) -> bool:
