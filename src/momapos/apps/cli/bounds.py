@@ -89,10 +89,15 @@ def within_time(seconds: float) -> Iterator[None]:
     error = OutOfTimeError(
         f"the time limit of {seconds:g} s is over before a search ended; give more --timeout"
     )
-    # What catches the error of a look may put together what is known, in twice the grace period.
-    with _interrupted(left + 2.0 * GRACE_PERIOD, processor_time, error):
+
+    def clock() -> float:
+        # Once the search has begun, what catches the error of a look may put together what is
+        # known, in twice the grace period.
+        return processor_time() - (0.0 if _IMPORTS in sys.meta_path else 2.0 * GRACE_PERIOD)
+
+    with _looking_imports(), _interrupted(left, clock, error):
         try:
-            with time_limit(left, processor_time), _looking_imports():
+            with time_limit(left, processor_time):
                 yield
         except OutOfTimeError:
             raise error from None
