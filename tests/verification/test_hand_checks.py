@@ -175,6 +175,16 @@ def test_a_hook_pulls_from_behind(tmp_path: Path) -> None:
         assert failed(hook_case(grip=grip), tmp_path / str(k)) == {OFF}
 
 
+def test_a_hand_whose_fingers_miss_the_part_pushes_it_and_does_not_hook_it(
+    tmp_path: Path,
+) -> None:
+    for family, fails in (("push", set()), ("hook", {OFF})):
+        case = hold(make_case(), family)
+        case.robot = case.robot.replace('size="0.02 0.01 0.06"', 'size="0.001 0.001 0.001"')
+        case.robot = case.robot.replace(PALM, LONG_PALM)
+        assert failed(closing(case), tmp_path / family) == fails
+
+
 def test_a_palm_pushes_forward_only(tmp_path: Path) -> None:
     assert not failed(closing(palm_case("push")), tmp_path / "pushes")
     assert failed(palm_case("push"), tmp_path / "would pull") == {OFF}

@@ -368,7 +368,9 @@ class HandChecker:
         family, far = grasp.family, self.limits.hand_gap + PRESS
         if hand.digits and family not in ("push", "suction"):
             found.append(self._fingers_gap(hand, grasp))
-        if grasp.forward is not None and family != "suction":
+        closes = [_meets(digit, grasp)[0] for digit in hand.digits]
+        hooks = family != "hook" or not closes or min(closes) < math.inf  # not a flat face
+        if grasp.forward is not None and family != "suction" and hooks:
             found.append((_meets(hand.pushed(grasp.forward, far), grasp)[0], "it is not behind it"))
         if family == "suction" or (family == "" and len(hand.digits) < 2):
             found.append((_meets(hand.pushed(hand.approach, far), grasp)[0], "it does not face it"))
