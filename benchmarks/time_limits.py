@@ -4,7 +4,8 @@
 
 Each command does work that takes longer: large files, fine maps, long runs. It runs in a process of
 its own; the processor time is that of the process and of those that it started. Exit status 1 if
-a command does not end with status 4 and at most one line of error, or takes `ALLOWED` more.
+a command ends with another status than 0 or 4 or with several lines of error, or takes `ALLOWED`
+more.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ ALLOWED = 0.5
 """Processor time after the limit in which a command ends [s]."""
 HANG = 120.0
 """Wall time after which a command is ended from outside [s]."""
-OBJECTS = 1500
+OBJECTS = 800
 """Furniture of the large scene [-]."""
 MADE = (
     "scene scan kitchen_small --out {d}/scan --frames 40",
@@ -117,7 +118,7 @@ def measure(words: str, limit: float) -> dict[str, Any]:
     spent = used.ru_utime + used.ru_stime
     return {
         "command": words, "seconds": round(spent, 2), "status": child.returncode,
-        "ok": child.returncode == 4 and len(lines) <= 1 and spent <= limit + ALLOWED,
+        "ok": child.returncode in (0, 4) and len(lines) <= 1 and spent <= limit + ALLOWED,
         "errors": lines[-1:],
     }  # fmt: skip
 
