@@ -109,6 +109,10 @@ CHANGES: tuple[Any, ...] = (
 """Values that replace right ones."""
 
 
+class Late(BaseException):
+    """The time limit is over; no error, which a command would report as a refusal."""
+
+
 def instance(schema: dict[str, Any], whole: dict[str, Any], rng: random.Random) -> Any:
     """Return a value that follows a schema.
 
@@ -235,7 +239,7 @@ def outcome(words: str, path: Path, out: Path) -> str:
     """
 
     def late(*_: object) -> None:
-        raise TimeoutError
+        raise Late
 
     shown, errors = StringIO(), StringIO()
     args = [word.format(path, out / "made") for word in words.split()]
@@ -244,7 +248,7 @@ def outcome(words: str, path: Path, out: Path) -> str:
     try:
         with redirect_stdout(shown), redirect_stderr(errors):
             status = momapos(args)
-    except TimeoutError:
+    except Late:
         return "WRONG: hang"
     except Exception as error:  # what this looks for
         return f"WRONG: traceback {type(error).__name__}: {error!s:.120}"
