@@ -194,3 +194,41 @@ def test_only_what_stands_in_the_way_is_an_obstruction(tmp_path: Path) -> None:
     task = Task("open", "target", "a_joint", 0.5)
     assert obstructing_links(sliding(tmp_path / "one", 0.0), task) == {"target/b"}
     assert not obstructing_links(sliding(tmp_path / "two", 0.0, offset=0.0205), task)
+
+
+def folding(folder: Path, knob: float, follows: float = 2.0, mesh: bool = False) -> Scene:
+    """A door of two leaves with a hinge between them, which the second one's joint follows.
+
+    Args:
+        folder: Where the files go.
+        knob: x of a knob at the free edge of the second leaf; at -x it is outside [m].
+        follows: Angle of the second leaf against the first one, by the first one's angle.
+        mesh: Whether the second leaf is one mesh, whose hull fills the space around the knob.
+    """
+    leaf = ((-0.01, 0.0, -0.37), (0.01, 0.28, 0.37))
+    low, high = sorted((knob, np.sign(knob) * 0.01))
+    second = (leaf, ((low, 0.22, -0.02), (high, 0.26, 0.02)))
+    folder.mkdir(exist_ok=True)
+    if mesh:
+        write_obj(folder / "second.obj", triangles_of(second))
+    text = f'<link name="body">{shapes(CARCASS)}</link><link name="a">{shapes([leaf])}</link>'
+    text += f'<link name="b">{shapes(second, "second.obj" if mesh else "")}</link>'
+    text += joint("a", "revolute", "-0.262 -0.575 0.4", "0 0 1", 1.5)
+    fold = joint("b", "revolute", "0 0.285 0", "0 0 -1", 3.5).replace('"body"', '"a"')
+    mimic = f'<mimic joint="a_joint" multiplier="{follows}"/></joint>'
+    return scene_of(folder, text + fold.replace("</joint>", mimic))
+
+
+@pytest.mark.parametrize("mesh", [False, True])
+def test_a_leaf_does_not_fold_its_knob_through_the_other_leaf(mesh: bool, tmp_path: Path) -> None:
+    assert hit(folding(tmp_path / "out", -0.05, mesh=mesh), "a", 1.4) is None
+    words = hit(folding(tmp_path / "in", 0.09, mesh=mesh), "a", 1.4)
+    assert words is not None
+    assert words.startswith("target/b hits target/a at 78 deg")
+
+
+def test_a_leaf_does_not_fold_through_the_other_leaf(tmp_path: Path) -> None:
+    words = hit(folding(tmp_path, -0.05, follows=2.4), "a", 1.4)
+    assert words is not None
+    assert words.startswith("target/b hits target/a at 68 deg")
+    assert hit(folding(tmp_path, -0.05, follows=2.4), "a", 1.1) is None

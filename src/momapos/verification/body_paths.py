@@ -27,16 +27,24 @@ class BodyPaths:
     """Index of the body that carries each one, before it; -1 for what stands still."""
     offsets: Float[np.ndarray, "b 4 4"]
     """Pose of each joint's frame in that body or in the world."""
+    frame: int = -1
+    """Index of the body in whose frame poses are given; -1 for the world."""
 
     def at(self, values: Mapping[str, Float[np.ndarray, " s"]]) -> Float[np.ndarray, "s b 4 4"]:
-        """Return world poses of the bodies at values of the leaders [rad] or [m], by name."""
+        """Return poses of the bodies at values of the leaders [rad] or [m], by name."""
         poses: list[np.ndarray] = []
         for joint, parent, offset in zip(self.joints, self.parent, self.offsets, strict=True):
             mimic = joint.mimic
             own = values[joint.name] if mimic is None else following(mimic, values[mimic.joint])
             T = offset if parent < 0 else poses[parent] @ offset
             poses.append(T @ joint_motions(joint, own))
-        return np.stack(poses, axis=1)
+        return self.in_frame(np.stack(poses, axis=1))
+
+    def in_frame(self, Ts_world_body: Float[np.ndarray, "s b 4 4"]) -> Float[np.ndarray, "s b 4 4"]:
+        """Return world poses of the bodies in the frame in which this record gives poses."""
+        if self.frame < 0:
+            return Ts_world_body
+        return invert(Ts_world_body[:, self.frame, None]) @ Ts_world_body
 
 
 def paths_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -143,14 +143,17 @@ class OwnElements:
     """Whether another joint of the object has moved the element from rest."""
     first: int = 0
     """Index of the first standing shape among all obstacles of a scene."""
+    T_world_frame: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Frame in which the shapes stand still, at its pose in the given scene."""
 
     def surface(self, element: int) -> Float[np.ndarray, "t 3 3"] | None:
-        """Return an element's triangles in the world; None if its hull is good enough."""
+        """Return an element's triangles in the frame; None if its hull is good enough."""
         link, triangles = concave_surface(self.item.model, element)
         if not len(triangles):
             return None
         bodies, _ = prepared(self.item.model)
-        T = _body_poses(self.item, bodies)[bodies.of_link[link]] @ bodies.T_body_link[link]
+        T_world_body = _body_poses(self.item, bodies)[bodies.of_link[link]]
+        T = invert(self.T_world_frame) @ T_world_body @ bodies.T_body_link[link]
         return np.asarray(apply(T, triangles.reshape(-1, 3))).reshape(-1, 3, 3)
 
 
@@ -202,6 +205,34 @@ def split_object(item: SceneObject, task: Task) -> tuple[MovedPart, OwnElements]
         displaced=np.isin(own_body, _displaced(item, task, bodies)),
     )
     return _part(item, task, bodies, hulls.take(moved)), own
+
+
+def within_part(part: MovedPart, own: OwnElements) -> Iterator[tuple[MovedPart, OwnElements]]:
+    """Yield each pair of bodies of a part, as if one moved and the other one stood still.
+
+    The frame is that of the standing body. Only a body that carries the moving one is its bearing.
+    """
+    Ts_world_body = part.poses(np.array([part.start]))[0]
+    for moving, parent in enumerate(part.paths.parent):
+        for frame in range(moving):
+            still, moved = (np.flatnonzero(part.shapes.body == body) for body in (frame, moving))
+            element = own.of_part[still]
+            yield (
+                replace(
+                    part,
+                    shapes=part.shapes.take(moved),
+                    paths=replace(part.paths, frame=frame),
+                ),
+                replace(
+                    own,
+                    standing=part.shapes.take(still),
+                    of_part=own.of_part[moved],
+                    of_standing=element,
+                    movable=np.full(len(own.movable), parent != frame),
+                    displaced=np.zeros(len(own.displaced), bool),
+                    T_world_frame=Ts_world_body[frame],
+                ),
+            )
 
 
 def _displaced(item: SceneObject, task: Task, bodies: LinkBodies) -> list[int]:

@@ -39,7 +39,20 @@ class Overlaps:
     ) -> None:
         """Add pairs of shapes; overlap counts beyond `already` [m]."""
         depth, state = deepest(a, Ts_a, b, Ts_b, pairs, min(0.0, self.limit))
-        depth = depth - already
+        self.collect(a, b, pairs, depth - already, state, where, swapped=swapped)
+
+    def collect(
+        self,
+        a: Shapes,
+        b: Shapes,
+        pairs: Int[np.ndarray, "p 2"],
+        depth: Float[np.ndarray, " p"],
+        state: Int[np.ndarray, " p"],
+        where: Callable[[int], str],
+        *,
+        swapped: bool = False,
+    ) -> None:
+        """Add pairs of shapes by their deepest overlap [m] and its state, see `deepest`."""
         for p in np.flatnonzero(state >= 0):
             names = (a.names[pairs[p, 0]], b.names[pairs[p, 1]])
             names = names[::-1] if swapped else names

@@ -4,6 +4,7 @@ Real scenes are imprecise: doors are flush with their neighbors, drawers touch t
 object leans on a front. So the scene as given is the reference, and the part must not overlap
 anything more deeply than there, nor extend deeper below the floor. Elements of the part's own
 object may touch the part as deep as they do where it is closed, and somewhat deeper at a hinge.
+So may the bodies of a part that move against each other, such as the leaves of a folding door.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from momapos.model.scene import Scene, SceneObject
 from .convex import overlap
 from .exact_shapes import Shapes, hulls_of, join, link_of_label, triangle_shapes
 from .floor_contact import floor_contact
-from .moved_part import MovedPart, OwnElements, split, split_object
+from .moved_part import MovedPart, OwnElements, split, split_object, within_part
 from .overlaps import Overlaps
 from .report import DEFAULT, Limits
 from .sweep import all_pairs, deepest
@@ -54,37 +55,35 @@ MAX_SURFACE_PAIRS = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class PartSweepCheck:
-    """A part, its obstacles, and the allowed overlap of each pair of their shapes."""
+    """A part, its obstacles, and the allowed overlap of each pair of their shapes.
+
+    The obstacles of the scene are checked for each scene; those of the part's own object are checks
+    of their own, which all scenes with that object share.
+    """
 
     part: MovedPart
     moving: Shapes
     """The shapes of the part, and triangles of some of them, by the body that carries each."""
     fixed: Shapes
-    """All other shapes, and triangles of some of them, in world coordinates."""
+    """The obstacles, and triangles of some of them, in the frame in which they stand still."""
     pairs: Int[np.ndarray, "p 2"]
     """Indices into the moving and the fixed shapes."""
     already: Float[np.ndarray, " p"]
     """Overlap of each pair to subtract, as the given scene has it [m]."""
     limits: Limits
+    own: tuple[PartSweepCheck, ...] = ()
+    """Checks against the rest of the part's object, and of each of its bodies against another one,
+    in whose frame that one stands still."""
 
     def placed(
         self, values: Float[np.ndarray, " s"], latch_q: Float[np.ndarray, " s"] | None = None
     ) -> Float[np.ndarray, "s k 4 4"]:
-        """Return world poses of the moving shapes at values of joint and latch."""
+        """Return poses of the moving shapes at values of joint and latch."""
         return self.moving.placed(self.part.poses(values, latch_q))
 
-    def depths(
-        self, values: Float[np.ndarray, " s"], floor: float, *, turned: bool = False
-    ) -> Float[np.ndarray, " p"]:
-        """Return the deepest overlap of each pair at values of the joint [m], at least a floor.
-
-        Args:
-            values: Values of the joint [rad] or [m].
-            floor: Smallest depth of interest [m].
-            turned: Whether the latch is turned.
-        """
-        Ts = self.placed(values, self.part.turned(len(values)) if turned else None)
-        fixed = self.fixed
+    def depths(self, value: float, floor: float) -> Float[np.ndarray, " p"]:
+        """Return the overlap of each pair at a value of the joint, at least a floor [m]."""
+        Ts, fixed = self.placed(np.array([value])), self.fixed
         return deepest(self.moving, Ts, fixed, fixed.Ts_body_shape[None], self.pairs, floor)[0]
 
     def path(self, goal: float) -> Float[np.ndarray, " s"]:
@@ -107,28 +106,57 @@ class PartSweepCheck:
             A description; None if the path is free.
         """
         values = self.path(goal)
-        Ts = self.placed(values, self.part.turned(len(values)))
-        state, p = len(values) - 1, -1
-        for one in np.flatnonzero(_excess(self, goal) > 0.0).tolist():
-            earlier = self._first_state(one, Ts[: state + (p < 0)])
-            if earlier is not None:
-                state, p = earlier, one
-        contact = floor_contact(self.part, float(values[state]), self.limits.step)
+        first = len(values), ""
+        for check in (self, *self.own):
+            first = check._first_overlap(goal, first)
+        value = float(values[min(first[0], len(values) - 1)])
+        contact = floor_contact(self.part, value, self.limits.step)
         if contact is not None:
             value, name = contact
             return f"{name} meets the floor {self._at(value, goal)}"
-        if p < 0:
-            return None
-        i, j = self.pairs[p]
-        names = f"{self.moving.names[i]} hits {self.fixed.names[j]}"
-        return f"{names} {self._at(float(values[state]), goal)}"
+        return f"{first[1]} {self._at(value, goal)}" if first[1] else None
+
+    def _first_overlap(self, goal: float, first: tuple[int, str]) -> tuple[int, str]:
+        """Return the first state with a collision and its words, or those of an earlier one."""
+        hits = np.flatnonzero(self.excess(goal) > 0.0)
+        if not len(hits):
+            return first
+        values = self.path(goal)
+        Ts = self.placed(values, self.part.turned(len(values)))
+        for pair in hits.tolist():
+            earlier = self._first_state(pair, Ts[: first[0]])
+            if earlier is not None:
+                i, j = self.pairs[pair]
+                first = earlier, f"{self.moving.names[i]} hits {self.fixed.names[j]}"
+        return first
 
     @cached_property
     def on_task(self) -> Overlaps:
-        """Return what the part overlaps on the path to the task's goal."""
-        values = self.path(self.part.goal)
-        Ts_body = self.part.poses(values, self.part.turned(len(values)))
-        return self.overlaps(Ts_body, lambda state: f"object_q {values[state]:.3f}")
+        """Return what the part overlaps on the path to the task's goal, with the latch turned."""
+        values, found = self.path(self.part.goal), Overlaps(self.limits.penetration)
+        for check in (self, *self.own):
+            depth, state = check.to_goal
+            found.collect(
+                check.moving, check.fixed, check.pairs, depth - check.already, state,
+                lambda state: f"object_q {values[state]:.3f}",
+            )  # fmt: skip
+        return found
+
+    @cached_property
+    def to_goal(self) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+        """Return the deepest overlap of each pair on the path to the task's goal, and its state."""
+        return self._to(self.part.goal)
+
+    def _to(self, goal: float) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+        values, fixed = self.path(goal), self.fixed
+        Ts = self.placed(values, self.part.turned(len(values)))
+        floor = min(0.0, self.limits.penetration)
+        return deepest(self.moving, Ts, fixed, fixed.Ts_body_shape[None], self.pairs, floor)
+
+    def excess(self, goal: float) -> Float[np.ndarray, " p"]:
+        """Return how much deeper than allowed each pair gets on the path to a joint value [m]."""
+        depth, _ = self.to_goal if goal == self.part.goal else self._to(goal)
+        return np.asarray(depth - self.already - self.limits.penetration)
 
     def overlaps(
         self, Ts_body: Float[np.ndarray, "s b 4 4"], where: Callable[[int], str]
@@ -139,17 +167,23 @@ class PartSweepCheck:
             Ts_body: World poses of the part's bodies.
             where: Names a state by its index.
         """
-        found, fixed = Overlaps(self.limits.penetration), self.fixed
-        found.add(
-            self.moving, self.moving.placed(Ts_body), fixed, fixed.Ts_body_shape[None],
-            self.pairs, where, already=self.already,
-        )  # fmt: skip
+        found = Overlaps(self.limits.penetration)
+        for check in (self, *self.own):
+            moving, fixed = check.moving, check.fixed
+            Ts = moving.placed(check.part.paths.in_frame(Ts_body))
+            found.add(
+                moving, Ts, fixed, fixed.Ts_body_shape[None], check.pairs, where,
+                already=check.already,
+            )  # fmt: skip
         return found
 
     def obstructions(self, goal: float) -> frozenset[str]:
         """Return the links, as object/link, that the part hits on the path to a joint value."""
-        hit = np.flatnonzero(_excess(self, goal) > 0.0)
-        return frozenset(link_of_label(self.fixed.names[j]) for j in self.pairs[hit, 1].tolist())
+        return frozenset(
+            link_of_label(check.fixed.names[j])
+            for check in (self, *self.own)
+            for j in check.pairs[check.excess(goal) > 0.0, 1].tolist()
+        )
 
     def _first_state(self, pair: int, Ts: Float[np.ndarray, "s k 4 4"]) -> int | None:
         """Return the first state at which a pair overlaps too deeply, if there is one."""
@@ -181,49 +215,40 @@ def part_sweep_check(
         own: The elements of the same object; see `own_contacts`.
         limits: Allowed overlap, also relative to the given scene.
     """
-    count, ours = len(own.standing), np.arange(len(own.standing)) + own.first
-    others = np.delete(np.arange(len(fixed)), ours)
+    others = np.delete(np.arange(len(fixed)), np.arange(len(own.standing)) + own.first)
     pairs = all_pairs(len(part.shapes), len(others))
     pairs[:, 1] = others[pairs[:, 1]]
     check = PartSweepCheck(part, part.shapes, fixed, pairs, np.zeros(len(pairs)), limits)
     floor = limits.penetration - limits.deeper
-    check = replace(check, already=check.depths(np.array([part.start]), floor) - floor)
-    if part.joint is None:
-        return check
-    mine = own_contacts(own.item, own.task, limits)
-    extra = mine.fixed.take(np.arange(count, len(mine.fixed)))
-    at = np.concatenate([ours, len(fixed) + np.arange(len(extra))])
-    own_pairs = np.column_stack([mine.pairs[:, 0], at[mine.pairs[:, 1]]])
-    return replace(
-        check,
-        moving=mine.moving,
-        fixed=_appended(fixed, extra) if len(extra) else fixed,
-        pairs=np.concatenate([pairs, own_pairs]),
-        already=np.concatenate([check.already, mine.already]),
-    )
+    mine = () if part.joint is None else own_contacts(own.item, own.task, limits)
+    return replace(check, already=check.depths(part.start, floor) - floor, own=mine)
 
 
 @owner_cache()
-def own_contacts(item: SceneObject, task: Task, limits: Limits) -> PartSweepCheck:
-    """Return the check of a part against the rest of its own object, cached for all its scenes.
+def own_contacts(item: SceneObject, task: Task, limits: Limits) -> tuple[PartSweepCheck, ...]:
+    """Return the checks of a part against its own object and itself, cached for all its scenes.
 
     The part may overlap its object as it does in the given scene or where it is closed. A mesh is
     decided by its triangles where its hull would say more. Where the part turns into its object at
     a hinge, or slides along what it overlaps at rest, models are not exact.
     """
     part, own = split_object(item, task)
+    named = replace(own, standing=join([own.standing], [f"{item.name}/"]))
+    return tuple(_contacts(*one, limits) for one in ((part, named), *within_part(part, own)))
+
+
+def _contacts(part: MovedPart, own: OwnElements, limits: Limits) -> PartSweepCheck:
+    """Return the check of a part against what stands still in a frame, see `own_contacts`."""
     pairs = all_pairs(len(part.shapes), len(own.standing))
-    named = join([own.standing], [f"{item.name}/"])
-    check = PartSweepCheck(part, part.shapes, named, pairs, np.zeros(len(pairs)), limits)
+    check = PartSweepCheck(part, part.shapes, own.standing, pairs, np.zeros(len(pairs)), limits)
     element = own.of_standing[pairs[:, 1]]
     resting = _resting(check, own.displaced[element])
     error = _model_error(resting, own.movable[element])
     check = replace(check, already=_allowed(check, resting, error))
-    excess = _excess(check)
-    suspects = (resting > limits.deeper) | (excess > 0.0)
+    suspects = (resting > limits.deeper) | (check.excess(part.goal) > 0.0)
     if suspects.any():
         check, resting = _surfaces(check, resting, own, np.flatnonzero(suspects))
-        check = _with_bearings(check, resting, _excess(check))
+        check = _with_bearings(check, resting)
     return check
 
 
@@ -233,10 +258,10 @@ def _resting(check: PartSweepCheck, displaced: Bool[np.ndarray, " p"]) -> Float[
     Where another joint has moved the obstacle from rest, the closed part may hit it.
     """
     part, floor = check.part, min(TOUCHING, check.limits.penetration - check.limits.deeper)
-    depth = check.depths(np.array([part.start]), floor)
+    depth = check.depths(part.start, floor)
     if part.rest == part.start:
         return depth
-    closed = check.depths(np.array([part.rest]), floor)
+    closed = check.depths(part.rest, floor)
     return np.where(displaced, depth, np.maximum(depth, closed))
 
 
@@ -279,12 +304,6 @@ def _model_error(
 def _half_thickness(shapes: Shapes) -> Float[np.ndarray, " k"]:
     """Return half the thickness of each shape [m]; infinite for triangles, which have none."""
     return np.where(np.diff(shapes.first) == 3, np.inf, shapes.half.min(1))
-
-
-def _excess(check: PartSweepCheck, goal: float | None = None) -> Float[np.ndarray, " p"]:
-    """Return how much deeper than allowed each pair gets on the way to a goal [m]."""
-    limit, values = check.limits.penetration, check.path(check.part.goal if goal is None else goal)
-    return check.depths(values, min(0.0, limit), turned=True) - check.already - limit
 
 
 def _surfaces(
@@ -419,23 +438,20 @@ def _appended(shapes: Shapes, others: Shapes) -> Shapes:
     return replace(both, body=np.concatenate([shapes.body, others.body]))
 
 
-def _with_bearings(
-    check: PartSweepCheck, resting: Float[np.ndarray, " p"], excess: Float[np.ndarray, " p"]
-) -> PartSweepCheck:
-    """Allow more overlap to pairs that touch at rest and get deeper at a hinge only.
+def _with_bearings(check: PartSweepCheck, resting: Float[np.ndarray, " p"]) -> PartSweepCheck:
+    """Allow more overlap to pairs that touch at rest, at a hinge only.
 
-    There, models are never exact. What the part does outside of the square around the axis of its
-    hinge decides whether it is one.
+    There, models are never exact. What gets too deep outside of the square around the axis of its
+    hinge is a pair of its own.
 
     Args:
         check: The check of elements of the same object.
         resting: Overlap of each pair at rest [m].
-        excess: How much deeper than allowed each one gets on the way to the goal [m].
     """
     joints = check.part.paths.joints
     turning = np.array([joint.kind != "prismatic" for joint in joints])
     hinged = turning[check.moving.body[check.pairs[:, 0]]] & (resting >= TOUCHING)
-    suspects = np.flatnonzero(hinged & (excess > 0.0))
+    suspects = np.flatnonzero(hinged & (check.excess(check.part.goal) > 0.0))
     if not len(suspects):
         return check
     moving, rows = check.moving, [np.empty((0, 3), np.int64)]
@@ -448,11 +464,15 @@ def _with_bearings(
         moving = _appended(moving, outside)
     k, j, p = np.concatenate(rows).T
     pairs, already = np.column_stack([k, j]), check.already[p]
-    deep = p[_excess(replace(check, moving=moving, pairs=pairs, already=already)) > 0.0]
-    bearings = np.setdiff1d(suspects, deep)
+    beyond = replace(check, moving=moving, pairs=pairs, already=already)
+    beyond = beyond.take(np.flatnonzero(beyond.excess(check.part.goal) > 0.0))
     already = check.already.copy()
-    already[bearings] += MODEL_ERROR - check.limits.deeper
-    return replace(check, already=already)
+    already[suspects] += MODEL_ERROR - check.limits.deeper
+    return replace(
+        beyond,
+        pairs=np.concatenate([check.pairs, beyond.pairs]),
+        already=np.concatenate([already, beyond.already]),
+    )
 
 
 def _beyond_hinge(shapes: Shapes, i: int, axis: Float[np.ndarray, "3"]) -> Shapes:
@@ -471,7 +491,9 @@ def _beyond_hinge(shapes: Shapes, i: int, axis: Float[np.ndarray, "3"]) -> Shape
     parts = [_beyond(points, n, HINGE_RADIUS - ball) for n in (u, -u, v, -v)]
     parts = [part for part in parts if len(part)]
     first = np.cumsum([0, *map(len, parts)])
-    found = hulls_of(np.concatenate([points[:0], *parts]), first, int(shapes.body[i]), "")
+    found = hulls_of(
+        np.concatenate([points[:0], *parts]), first, int(shapes.body[i]), shapes.names[i]
+    )
     return replace(found, ball=np.full(len(parts), ball))
 
 
