@@ -69,7 +69,7 @@ test-quick: $(VENV)/.dev
 test-all: test test-wheel test-slow test-torch test-usd test-ros test-film test-page docs
 
 # What make test leaves out, since a fresh machine lacks it or it takes minutes.
-# Torch trains the front network and runs URDFormer.
+# Torch trains the front networks.
 torch: $(VENV)/.torch
 
 test-torch: $(VENV)/.torch

@@ -343,7 +343,6 @@ def refused(
     ("words", "says"),
     [
         (["nowhere"], "nowhere"),
-        (["SCAN", "--predictor", "urdformer"], "--checkpoint"),
         (["SCAN", "--models", "fridge"], "NAME=FILE"),
         (["SCAN", "--instances", "missing.json"], "missing.json"),
     ],

@@ -38,7 +38,6 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["--depth-scale", "nan"], "--depth-scale must be between"),
         (["--depth-scale", "0"], "--depth-scale must be between"),
         (["--max-frames", "0"], "--max-frames must be between"),
-        (["--predictor", "urdformer"], "--checkpoint"),
         (["--models", "fridge=none.urdf"], "NAME=FILE"),
         (["--detections", "pipe"], "fifo"),
         (["--detector", "pipe.onnx"], "no such file"),
@@ -135,10 +134,6 @@ def test_a_scan_that_is_a_fifo_is_refused_without_waiting(
         (ScanOptions(detections=Path("coco.json")), {"Detectron2": "coco.json"}),
         (ScanOptions(detector="yolox_nano"), {"Detectron2": "yolox_nano"}),
         (ScanOptions(instances=Path("masks.npy")), {"Mask3D": "masks.npy"}),
-        (
-            ScanOptions(predictor="urdformer", checkpoint=Path("part.pth")),
-            {"URDFormer": "part.pth"},
-        ),
         (ScanOptions(predictor="template"), {"URDFormer": "templates"}),
     ],
 )

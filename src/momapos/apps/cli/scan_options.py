@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from momapos.perception.reconstruction import GivenModel
     from momapos.perception.recordings import UpAxis
 
-Predictor = Literal["network", "template", "urdformer"]
+Predictor = Literal["network", "template"]
 PoseDirection = Literal["given", "inverted"]
 CameraAxes = Literal["opencv", "opengl"]
 UP = ("x", "-x", "y", "-y", "z", "-z")
@@ -48,9 +48,7 @@ class ScanOptions:
     label: LabelsArg = ()
     """Set the label of an object, by the name that it has without this option."""
     predictor: Predictor = "network"
-    """What finds doors and drawers: our network, a template for each label, or URDFormer."""
-    checkpoint: OptionalFile = None
-    """URDFormer's part.pth."""
+    """What finds doors and drawers: our network, or a template for each label."""
     models: Annotated[
         tuple[str, ...], arg(metavar="[NAME=FILE.urdf ...]", help_behavior_hint="")
     ] = ()
@@ -102,13 +100,11 @@ def scan_config(options: ScanOptions, settings: ScanSettings) -> ScanConfig:
     """Build the configuration of the perception.
 
     Raises:
-        InputError: URDFormer is chosen without its weights.
+        InputError: An option contradicts a setting.
     """
     from momapos.perception import ScanConfig
     from momapos.perception.reconstruction import ModelConfig
 
-    if options.predictor == "urdformer" and options.checkpoint is None:
-        raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
     if options.frontal is not None and settings.views == "voting":
         raise InputError("--frontal names the image that decides; leave out scan.views=voting")
     return ScanConfig(
@@ -127,11 +123,6 @@ def tools_for(scan: Scan, options: ScanOptions, detector: Detector | None) -> To
     if options.predictor == "template":
         assert tools.guess is not None
         predict = tools.guess
-    elif options.predictor == "urdformer":
-        from momapos.perception.reconstruction import UrdformerPredictor, load_urdformer
-
-        assert options.checkpoint is not None, "scan_config checks it"
-        predict = UrdformerPredictor(load_urdformer(options.checkpoint), tools.look)
     segment = tools.segment if options.instances is None else _reader(scan, options.instances)
     frontal = None
     if options.frontal is not None:
@@ -179,7 +170,6 @@ def stand_ins(options: ScanOptions) -> dict[str, str]:
     predictors: dict[Predictor, str] = {
         "network": "momapos' front networks",
         "template": "templates by label",
-        "urdformer": f"URDFormer ({options.checkpoint}), on part boxes of momapos' networks",
     }
     return {
         "Detectron2": projected if detections is None else f"{detections}, else {projected}",

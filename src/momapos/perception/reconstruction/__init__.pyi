@@ -9,8 +9,6 @@ from .seen_motion import SeenMotion as SeenMotion
 from .seen_motion import moved_piece as moved_piece
 from .templates import TemplatePredictor as TemplatePredictor
 from .templates import has_parts as has_parts
-from .urdformer import UrdformerPredictor as UrdformerPredictor
-from .urdformer import load_urdformer as load_urdformer
 from .urdformer_files import is_predicted_urdf as is_predicted_urdf
 from .urdformer_files import read_predicted_urdf as read_predicted_urdf
 from .usual_kinds import weighted_by_height as weighted_by_height

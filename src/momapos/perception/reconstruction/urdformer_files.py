@@ -1,27 +1,37 @@
-"""Read files around URDFormer: its part boxes, and the URDFs that its authors' code writes."""
+"""Read the URDFs that the code of URDFormer's authors writes (Chen et al., 2024)."""
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import FileFormatError, UrdfError, read_text_bounded, read_xml
-from momapos.model.records import Part
+from momapos.core import UrdfError, read_xml
+from momapos.model.records import Part, PartKind
 from momapos.model.urdf import MAX_LINKS, MAX_URDF_BYTES
-
-from .urdformer_format import HANDLES, KINDS, SLOTS, Rectangle, around
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
     from jaxtyping import Float
 
-BOXES_KEY = "part_boxes_yxhw_normalized"
-MAX_BOXES_BYTES = 1_000_000
+Rectangle = tuple[float, float, float, float]
+"""Left, top, right, bottom as fractions of the face."""
+KINDS: Mapping[str, PartKind] = {
+    "drawer": "drawer",
+    "doorL": "door_left",
+    "doorR": "door_right",
+    "washer_door": "door_left",
+    "doorD": "door_down",
+    "oven_door": "door_down",
+    "doorU": "door_up",
+}
+"""How parts of a class open."""
+HANDLES = ("handle", "knob")
+"""Classes of handles; all other classes have no counterpart here."""
 MESH_EDGE = 0.25
 """Edge length of the authors' meshes of doors and drawers, so a scale of 4 fills the base."""
 GAP = {"drawer": 0.02, "doorL": 0.01, "doorR": 0.01}
@@ -30,32 +40,6 @@ MESHES = "../meshes/"
 """Folder of the authors' meshes, next to that of their output."""
 HANDLE_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
 """Width and height of the authors' meshes, as fractions of a base of scale 1."""
-
-
-def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
-    """Read part boxes (top, left, height, width) as fractions of the image.
-
-    The file is JSON: `{"part_boxes_yxhw_normalized": [[0.1, 0.2, 0.3, 0.4], ...]}`.
-
-    Raises:
-        FileFormatError: The file is not usable.
-    """
-    try:
-        content = json.loads(read_text_bounded(path, MAX_BOXES_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: damaged JSON ({error})") from error
-    rows = content.get(BOXES_KEY) if isinstance(content, dict) else None
-    if not isinstance(rows, list):
-        raise FileFormatError(f"{path}: {BOXES_KEY!r} must be a list")
-    if len(rows) > SLOTS:
-        raise FileFormatError(f"{path}: has {len(rows)} boxes; URDFormer takes at most {SLOTS}")
-    for index, row in enumerate(rows):
-        if not _is_box(row):
-            raise FileFormatError(
-                f"{path}: box {index} must be top, left, height, width within 0 to 1, "
-                f"not {row!r:.80}"
-            )
-    return np.array(rows, float).reshape(-1, 4)
 
 
 def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
@@ -95,7 +79,7 @@ def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
             lying = abs(math.sin(roll)) > 0.5
             width, height = (np.array(HANDLE_SIZES[name][:: -1 if lying else 1]) / base).tolist()
             part = parts[parent]
-            handle = around((across, 1.0 - up), (width, height), part.box)
+            handle = _around((across, 1.0 - up), (width, height), part.box)
             parts[parent] = Part(part.kind, part.box, part.score, handle)
     return tuple(parts.values())
 
@@ -130,20 +114,6 @@ def _rectangle(
     if name == "doorU":
         low[1], high[1] = origin[1] - size[1], origin[1]
     return float(low[0]), 1.0 - float(high[1]), float(high[0]), 1.0 - float(low[1])
-
-
-def _is_box(row: object) -> bool:
-    if not isinstance(row, list) or len(row) != 4:
-        return False
-    if not all(type(v) in (int, float) and -1.0 < v < 2.0 for v in row):
-        return False
-    top, left, height, width = row
-    slack = 1e-6
-    return (
-        min(top, left) >= -slack
-        and min(height, width) > 0.0
-        and max(top + height, left + width) <= 1.0 + slack
-    )
 
 
 def _parse(path: Path) -> Element:
@@ -182,3 +152,14 @@ def _three(path: Path, text: str) -> tuple[float, ...]:
     if len(values) != 3 or not all(map(math.isfinite, values)):
         raise UrdfError(f"{path}: {text!r:.80} must be 3 finite numbers")
     return values
+
+
+def _around(center: tuple[float, float], size: tuple[float, float], within: Rectangle) -> Rectangle:
+    """Return a rectangle with a center and size (width, height), clipped to another one."""
+    (x, y), (width, height) = center, size
+    return (
+        max(x - width / 2, within[0]),
+        max(y - height / 2, within[1]),
+        min(x + width / 2, within[2]),
+        min(y + height / 2, within[3]),
+    )
