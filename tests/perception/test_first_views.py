@@ -56,7 +56,7 @@ def always(_: FaceImage, label: str) -> Front:
 def surveyed(frames: Sequence[Frame], found: Found | None) -> Survey:
     nothing = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     return Survey(
-        nothing, tuple(frames), np.eye(4), RoomShell(), (ITEM,), (), (), (), found, {}
+        nothing, tuple(frames), np.eye(4), RoomShell(), (ITEM,), (), (), found, {}
     )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.perception.fusion.tsdf import fuse
 from momapos.perception.modeling import decide
-from momapos.perception.pipeline import cloud_after, model_room, survey
+from momapos.perception.pipeline import model_room, survey
 from momapos.perception.reconstruction.front_network import FrontNetwork
 from momapos.perception.reconstruction.scene_builder import GivenModel
 from momapos.perception.reconstruction.templates import TemplatePredictor
@@ -528,35 +528,3 @@ def test_a_target_that_the_scan_does_not_show_is_refused_in_one_line(
         said = capsys.readouterr().err
         assert told in said
         assert said.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_a_door_that_is_open_in_a_second_scan_gets_the_observed_joint(
-    scan: Scan, tools: Tools, seen: Survey, made: Modeled, folder: Path, tmp_path: Path
-) -> None:
-    kitchen = load_scene("kitchen_small").with_joint("fridge", "door_hinge", np.radians(60.0))
-    write_scan(synthetic_scan(kitchen, frames=30, seed=4, sensor=DepthSensor()), tmp_path / "open")
-    later = cloud_after(read_scan(tmp_path / "open"), seen, ScanConfig())
-    known = {d.detection.name: d for d in made.decisions}
-    result = model_room(seen, tmp_path / "scene.json", tools, known=known, later=later)
-    moved = {(d.detection.name, name): m for d in result.decisions for name, m in d.moved.items()}
-    (((name, part), door),) = moved.items()
-    assert name == nearest(made, true_fridge(folder))
-    assert door.kind == "door_right"
-    assert door.value == pytest.approx(np.radians(60.0), abs=np.radians(2.0))
-    item = load_scene(tmp_path / "scene.json").object(name)
-    assert item.values()[f"{part}_hinge"] == pytest.approx(door.value, abs=1e-4)
-    record = item.model.joint(f"{part}_hinge")
-    place = (item.link_poses()[record.parent] @ record.T_parent_joint)[:2, 3]
-    fridge = kitchen.object("fridge")
-    true = fridge.model.joint("door_hinge")
-    T = result.T_scene_scan @ fridge.link_poses()[true.parent] @ true.T_parent_joint
-    assert np.linalg.norm(place - T[:2, 3]) < 0.02
-    data = report_to_dict(result, scan, None)
-    told = next(entry for entry in data["objects"] if entry["name"] == name)
-    assert told["moved"][part]["kind"] == "door_right"
-    near = later.points[:, 0] < np.median(later.points[:, 0])
-    bare = Cloud(later.points[near], later.normals[near], later.colors[near])
-    other = Cloud(0.6 * bare.points, later.normals[: len(bare.points)], bare.colors)
-    with pytest.raises(InputError, match="elsewhere: the two scans do not show the same room"):
-        cloud_after(Scan("elsewhere", (), other), seen, ScanConfig())

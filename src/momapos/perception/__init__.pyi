@@ -1,7 +1,5 @@
-from .next_views import scan_again as scan_again
 from .photo import Photo as Photo
 from .photo import model_photo as model_photo
-from .pipeline import cloud_after as cloud_after
 from .pipeline import default_tools as default_tools
 from .pipeline import model_room as model_room
 from .pipeline import name_of as name_of

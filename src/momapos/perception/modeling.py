@@ -8,16 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.core.geometry import bottom
-from momapos.model.records import Cloud, Detection, FaceImage, Front, Part
-from momapos.model.scene.library import Piece
+from momapos.model.records import Detection, FaceImage, Front, Part
 from momapos.perception.detection import WITHOUT_DOORS
 from momapos.perception.reconstruction import (
     GivenModel,
     furniture_model,
     has_parts,
     is_predicted_urdf,
-    moved_piece,
-    opened_piece,
     place_model,
     read_predicted_urdf,
     weighted_by_height,
@@ -115,8 +112,7 @@ def model_front(
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
     left, right = (neighbor_protrusion(faces[k], view.face, others) for k in view.face.neighbors)
     piece = furniture_model(item, facing, view.image, parts, config.model, neighbors=(left, right))
-    piece, moved = opened_piece(piece, survey.leaves)
-    return replace(box, parts=parts, source=source, model=piece, moved=moved)
+    return replace(box, parts=parts, source=source, model=piece)
 
 
 def front_of(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) -> FrontView | None:
@@ -142,14 +138,6 @@ def shows_handles(item: Detection, survey: Survey, tools: Tools, config: ScanCon
     """Check whether an object clearly shows doors or drawers with handles."""
     view = None if _small(item) else front_of(item, survey, tools, config)
     return view is not None and handle_evidence(view.front, view.image) >= MIN_HANDLE_EVIDENCE
-
-
-def with_observed_motion(decision: Decision, before: Cloud, later: Cloud) -> Decision:
-    """Replace the joints of parts that moved between two scans by the observed motion."""
-    if not isinstance(decision.model, Piece):
-        return decision
-    piece, moved = moved_piece(decision.model, before, later)
-    return replace(decision, model=piece, moved={**decision.moved, **moved})
 
 
 def _parts(

@@ -94,7 +94,7 @@ def model_photo(
     frame = _frame(photo, face, (left, top, right, bottom))
     nothing = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     seen = Survey(
-        nothing, (frame,), np.eye(4), RoomShell(), (item,), (), (), (), None, {},
+        nothing, (frame,), np.eye(4), RoomShell(), (item,), (), (), None, {},
         _doubts(photo, front.score),
     )  # fmt: skip
     blank = Decision(item, None, view, (), None, "")

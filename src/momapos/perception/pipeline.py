@@ -22,7 +22,7 @@ from momapos.model.records import (
     Instance,
     Scan,
 )
-from momapos.perception.fusion import align_to_gravity, complete, fuse, register
+from momapos.perception.fusion import align_to_gravity, complete, fuse
 from momapos.perception.reconstruction import (
     FrontNetwork,
     GivenModel,
@@ -45,8 +45,7 @@ from momapos.perception.segmentation import (
 from momapos.perception.views import KnownFront, split_row
 
 from .labels import detections_of, with_labels
-from .modeling import decide, shows_handles, with_observed_motion
-from .open_doors import close_leaves, open_leaves
+from .modeling import decide, shows_handles
 from .records import Decision, Found, Modeled, Progress, ScanConfig, Survey, Target, Tools, silent
 from .start_place import start_place
 
@@ -66,22 +65,6 @@ def default_tools() -> Tools:
     """
     network = FrontNetwork()
     return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
-
-
-def cloud_after(after: Scan, seen: Survey, config: ScanConfig) -> Cloud:
-    """Return the cloud of a later scan in the frame of a survey.
-
-    Raises:
-        InputError: The scan shows another room, or is empty.
-    """
-    cloud = after.cloud or fuse(after.frames, config.voxel, config.fusion)
-    T = align_to_gravity(cloud, after.frames, after.up)
-    upright, _ = _transformed(cloud, (), T)
-    try:
-        T = register(seen.cloud, upright)
-    except InputError as error:
-        raise InputError(f"{after.name}: {error}") from error
-    return _transformed(upright, (), T)[0]
 
 
 def survey(
@@ -112,8 +95,6 @@ def survey(
         room = find_room(cloud)
         walls = [(wall.axis, wall.offset) for wall in room.walls]
         cloud = complete(cloud, frames, walls, config.voxel)
-        leaves = open_leaves(cloud, frames, walls)
-        cloud, frames, known = close_leaves(leaves, cloud, frames, tools, config)
         given = boxes_in_images(found or {}, frames)
         read = given or tools.segment(cloud)
         single = without_duplicates(read, len(cloud.points))
@@ -126,7 +107,7 @@ def survey(
         }
     with watch.stage("rows"):
         progress("splitting rows of cabinets", 0.3)
-        instances, rows = split_rows(detections, cloud, frames, tools.look, known)
+        instances, rows = split_rows(detections, cloud, frames, tools.look)
         if len(instances) > len(detections):
             detections = boxes(cloud, instances, room)
         detections = drop_fragments(detections, cloud)
@@ -141,7 +122,7 @@ def survey(
         located = detected if config.views == "first" else found
         seen = Survey(
             cloud, frames, T @ _to_origin(scan), room, tuple(detections), tuple(boards),
-            (*known, *rows), leaves, located, watch.seconds, said,
+            tuple(rows), located, watch.seconds, said,
         )  # fmt: skip
         detections = with_labels(
             detections, cloud, frames, detected, names, labels,
@@ -159,7 +140,6 @@ def model_room(
     scores: Mapping[str, float] | None = None,
     alpha: float = 0.0,
     known: Mapping[str, Decision] | None = None,
-    later: Cloud | None = None,
     given: Mapping[str, GivenModel] | None = None,
     config: ScanConfig = DEFAULT,
     progress: Progress = silent,
@@ -174,7 +154,6 @@ def model_room(
         scores: Importance of objects by name; objects without a score are modeled.
         alpha: Objects of lower importance stay boxes [-].
         known: Earlier decisions; examined objects are not examined again.
-        later: Cloud of the same room after some parts were opened.
         given, config, progress, clock: As for `scan_to_scene`.
     """
     watch, scores, known = Stopwatch(clock), scores or {}, known or {}
@@ -191,8 +170,6 @@ def model_room(
             else:
                 decision = decide(item, score, seen, tools, given or {}, config)
                 decisions.append(replace(decision, seconds=clock() - at))
-        if later is not None:
-            decisions = [with_observed_motion(d, seen.cloud, later) for d in decisions]
         decisions += [Decision(wall, None, None, (), None, "wall") for wall in seen.walls]
     with watch.stage("write"):
         models = {d.detection.name: d.model for d in decisions if d.model is not None}
@@ -245,7 +222,6 @@ def split_rows(
     cloud: Cloud,
     frames: Sequence[Frame],
     look: ArticulationPredictor,
-    known: Sequence[KnownFront] = (),
 ) -> tuple[list[Instance], list[KnownFront]]:
     """Split rows of furniture between their fronts.
 
@@ -254,7 +230,6 @@ def split_rows(
         cloud: In the upright world.
         frames: In the upright world.
         look: Finds the parts on a face.
-        known: Parts that are already known.
 
     Returns:
         All objects, where pieces of split rows have no label yet; and the fronts of these rows.
@@ -266,7 +241,7 @@ def split_rows(
         def seen(face: FaceImage, label: str = item.label) -> Front:
             return look(face, label)
 
-        pieces, front = split_row(item.box, frames, seen, known)
+        pieces, front = split_row(item.box, frames, seen)
         before += [front] if front is not None else []
         if len(pieces) == 1:
             instances.append(Instance(item.label, item.score, item.members, item.box, item.guesses))

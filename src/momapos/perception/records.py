@@ -18,7 +18,6 @@ from momapos.model.records import (
     Detector,
     Frame,
     ImageDetection,
-    OpenLeaf,
     Part,
     Segmenter,
 )
@@ -27,7 +26,7 @@ from momapos.model.scene.library import Piece
 from momapos.perception.fusion import (
     FusionConfig,
 )
-from momapos.perception.reconstruction import ModelConfig, SeenMotion
+from momapos.perception.reconstruction import ModelConfig
 from momapos.perception.segmentation import (
     PixelOf,
     PointAt,
@@ -114,8 +113,6 @@ class Decision:
     model: Piece | SceneObject | None = None
     """Its model in the scene; None for a box."""
     warnings: tuple[str, ...] = ()
-    moved: Mapping[str, SeenMotion] = field(default_factory=dict)
-    """Parts that the second scan shows moved, or the only scan shows open, by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +128,7 @@ class Survey:
     detections: tuple[Detection, ...]
     walls: tuple[Detection, ...]
     rows: tuple[KnownFront, ...]
-    """Parts of open leaves, then fronts of the rows that were split."""
-    leaves: tuple[OpenLeaf, ...]
-    """Open doors and flaps; `cloud` and `frames` show them closed."""
+    """Fronts of the rows that were split."""
     found: Found | None
     """2-D detections that locate objects in the images: those of another program, if there are any,
     or of the detector if one image chooses the front, as in the paper."""

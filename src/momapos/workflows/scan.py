@@ -22,7 +22,6 @@ from momapos.perception import (
     Survey,
     Target,
     Tools,
-    cloud_after,
     default_tools,
     model_room,
     name_of,
@@ -39,7 +38,6 @@ def scan_to_scene(
     tools: Tools | None = None,
     *,
     target: Target | None = None,
-    after: Scan | None = None,
     found: Found | None = None,
     labels: Mapping[str, str] | None = None,
     given: Mapping[str, GivenModel] | None = None,
@@ -56,8 +54,6 @@ def scan_to_scene(
         tools: Segmenter and predictors; `default_tools()` if None.
         target: Object of the task, by name or by a point on it. Only objects that matter for it
             are modeled. If None, every object with a front is modeled.
-        after: A second scan of the room with some doors or drawers open that are closed in `scan`.
-            It gives the motion of these parts, and the scene has them open as in this scan.
         found: 2-D detections in the images; if None, boxes are projected into the images.
         labels: Labels of objects, by their default names. Names follow labels.
         given: URDF files of objects, by name or label; these objects need no prediction.
@@ -68,7 +64,7 @@ def scan_to_scene(
         clock: Measures the stages.
 
     Raises:
-        InputError: The scan is empty, the target does not exist, or `after` shows another room.
+        InputError: The scan is empty, or the target does not exist.
     """
     expect("scan", scan, Scan, "read_scan reads one")
     out = as_path("out", out)
@@ -77,11 +73,10 @@ def scan_to_scene(
     seen = survey(
         scan, tools, found=found, labels=labels, config=config, progress=progress, clock=clock
     )
-    later = None if after is None else cloud_after(after, seen, config)
     name = None if target is None else name_of(target, seen)
     scores = {} if name is None else rank_survey(seen, name, importance).by_name
     made = model_room(
-        seen, out, tools, scores=scores, alpha=importance.alpha, later=later, given=given,
+        seen, out, tools, scores=scores, alpha=importance.alpha, given=given,
         config=config, progress=progress, clock=clock,
     )  # fmt: skip
     return replace(made, target=name)

@@ -118,7 +118,7 @@ def test_an_object_gets_the_parts_of_its_urdformer_file(tmp_path: Path) -> None:
     frame = photograph([box], T, Camera(320, 240, 260.0))
     around = UprightBox(np.array([0, 0.3, 0.45]), np.array([0.8, 0.6, 0.9]))
     item = Detection("cabinet_1", "cabinet", 0.9, around, np.arange(len(cloud.points)))
-    seen = Survey(cloud, (frame,), np.eye(4), RoomShell(), (item,), (), (), (), None, {})
+    seen = Survey(cloud, (frame,), np.eye(4), RoomShell(), (item,), (), (), None, {})
     tools = Tools(lambda _: [], lambda *_: Front(0.9, ()), lambda *_: Front(0.9, ()))
     given = {"cabinet_1": GivenModel(write_urdfs(tmp_path / "a.urdf", FRONT, (0.76, 1.3)))}
     decision = decide(item, None, seen, tools, given, ScanConfig())

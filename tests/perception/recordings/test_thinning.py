@@ -12,7 +12,7 @@ from tests.furnished import cloud_of, kitchen
 from tests.perception.recordings.recorded import K, shots, write_export, write_ply
 
 from momapos.apps.cli.scan_options import ScanOptions, tools_for
-from momapos.model.records.scans import Cloud, Scan
+from momapos.model.records.scans import Scan
 from momapos.perception.pipeline import survey
 from momapos.perception.recordings import thinning
 from momapos.perception.recordings.clouds import read_cloud
@@ -130,14 +130,3 @@ def test_masks_of_the_file_fit_a_thinned_cloud(
     assert len(np.unique(fridge.members)) == len(fridge.members)
     assert (own[:, 0] < -2.2).all()
     assert (own[:, 1] > 0.12).all()
-
-
-def test_masks_fit_after_points_were_added_and_removed() -> None:
-    from momapos.perception.segmentation.closed_leaves import _rows_left
-
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(6, 3))
-    cloud = Cloud(points, points, np.zeros((6, 3), np.uint8), np.array([0, 1, -1, 2, 2, 3, 4, 5]))
-    keep = np.array([True, False, True, True, False, True])
-    assert _rows_left(cloud, keep).tolist() == [0, -1, -1, 1, 1, 2, -1, 3]
-    assert _rows_left(replace(cloud, rows=None), keep) is None

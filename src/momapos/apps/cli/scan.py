@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -37,7 +35,6 @@ from .scan_photo import NO_PHOTO, PhotoArgs, is_photo, model
 if TYPE_CHECKING:
     from momapos.model.records import Scan
     from momapos.perception import Modeled
-    from momapos.perception.reconstruction import SeenMotion
 
 
 SETTINGS = ("importance", "scan")
@@ -49,7 +46,6 @@ def scan_room(
     /,
     *,
     out: Annotated[Path, arg(metavar="FILE")],
-    after: Annotated[Optional[Path], optional("DIR")] = None,  # noqa: UP045
     target: Annotated[Text, optional("OBJECT")] = None,
     target_at: Annotated[Text, optional("X,Y,Z")] = None,
     target_pixel: Annotated[Text, optional("FRAME,U,V")] = None,
@@ -68,8 +64,6 @@ def scan_room(
     Args:
         source: Folder of posed color and depth images, a point cloud, or a robot's recording.
         out: The scene file.
-        after: A second scan after doors or drawers were opened: shows how they move; the scene has
-            them open.
         target: The object of the task: only objects that matter for it are modeled.
         target_at: The same, by a point in the object in the scene's frame [m].
         target_pixel: The same, by a pixel of an image: name of the frame, column, row.
@@ -90,7 +84,7 @@ def scan_room(
     configuration = load_config(settings, SETTINGS, scorer=scorer, alpha=alpha)
     config = scan_config(options, configuration.scan)
     scans_only = {
-        "after": after, "target": target, "target_at": target_at, "target_pixel": target_pixel,
+        "target": target, "target_at": target_at, "target_pixel": target_pixel,
         "alpha": alpha, "scorer": scorer,
     }  # fmt: skip
     if is_photo(source, photo, options, scans_only):
@@ -101,16 +95,13 @@ def scan_room(
     wanted, detector = find_target(target, target_at, target_pixel), detector_of(options)
     check_outputs(*outputs_of(out, pictures=pictures))
     scan = read(source, options, configuration.scan)
-    later = None if after is None else read(after, options, configuration.scan)
     tools, found = tools_for(scan, options, detector), found_in(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
-            scan, out, tools, target=wanted, after=later, found=found, labels=labels, given=given,
+            scan, out, tools, target=wanted, found=found, labels=labels, given=given,
             config=config, importance=configuration.importance,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
-    if later is not None and not any(decision.moved for decision in result.decisions):
-        say(f"momapos: {after}: no part moved since {source}", file=sys.stderr)
     return _shown(result, scan, out, pictures=pictures, json=json)
 
 
@@ -129,7 +120,7 @@ def _shown(result: Modeled, scan: Scan, out: Path, *, pictures: bool, json: bool
 
 
 def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None) -> str:
-    """Tabulate all objects, and what to scan again."""
+    """Tabulate all objects."""
     width = max(len(d.detection.name) for d in result.decisions)
     lines = []
     for decision in result.decisions:
@@ -141,11 +132,6 @@ def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None)
         lines.append(
             f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  seen {seen}  {what}"
         )
-    lines += [
-        f"  {d.detection.name}/{name}  opened by {_amount(motion)}, as a {motion.kind}"
-        for d in result.decisions
-        for name, motion in d.moved.items()
-    ]
     modeled = sum(d.model is not None for d in result.decisions)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
     lines += [
@@ -158,20 +144,7 @@ def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None)
     ]
     if folder is not None:
         lines.append(f"  images      {folder}")
-    if data["scan_again"]:
-        lines += ["", "  scan again (positions in the scene's frame):"]
-    for one in data["scan_again"]:
-        stand, look = (", ".join(f"{v:.1f}" for v in one[key]) for key in ("position", "look_at"))
-        lines.append(
-            f"    {one['object']:<{width}}  from ({stand}) toward ({look}): {one['reason']}"
-        )
     return "\n".join(lines)
-
-
-def _amount(seen: SeenMotion) -> str:
-    if seen.kind == "drawer":
-        return f"{100 * seen.value:.0f} cm"
-    return f"{math.degrees(seen.value):.0f} deg"
 
 
 def _count(parts: tuple[Any, ...]) -> str:

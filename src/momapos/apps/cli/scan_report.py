@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.model.records import Scan
 from momapos.model.scene import load_scene, write_text_atomic
-from momapos.perception import Decision, Modeled, scan_again
+from momapos.perception import Decision, Modeled
 
 FORMAT, VERSION = "momapos-scan-report", 1
 NAME = "scan_report.json"
@@ -31,7 +31,6 @@ def report_to_dict(result: Modeled, scan: Scan, target: str | None) -> dict[str,
         "T_scene_scan": result.T_scene_scan.tolist(),
         "target": target,
         "objects": [_decision(d, result) for d in result.decisions],
-        "scan_again": [asdict(one) for one in scan_again(result)],
         "timing": {name: round(value, 4) for name, value in result.timing.items()},
     }
 
@@ -57,7 +56,6 @@ def _decision(decision: Decision, result: Modeled) -> dict[str, Any]:
         "seconds": round(decision.seconds, 3),
         "view": None,
         "parts": [asdict(part) for part in decision.parts],
-        "moved": {name: asdict(seen) for name, seen in decision.moved.items()},
     }
     if view is not None:
         data["view"] = {

@@ -3,8 +3,6 @@ from .loads import MAX_EFFORT_SHARE as MAX_EFFORT_SHARE
 from .loads import MIN_STABILITY as MIN_STABILITY
 from .loads import MOVING_PULL as MOVING_PULL
 from .loads import MotionLoads as MotionLoads
-from .open_leaf import UP as UP
-from .open_leaf import OpenLeaf as OpenLeaf
 from .outcomes import NO_PATH as NO_PATH
 from .outcomes import NO_STAND as NO_STAND
 from .outcomes import RULED_OUT as RULED_OUT

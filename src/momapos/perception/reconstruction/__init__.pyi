@@ -1,12 +1,9 @@
 from .front_network import FrontNetwork as FrontNetwork
 from .model_config import ModelConfig as ModelConfig
 from .object_model import furniture_model as furniture_model
-from .open_parts import opened_piece as opened_piece
 from .scene_builder import GivenModel as GivenModel
 from .scene_builder import build_scene as build_scene
 from .scene_builder import place_model as place_model
-from .seen_motion import SeenMotion as SeenMotion
-from .seen_motion import moved_piece as moved_piece
 from .templates import TemplatePredictor as TemplatePredictor
 from .templates import has_parts as has_parts
 from .urdformer_files import is_predicted_urdf as is_predicted_urdf

@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.core import InputError, unknown_name
 from momapos.core.geometry import apply, pose, rotation_about
-from momapos.model.records import UP, Detection
+from momapos.model.records import Detection
 from momapos.model.scene import SceneObject
 from momapos.model.scene.library import Piece, solid, vec, write_kitchen
 from momapos.model.urdf import Articulated, Joint, opening_of, read_furniture
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MAX_DEVIATION = 0.15
 """Larger differences in proportions between a given model and its box give a warning [-]."""
+_UP = np.array([0.0, 0.0, 1.0])
 _NAME = re.compile(r"\w[\w .-]{0,79}")
 _RIGHT = np.array([1.0, 0.0, 0.0])
 
@@ -117,7 +118,7 @@ def place_model(
     model = Articulated(read_furniture(given.path))
     tilt = rotation_about(_RIGHT, np.pi / 2) if given.up == "y" else np.eye(3)
     front = given.front if given.front is not None else _front(model, tilt, given.path)
-    R = rotation_about(UP, -np.pi / 2 - front) @ tilt
+    R = rotation_about(_UP, -np.pi / 2 - front) @ tilt
     points = _points(model, model.links)
     if not len(points):
         raise InputError(f"{given.path}: has no shape to scale to the box")
@@ -127,7 +128,7 @@ def place_model(
     scale = float(np.sqrt(ratios.min() * ratios.max()))
     half = np.array(size) / 2
     shift = np.array([-scale * (low + high)[0] / 2, *(-half[1:] - scale * low[1:])])
-    T_world_piece = pose(detection.box.center, rotation_about(UP, yaw))
+    T_world_piece = pose(detection.box.center, rotation_about(_UP, yaw))
     placed = Articulated(read_furniture(given.path, scale=scale))
     item = SceneObject(detection.name, detection.label, T_world_piece @ pose(shift, R), placed)
     off = float(np.sqrt(ratios.max() / ratios.min())) - 1

@@ -1,4 +1,3 @@
-from .closed_leaves import close_in_cloud as close_in_cloud
 from .given_instances import boxes_in_images as boxes_in_images
 from .given_instances import without_duplicates as without_duplicates
 from .instance_boxes import MIN_POINTS as MIN_POINTS
@@ -7,7 +6,6 @@ from .instance_boxes import drop_fragments as drop_fragments
 from .instance_boxes import inside as inside
 from .instance_boxes import named as named
 from .instance_boxes import wall_detections as wall_detections
-from .open_leaves import find_open_leaves as find_open_leaves
 from .pointing import PixelOf as PixelOf
 from .pointing import PointAt as PointAt
 from .pointing import pointed_at as pointed_at
@@ -15,6 +13,4 @@ from .room_shell import RoomShell as RoomShell
 from .room_shell import at_wall as at_wall
 from .room_shell import find_room as find_room
 from .segmenter import ClassicalSegmenter as ClassicalSegmenter
-from .surface_coverage import SIDES as SIDES
-from .surface_coverage import coverage as coverage
 from .surface_coverage import with_coverage as with_coverage

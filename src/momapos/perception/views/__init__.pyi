@@ -1,7 +1,3 @@
-from .closed_images import ClosedLeaf as ClosedLeaf
-from .closed_images import close_in_frames as close_in_frames
-from .closed_images import close_leaf as close_leaf
-from .closed_images import part_on as part_on
 from .faces import Face as Face
 from .faces import box_faces as box_faces
 from .faces import neighbor_protrusion as neighbor_protrusion

@@ -52,7 +52,6 @@ def split_row(
     box: UprightBox,
     frames: Sequence[Frame],
     look: FrontDetector,
-    known: Sequence[KnownFront] = (),
 ) -> tuple[list[UprightBox], KnownFront | None]:
     """Split a box between the fronts on its longer faces.
 
@@ -60,8 +59,6 @@ def split_row(
         box: The row.
         frames: All images.
         look: Finds the parts on a face.
-        view: How faces are examined.
-        known: Parts that are already known.
 
     Returns:
         The pieces from left to right as seen from the front, or the box itself if it is not split;
@@ -69,7 +66,7 @@ def split_row(
         as well.
     """
     wide = [face for face in box_faces(box) if face.width >= MIN_WIDTH]
-    fronts = [_front_of(face, frames, look, known) for face in wide]
+    fronts = [_front_of(face, frames, look) for face in wide]
     best = max(fronts, key=lambda front: sum(part.score for part in front.parts), default=None)
     if best is None or not best.parts:
         return [box], None
@@ -84,21 +81,12 @@ def _window_width(face: Face) -> float:
     return min(face.width, max(WINDOW_RATIO * face.height, MIN_WINDOW))
 
 
-def _front_of(
-    face: Face,
-    frames: Sequence[Frame],
-    look: FrontDetector,
-    known: Sequence[KnownFront],
-) -> KnownFront:
-    """Find the parts on a long face in overlapping windows, and add the known ones."""
+def _front_of(face: Face, frames: Sequence[Frame], look: FrontDetector) -> KnownFront:
+    """Find the parts on a long face in overlapping windows."""
     wide = _window_width(face)
     count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
     found: list[Part] = []
     evidence = [0.0]
-    for one in known:
-        parts = transferred(one.parts, one.face, face)
-        found += parts
-        evidence += [one.score] if parts else []
     for left in np.linspace(0.0, face.width - wide, count):
         window = _window(face, float(left), wide)
         chosen = _frames_for(window, frames)
