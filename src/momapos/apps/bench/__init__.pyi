@@ -1,4 +1,3 @@
-from .answer_maps import draw_maps as draw_maps
 from .arm_suite import ARM_FILE as ARM_FILE
 from .arm_suite import arm_heading as arm_heading
 from .arm_suite import arm_outcomes as arm_outcomes
@@ -23,13 +22,10 @@ from .folder import read_folder as read_folder
 from .folder import rows_file as rows_file
 from .guard import local_workers as local_workers
 from .guard import run_job as run_job
-from .html_report import AnswerMap as AnswerMap
-from .html_report import page as page
 from .markdown_report import markdown as markdown
 from .methods import method_config as method_config
 from .metrics import in_order as in_order
 from .metrics import labeled as labeled
-from .parquet import write_parquet as write_parquet
 from .report_tables import all_tables as all_tables
 from .report_tables import compared_tables as compared_tables
 from .row_store import RowStore as RowStore

@@ -30,8 +30,8 @@ from momapos.planning.arm_motion import RESOLUTION, PlannerConfig, plan_with_cle
 
 from .arm_problems import ArmProblem, ProblemFiles, find_problems, read_problem, spread_problems
 from .bench_records import from_plain, to_plain
-from .cells import Cell, Table
 from .folder import versions
+from .markdown_report import Table
 from .metrics import percentile
 from .suites import ARM_SUITE
 
@@ -330,7 +330,7 @@ def arm_tables(found: ArmResults) -> list[Table]:
         reasons = Counter((row.result, row.reason) for row in rows if row.reason)
         if reasons:
             told = tuple(
-                (Cell(result), Cell(reason), Cell(str(count)))
+                (result, reason, str(count))
                 for (result, reason), count in reasons.most_common(MAX_REASONS)
             )
             more = sum(reasons.values()) - sum(n for _, n in reasons.most_common(MAX_REASONS))
@@ -340,15 +340,16 @@ def arm_tables(found: ArmResults) -> list[Table]:
     return tables
 
 
-def _line(name: str, rows: Sequence[ArmRow]) -> tuple[Cell, ...]:
+def _line(name: str, rows: Sequence[ArmRow]) -> tuple[str, ...]:
     solved = [row for row in rows if row.result == "solved"]
     valid = len(solved) + sum(row.result == "unsolved" for row in rows)
     times = [1e3 * (row.seconds or 0.0) for row in solved]
     median, late = percentile(times, 50), percentile(times, 95)
     length = percentile([row.length or 0.0 for row in solved], 50)
-    cells = [name.replace("_", " "), str(len(rows)), str(valid), str(len(solved))]
-    cells += [_number(median, "ms", 2), _number(late, "ms", 1), _number(length, "rad", 1)]
-    return tuple(map(Cell, cells))
+    return (
+        name.replace("_", " "), str(len(rows)), str(valid), str(len(solved)),
+        _number(median, "ms", 2), _number(late, "ms", 1), _number(length, "rad", 1),
+    )  # fmt: skip
 
 
 def _number(value: float | None, unit: str, digits: int) -> str:

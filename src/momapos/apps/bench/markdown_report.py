@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from .cells import Table
+
+@dataclass(frozen=True)
+class Table:
+    title: str
+    columns: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+    note: str = ""
 
 
 def markdown(heading: Sequence[str], tables: Sequence[Table]) -> str:
@@ -15,7 +22,7 @@ def markdown(heading: Sequence[str], tables: Sequence[Table]) -> str:
             f"| {' | '.join(map(_escaped, table.columns))} |",
             "|---" * len(table.columns) + "|",
         ]
-        lines += [f"| {' | '.join(_escaped(cell.text) for cell in line)} |" for line in table.lines]
+        lines += [f"| {' | '.join(map(_escaped, line))} |" for line in table.lines]
         parts += [f"## {table.title}", "\n".join(lines) if table.lines else "None."]
         if table.note:
             parts.append(table.note)

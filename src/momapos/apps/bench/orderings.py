@@ -9,7 +9,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from .bench_records import Row
-from .cells import Cell, Table
+from .markdown_report import Table
 from .metrics import CONFIDENCE, paired_p_value, succeeded
 from .printed import PrintedTable
 
@@ -35,7 +35,7 @@ def ordering_table(rows: Sequence[Row], protocol: str, published: PrintedTable) 
     at 95 %. An order differs if it lacks or reverses a difference that is in print.
     """
     lines = tuple(
-        (Cell(text),)
+        (text,)
         for task in published.tasks
         for figure in FIGURES
         if (text := _sentence(task, figure, [r for r in rows if r.group == task], published))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .bench_records import Row
-from .cells import Cell, Table
+from .markdown_report import Table
 from .metrics import GRID, grouped, succeeded
 
 
@@ -124,7 +124,7 @@ def printed_table(rows: Sequence[Row], protocol: str, published: PrintedTable) -
         for method in dict.fromkeys((*mine, *printed)):
             ours, theirs = _measured(mine.get(method, [])), _as_printed(printed.get(method))
             pairs = [cell for pair in zip(ours, theirs, strict=True) for cell in pair]
-            lines.append((Cell(task), Cell(_named(method, published.methods)), *pairs))
+            lines.append((task, _named(method, published.methods), *pairs))
     columns = [
         name for figure in ("success", "driving", "time") for name in (figure, f"{figure}, {MARK}")
     ]
@@ -144,8 +144,8 @@ def simulation_table(rows: Sequence[Row]) -> Table:
             count = sum(row.task in solvable for row in mine)
             printed = f"{SIMULATION:.0f} %" if method == "paper" else "-"
             lines.append((
-                Cell(robot), Cell(_named(method, AS_PRINTED)), _share(good, len(mine)),
-                _share(able, count), Cell(printed),
+                robot, _named(method, AS_PRINTED), _share(good, len(mine)),
+                _share(able, count), printed,
             ))  # fmt: skip
     columns = ("robot", "method", "success", "of grid-solvable", f"success, {MARK}")
     note = (
@@ -161,28 +161,25 @@ def _named(method: str, methods: dict[str, str]) -> str:
     return f"{method} ({names[0]})" if names else method
 
 
-def _measured(rows: Sequence[Row]) -> tuple[Cell, Cell, Cell]:
+def _measured(rows: Sequence[Row]) -> tuple[str, str, str]:
     good = [row for row in rows if succeeded(row)]
     driving = [row.driving for row in good if row.driving is not None]
     seconds = [row.seconds for row in good if row.seconds is not None]
-    keys = tuple(row.key for row in good)
-    spread = Cell(_spread(driving, "m"), keys), Cell(_spread(seconds, "s"), keys)
-    return _share(good, len(rows)), *spread
+    return _share(good, len(rows)), _spread(driving, "m"), _spread(seconds, "s")
 
 
-def _as_printed(one: PrintedResult | None) -> tuple[Cell, Cell, Cell]:
+def _as_printed(one: PrintedResult | None) -> tuple[str, str, str]:
     if one is None:
-        return Cell("-"), Cell("-"), Cell("-")
+        return "-", "-", "-"
     return (
-        Cell(f"{one.success:.0f} %"),
-        Cell(f"{one.driving:.1f} +- {one.driving_spread:.1f} m"),
-        Cell(f"{one.time:.1f} +- {one.time_spread:.1f} s"),
+        f"{one.success:.0f} %",
+        f"{one.driving:.1f} +- {one.driving_spread:.1f} m",
+        f"{one.time:.1f} +- {one.time_spread:.1f} s",
     )
 
 
-def _share(good: Sequence[Row], of: int) -> Cell:
-    text = f"{100 * len(good) / of:.0f} % of {of}" if of else "-"
-    return Cell(text, tuple(row.key for row in good))
+def _share(good: Sequence[Row], of: int) -> str:
+    return f"{100 * len(good) / of:.0f} % of {of}" if of else "-"
 
 
 def _spread(values: Sequence[float], unit: str) -> str:

@@ -1,4 +1,4 @@
-"""Build the tables of a report; each cell keeps the keys of the rows that it counts."""
+"""Build the tables of a report."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from .bench_records import Row, Suite
-from .cells import Cell, Table
+from .markdown_report import Table
 from .metrics import (
     GRID,
     grouped,
@@ -56,7 +56,7 @@ def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
     return tables
 
 
-Column = tuple[str, Callable[[Sequence[Row]], Cell]]
+Column = tuple[str, Callable[[Sequence[Row]], str]]
 """Heading, and the cell for the rows of one method."""
 
 
@@ -64,9 +64,9 @@ def summary_table(rows: Sequence[Row]) -> Table:
     """Build the table with one line per method."""
     by_method = grouped(rows, lambda row: row.method)
     columns: list[Column] = [
-        ("tasks", lambda mine: Cell(str(len(mine)), _keys(mine))),
+        ("tasks", lambda mine: str(len(mine))),
         ("solved", lambda mine: _count(_solved(mine), mine)),
-        ("95 % interval", lambda mine: Cell(_interval(_solved(mine), mine), _keys(_solved(mine)))),
+        ("95 % interval", lambda mine: _interval(_solved(mine), mine)),
     ]
     if any(row.done is not None for row in rows):
         columns.append(
@@ -88,8 +88,7 @@ def summary_table(rows: Sequence[Row]) -> Table:
     if any(row.clearance is not None for row in rows):
         columns.append(("clearance, median", partial(_percentile_of, "clearance", "m", 50)))
     lines = tuple(
-        (Cell(method, _keys(mine)), *(cell(mine) for _, cell in columns))
-        for method, mine in by_method.items()
+        (method, *(cell(mine) for _, cell in columns)) for method, mine in by_method.items()
     )
     return Table("Methods", ("method", *(name for name, _ in columns)), lines, NOTE)
 
@@ -103,62 +102,55 @@ NOTE = (
 )
 
 
-def _of_grid_solvable(grid: Sequence[Row], mine: Sequence[Row]) -> Cell:
+def _of_grid_solvable(grid: Sequence[Row], mine: Sequence[Row]) -> str:
     """Count the successes, physics included, in the tasks that the grid solves."""
     solvable = {row.task for row in _solved(grid)}
     counted = [row for row in mine if row.task in solvable]
     good = [row for row in counted if succeeded(row)]
     percent = f", {100 * len(good) / len(counted):.1f} %" if counted else ""
-    return Cell(f"{len(good)} of {len(counted)}{percent}", _keys(good))
+    return f"{len(good)} of {len(counted)}{percent}"
 
 
-def _mean_share(field: str, mine: Sequence[Row]) -> Cell:
+def _mean_share(field: str, mine: Sequence[Row]) -> str:
     """Average the shares in a field; an unsolved row counts as zero."""
     shares = [(row, getattr(row, field)) for row in mine]
     counted = [one for one in shares if one[1] is not None or one[0].outcome != "solved"]
     if not counted:
-        return Cell("-")
+        return "-"
     total = sum(value or 0.0 for _, value in counted)
-    return Cell(
-        f"{100 * total / len(counted):.0f} %", _keys([row for row, value in counted if value])
-    )
+    return f"{100 * total / len(counted):.0f} %"
 
 
-def _percentile_of(field: str, unit: str, q: float, mine: Sequence[Row]) -> Cell:
-    known = {row.key: value for row in mine if (value := getattr(row, field)) is not None}
-    return Cell(_number(percentile(list(known.values()), q), unit), tuple(known))
+def _percentile_of(field: str, unit: str, q: float, mine: Sequence[Row]) -> str:
+    known = [value for row in mine if (value := getattr(row, field)) is not None]
+    return _number(percentile(known, q), unit)
 
 
-def _above_shortest(shortest: Mapping[str, float], mine: Sequence[Row]) -> Cell:
-    drives = [
-        (row.key, row.driving, shortest[row.task])
-        for row in _solved(mine)
-        if row.driving is not None
-    ]
-    above = [length - least for _, length, least in drives]
-    total = sum(least for _, _, least in drives)
+def _above_shortest(shortest: Mapping[str, float], mine: Sequence[Row]) -> str:
+    drives = [(row.driving, shortest[row.task]) for row in _solved(mine) if row.driving is not None]
+    above = [length - least for length, least in drives]
+    total = sum(least for _, least in drives)
     percent = f", {100 * sum(above) / total:+.0f} %" if total > 0 else ""
     median = _number(percentile(above, 50), "m", sign=True)
-    return Cell(f"{median}{percent}", tuple(key for key, _, _ in drives))
+    return f"{median}{percent}"
 
 
-def _mean_checks(mine: Sequence[Row]) -> Cell:
+def _mean_checks(mine: Sequence[Row]) -> str:
     checked = [row.checked for row in mine if row.checked is not None]
-    return Cell(f"{np.mean(checked):.1f}" if checked else "-", _keys(mine))
+    return f"{np.mean(checked):.1f}" if checked else "-"
 
 
-def _false_infeasible(solvable: Collection[str], mine: Sequence[Row]) -> Cell:
+def _false_infeasible(solvable: Collection[str], mine: Sequence[Row]) -> str:
     false = [row for row in mine if row.outcome == "infeasible" and row.task in solvable]
-    return Cell(str(len(false)), _keys(false))
+    return str(len(false))
 
 
 def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
     """Count the successes of every method by a field of the row."""
 
-    def cell(mine: Sequence[Row]) -> Cell:
+    def cell(mine: Sequence[Row]) -> str:
         good = [row for row in mine if succeeded(row)]
-        text = f"{len(good)} of {len(mine)} ({_interval(good, mine)})" if mine else "-"
-        return Cell(text, _keys(good))
+        return f"{len(good)} of {len(mine)} ({_interval(good, mine)})" if mine else "-"
 
     return _table_by(f"Success by {title}", rows, field, cell)
 
@@ -166,25 +158,23 @@ def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
 def time_table(rows: Sequence[Row]) -> Table:
     """Build the table of each method's median time for the solved tasks of each class."""
 
-    def cell(mine: Sequence[Row]) -> Cell:
+    def cell(mine: Sequence[Row]) -> str:
         solved = _solved(mine)
         median = percentile([row.seconds for row in solved if row.seconds is not None], 50)
-        return Cell("-" if median is None else f"{1000 * median:.0f} ms", _keys(solved))
+        return "-" if median is None else f"{1000 * median:.0f} ms"
 
     return _table_by("Time by class, solved tasks", rows, "group", cell)
 
 
 def _table_by(
-    title: str, rows: Sequence[Row], field: str, cell: Callable[[Sequence[Row]], Cell]
+    title: str, rows: Sequence[Row], field: str, cell: Callable[[Sequence[Row]], str]
 ) -> Table:
     """Build a table with a line per method and a column per value of a field."""
     classes = list(dict.fromkeys(getattr(row, field) for row in rows))
     lines = []
     for method, members in grouped(rows, lambda row: row.method).items():
         mine = grouped(members, lambda row: getattr(row, field))
-        lines.append(
-            (Cell(method, _keys(members)), *(cell(mine.get(name, [])) for name in classes))
-        )
+        lines.append((method, *(cell(mine.get(name, [])) for name in classes)))
     return Table(title, ("method", *classes), tuple(lines))
 
 
@@ -192,8 +182,8 @@ def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:
     """Build the table of each method's time for the tasks that all solve, and per solved task."""
     moved = {t.name for t in suite.tasks if t.verb in ("open", "close") or t.inside is not None}
     kinds = {"all tasks": rows, "doors and drawers": [r for r in rows if r.task in moved]}
-    methods = grouped(rows, lambda row: row.method)
-    cells = {method: [Cell(method, _keys(mine))] for method, mine in methods.items()}
+    methods = dict.fromkeys(row.method for row in rows)
+    cells = {method: [method] for method in methods}
     columns = ["method"]
     for kind, some in kinds.items():
         columns += [f"{kind}: solved", "median, solved by all", "per solved task"]
@@ -208,8 +198,8 @@ def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:
             spent = sum(row.seconds or 0.0 for row in mine)
             line += [
                 _count(good, mine),
-                Cell(_number(median, "s"), _keys(same)),
-                Cell(_number(spent / len(good) if good else None, "s"), _keys(mine)),
+                _number(median, "s"),
+                _number(spent / len(good) if good else None, "s"),
             ]
     note = (
         "Processor time. Solved by all: by every method except exhaustive. Per solved task: total "
@@ -223,10 +213,10 @@ def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:
 def rate_table(rows: Sequence[Row]) -> Table:
     """Build the table of each method's plans an hour on one core, by robot."""
 
-    def cell(mine: Sequence[Row]) -> Cell:
+    def cell(mine: Sequence[Row]) -> str:
         hours = sum(row.seconds or 0.0 for row in mine) / 3600
         solved = _solved(mine)
-        return Cell(f"{len(solved) / hours:.0f}" if hours > 0 else "-", _keys(mine))
+        return f"{len(solved) / hours:.0f}" if hours > 0 else "-"
 
     return _table_by("Plans an hour on one core, failures included", rows, "robot", cell)
 
@@ -238,8 +228,8 @@ def reason_table(rows: Sequence[Row]) -> Table:
     lines = []
     for (outcome, reason), members in found[:MAX_REASONS]:
         counted = [[row for row in members if row.method == method] for method in methods]
-        cells = [Cell(str(len(mine)) if mine else "", _keys(mine)) for mine in counted]
-        lines.append((Cell(outcome), Cell(reason, _keys(members)), *cells))
+        cells = [str(len(mine)) if mine else "" for mine in counted]
+        lines.append((outcome, reason, *cells))
     left = sum(len(members) for _, members in found[MAX_REASONS:])
     note = f"{left} more failed for {len(found) - MAX_REASONS} other reasons." if left else ""
     return Table("Failures by reason", ("outcome", "reason", *methods), tuple(lines), note)
@@ -251,24 +241,20 @@ def stage_table(rows: Sequence[Row]) -> Table:
     shares = {method: stage_shares(mine) for method, mine in by_method.items()}
     stages = list(dict.fromkeys(stage for parts in shares.values() for stage in parts))
 
-    def cell(method: str, stage: str) -> Cell:
+    def cell(method: str, stage: str) -> str:
         if stage not in shares[method]:
-            return Cell("-")
+            return "-"
         seconds = [row.stages.get(stage, 0.0) for row in by_method[method] if row.stages]
         median, high = (1000 * (percentile(seconds, q) or 0.0) for q in (50, 95))
-        text = f"{100 * shares[method][stage]:.1f} %; {median:.0f}, {high:.0f} ms"
-        return Cell(text, _keys(by_method[method]))
+        return f"{100 * shares[method][stage]:.1f} %; {median:.0f}, {high:.0f} ms"
 
-    lines = tuple(
-        (Cell(method, _keys(by_method[method])), *(cell(method, stage) for stage in stages))
-        for method in shares
-    )
+    lines = tuple((method, *(cell(method, stage) for stage in stages)) for method in shares)
     note = "Share of the total time; then the median and the 95th percentile over the answers."
     return Table("Time by stage", ("method", *stages), lines, note)
 
 
 def compared_tables(first: Sequence[Row], second: Sequence[Row]) -> list[Table]:
-    """Compare two results of the same tasks by method; cells refer to the first."""
+    """Compare two results of the same tasks by method."""
     before = {(row.task, row.method): row for row in second}
     pairs = [
         (row, before[row.task, row.method]) for row in first if (row.task, row.method) in before
@@ -290,24 +276,21 @@ def compared_tables(first: Sequence[Row], second: Sequence[Row]) -> list[Table]:
             for a, b in both
             if a.driving is not None and b.driving is not None
         ]
-        keys = _keys([a for a, _ in mine])
         lines.append((
-            Cell(method, keys), Cell(str(len(mine)), keys),
-            Cell(f"{sum(succeeded(a) for a, _ in mine)} of {len(mine)}", keys),
-            Cell(f"{sum(succeeded(b) for _, b in mine)} of {len(mine)}", keys),
-            Cell(f"+{len(gained)}", _keys(gained)), Cell(f"-{len(lost)}", _keys(lost)),
-            Cell(f"{paired_p_value(len(gained), len(lost)):.2g}"),
-            Cell(_number(percentile(times, 50), "times"), keys),
-            Cell(_number(percentile(drives, 50), "m", sign=True), _keys([a for a, _ in both])),
+            method, str(len(mine)),
+            f"{sum(succeeded(a) for a, _ in mine)} of {len(mine)}",
+            f"{sum(succeeded(b) for _, b in mine)} of {len(mine)}",
+            f"+{len(gained)}", f"-{len(lost)}",
+            f"{paired_p_value(len(gained), len(lost)):.2g}",
+            _number(percentile(times, 50), "times"),
+            _number(percentile(drives, 50), "m", sign=True),
         ))  # fmt: skip
     columns = (
         "method", "common tasks", "success, this", "the other", "gained", "lost", "p (McNemar)",
         "time, median ratio", "driving, median change",
     )  # fmt: skip
     changed = tuple(
-        (Cell(a.task, (a.key,)), Cell(a.method), Cell(_words(a)), Cell(_words(b)))
-        for a, b in pairs
-        if succeeded(a) != succeeded(b)
+        (a.task, a.method, _words(a), _words(b)) for a, b in pairs if succeeded(a) != succeeded(b)
     )
     return [
         Table("Comparison with the other results", columns, tuple(lines)),
@@ -319,16 +302,12 @@ def _words(row: Row) -> str:
     return f"{row.outcome}: {row.reason}" if row.reason else row.outcome
 
 
-def _keys(rows: Sequence[Row]) -> tuple[str, ...]:
-    return tuple(row.key for row in rows)
-
-
 def _solved(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row.outcome == "solved"]
 
 
-def _count(good: Sequence[Row], rows: Sequence[Row]) -> Cell:
-    return Cell(f"{len(good)} of {len(rows)}", _keys(good))
+def _count(good: Sequence[Row], rows: Sequence[Row]) -> str:
+    return f"{len(good)} of {len(rows)}"
 
 
 def _interval(good: Sequence[Row], rows: Sequence[Row]) -> str:

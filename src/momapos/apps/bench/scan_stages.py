@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .bench_records import Row
-from .cells import Cell, Table
-from .metrics import grouped, stage_shares, succeeded
+from .markdown_report import Table
+from .metrics import grouped, succeeded
 from .printed import MARK
 
 SURVEY, MODELING, CHECKS = "survey", "modeling", "checks"
@@ -32,16 +32,14 @@ def printed_stages(rows: Sequence[Row]) -> Table:
     """
     lines = []
     for method, mine in grouped(from_scan(rows), lambda row: row.method).items():
-        keys = tuple(row.key for row in mine)
         for words, without in ((method, ()), (f"{method}, without {SURVEY}", (SURVEY,))):
             shares = scan_shares(mine, without)
             cells = (
-                Cell(f"{shares[stage]:.1f} %" if stage in shares else "-", keys)
-                for stage in (SURVEY, *STAGES)
+                f"{shares[stage]:.1f} %" if stage in shares else "-" for stage in (SURVEY, *STAGES)
             )
-            lines.append((Cell(words), *cells))
-    printed = (Cell(f"{share:.1f} %") for share in STAGES.values())
-    lines.append((Cell(f"MoMa-Pos, {MARK}"), Cell("-"), *printed))
+            lines.append((words, *cells))
+    printed = (f"{share:.1f} %" for share in STAGES.values())
+    lines.append((f"MoMa-Pos, {MARK}", "-", *printed))
     note = (
         f"Shares of the processor time of solved tasks. {SURVEY}: from the images to a labeled box "
         f"of each object, which the paper's table does not contain. {CHECKS}: all other stages, "
@@ -56,11 +54,8 @@ def modeling_table(rows: Sequence[Row]) -> Table:
     classes = list(dict.fromkeys(row.group for row in chosen))
     lines = []
     for method, times in modeling_times(chosen).items():
-        cells = (
-            Cell(f"{times[name]:.2f} s" if name in times else "-", _keys(chosen, method, name))
-            for name in classes
-        )
-        lines.append((Cell(method), *cells))
+        cells = (f"{times[name]:.2f} s" if name in times else "-" for name in classes)
+        lines.append((method, *cells))
     note = (
         f"Mean processor time of the models in solved tasks, without the {SURVEY}. The variant "
         "paper:importance.alpha=0 models every object."
@@ -79,16 +74,6 @@ def modeling_times(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
     }
 
 
-def pies(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
-    """Return the shares of the stages by method; with a scan, the paper's too."""
-    by_method = grouped(rows, lambda row: row.method)
-    known = {method: scan_shares(from_scan(mine)) for method, mine in by_method.items()}
-    known = {method: shares for method, shares in known.items() if shares}
-    if known:
-        return {**known, f"MoMa-Pos, {MARK}": dict(STAGES)}
-    return {method: dict(stage_shares(mine)) for method, mine in by_method.items()}
-
-
 def scan_shares(rows: Sequence[Row], without: Sequence[str] = ()) -> dict[str, float]:
     """Return the share of each stage in the time from scan to motion [%]; empty for no time.
 
@@ -103,7 +88,3 @@ def scan_shares(rows: Sequence[Row], without: Sequence[str] = ()) -> dict[str, f
     counted = {stage: seconds for stage, seconds in spent.items() if stage not in without}
     total = sum(counted.values())
     return {stage: 100 * seconds / total for stage, seconds in counted.items()} if total else {}
-
-
-def _keys(rows: Sequence[Row], method: str, group: str) -> tuple[str, ...]:
-    return tuple(row.key for row in rows if (row.method, row.group) == (method, group))

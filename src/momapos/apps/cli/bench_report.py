@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import json as json_format
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
 from momapos.apps.bench import ARM_SUITE
-from momapos.core import InputError, MomaposError, check_outputs, say
+from momapos.core import InputError, say
 
-from .console import busy
-from .options import Flag, OptionalFile, OptionalFolder, check_count
-
-MAX_MAPS = 1_000
-"""Maximum number of maps on a page [-]."""
+from .options import Flag, OptionalFolder
 
 if TYPE_CHECKING:
-    from momapos.apps.bench import AnswerMap, Contents, Row
+    from momapos.apps.bench import Contents, Row
 
 
 def bench_data(suite: Annotated[Positional[str], arg(metavar="SUITE")], /) -> int:
@@ -43,9 +38,6 @@ def bench_report(
     /,
     *,
     compare: OptionalFolder = None,
-    html: OptionalFile = None,
-    maps: int = 3,
-    parquet: OptionalFile = None,
     json: Flag = False,
 ) -> int:
     """Print the tables of a results folder as Markdown.
@@ -53,18 +45,12 @@ def bench_report(
     Args:
         folder: The results folder.
         compare: Another results folder of the same tasks, to compare task by task.
-        html: Write a self-contained HTML page with figures and all rows.
-        maps: Number of tasks whose potential and candidates the page shows; the installed momapos
-            plans them again.
-        parquet: Write the rows to this Parquet file.
         json: Print one JSON object with all rows instead of tables.
     """
-    check_outputs([html, parquet])
-    check_count("--maps", maps, 0, MAX_MAPS)
     from momapos.apps.bench import ARM_FILE, all_rows, in_order, read_folder
 
     if (folder / ARM_FILE).is_file():
-        if compare is not None or html is not None or parquet is not None:
+        if compare is not None:
             raise InputError(f"{folder}: results of {ARM_SUITE} are reported as Markdown or --json")
         return _report_arms(folder, json=json)
     found = read_folder(folder)
@@ -84,16 +70,6 @@ def bench_report(
             )
         tables += compared
     heading = _heading(found, rows)
-    if html is not None:
-        from momapos.apps.bench import page
-        from momapos.model.scene import write_text_atomic
-
-        drawn = _maps(folder, found, rows, maps)
-        write_text_atomic(html, page(heading, tables, labeled(rows), drawn))
-    if parquet is not None:
-        from momapos.apps.bench import write_parquet
-
-        write_parquet(rows, parquet)
     if json:
         from momapos.apps.bench import to_plain
 
@@ -115,20 +91,6 @@ def _report_arms(folder: Path, *, json: bool) -> int:
     else:
         say(markdown(arm_heading(found), arm_tables(found)))
     return 0
-
-
-def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[AnswerMap]:
-    """Draw maps of some results, if the folder still has the files."""
-    if not count:
-        return []
-    from momapos.apps.bench import draw_maps
-
-    try:
-        with busy("drawing"):
-            return draw_maps(folder, found, rows, count)
-    except MomaposError as error:
-        say(f"note: no potential maps: {error}", file=sys.stderr)
-        return []
 
 
 def _heading(found: Contents, rows: list[Row]) -> list[str]:
