@@ -109,15 +109,6 @@ def planned(
     return act
 
 
-def side_by_side(page: Page) -> None:
-    """Show two robots' answers side by side."""
-    planned("open", "fridge/door_hinge", "segway_ur5e", path=True)(page)
-    page.compare.add()
-    planned("open", "fridge/door_hinge", "fetch", path=True)(page)
-    page.panel.side_by_side.value = True
-    page.compare.arrange()
-
-
 def on_the_floor(**layers: bool) -> Callable[[Page], None]:
     """Show layers on the floor without the objects on them."""
 
@@ -174,8 +165,6 @@ ITEMS = (
     Item("opening", ("view kitchen_small --robot segway_ur5e",),
          on_the_floor(opening=True), above=50.0),
     Item("graph", ("view kitchen_small --robot segway_ur5e",), relations, away=4.6, aside=1.1),
-    Item("compare", ("view kitchen_small --robot segway_ur5e",), side_by_side,
-         away=6.4, aside=2.2, above=30.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
                  "run plan.json --out run.json", "view run.json"), in_the_middle,
          away=3.2, around=-65.0),

@@ -49,7 +49,7 @@ LABELS = ("Importance, scene graph", "Arm reachability", "Free area", "Potential
           "Waypoints and grasps", "Start and base path", "Base-pose tolerance",
           "Collision spheres")  # fmt: skip
 KINDS = {"drag": 6, "layer": 4, "place": 3, "target": 3, "play": 3, "keep": 1, "forget": 1,
-         "stop": 1, "reload": 1, "robot": 1, "side_by_side": 1}  # fmt: skip
+         "stop": 1, "reload": 1, "robot": 1}  # fmt: skip
 """Actions of pages, and their weights."""
 
 
@@ -191,8 +191,6 @@ class Tab:
             await self.set("Object", rng.choice(TARGETS))
         elif kind == "robot":
             await self.set("Robot", rng.choice(ROBOTS))
-        elif kind == "side_by_side":
-            await self.set("Side by side", not self.seen.value("Side by side"))
         elif kind == "layer":
             label = rng.choice(LABELS)
             await self.set(label, not self.seen.value(label))

@@ -62,29 +62,13 @@ def no_warning() -> Iterator[None]:
         yield
 
 
-def test_compared_answers_stand_in_the_room_or_next_to_it_and_can_be_removed(page: Page) -> None:
+def test_compared_answers_stand_in_the_room_and_can_be_removed(page: Page) -> None:
     compare = page.compare
     compare.add()
     compare.add()
-    one, two = compare.answers
-    np.testing.assert_allclose(one.frame.position, 0.0)
-    assert one.room.scene is None
-    alone = np.array(page.server.initial_camera.look_at)
-    page.panel.side_by_side.value = True
-    compare.arrange()
-    one_at, two_at = (np.array(answer.frame.position) for answer in (one, two))
-    assert np.linalg.norm(one_at) > 4.0  # the room is 4.2 m wide
-    np.testing.assert_allclose(two_at, 2 * one_at)
-    assert one.room.scene is page.shown.scene
-    # The camera shows all three rooms, from farther away.
-    target = np.array(page.server.initial_camera.look_at)
-    assert (target - alone) @ one_at > 0.7 * one_at @ one_at
     page.motion.seek(0.0)
-    np.testing.assert_allclose(one.robot.base, page.robot.base)  # in step
-    page.panel.side_by_side.value = False
-    compare.arrange()
-    np.testing.assert_allclose(one.frame.position, 0.0)
-    np.testing.assert_allclose(page.server.initial_camera.look_at, alone)
+    for one in compare.answers:
+        np.testing.assert_allclose(one.robot.base, page.robot.base)  # in step
     compare.clear()
     assert compare.answers == ()
     assert page.panel.comparison.content == "No answers to compare."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,17 +36,9 @@ SKEW_WEIGHT, STEEP_WEIGHT = 0.35, 0.5
 """Visible shares that a view may lose to be better by 1 rad [1/rad]."""
 
 
-def look_at(
-    server: ViserServer, scene: Scene, shifts: Sequence[Float[np.ndarray, "3"]] = ()
-) -> None:
-    """Turn the cameras of all browsers, also of later ones, to a room.
-
-    Args:
-        server: The server of the page.
-        scene: The room.
-        shifts: Offsets of copies of the room [m].
-    """
-    turn(server, *viewpoint(scene, shifts))
+def look_at(server: ViserServer, scene: Scene) -> None:
+    """Turn the cameras of all browsers, also of later ones, to a room."""
+    turn(server, *viewpoint(scene))
 
 
 def turn(server: ViserServer, eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> None:
@@ -93,13 +84,9 @@ def front_of(scene: Scene, target: str, base: Float[np.ndarray, "3"]) -> Float[n
     return next((way for way in (opens, away) if np.hypot(*way) > 0.1), np.array([0.0, -1.0]))
 
 
-def viewpoint(
-    scene: Scene, shifts: Sequence[Float[np.ndarray, "3"]] = ()
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def viewpoint(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the camera's position and target, seen from the side to which doors open [m]."""
-    corners = room_bounds(scene)
-    every = np.concatenate([corners, *(corners + np.asarray(shift)[:2] for shift in shifts)])
-    low, high = every.min(0), every.max(0)
+    low, high = room_bounds(scene)
     size = float(np.linalg.norm(high - low)) * 1.35
     movable = [o.bounds.mean(0)[:2] for o in scene.objects if o.model.joints]
     middle = (low + high) / 2

@@ -74,7 +74,6 @@ class Panel:
         with tabs.add_tab("Compare"):
             self.add_answer = gui.add_button("Add this answer")
             self.clear_answers = gui.add_button("Remove all answers")
-            self.side_by_side = gui.add_checkbox("Side by side", False)
             self.comparison = gui.add_markdown("")
         with tabs.add_tab("Files"):
             self._add_files()

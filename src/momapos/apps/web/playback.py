@@ -64,11 +64,15 @@ class Moment:
         """Draw this moment."""
         if self.room is not None:
             room.show(self.room.scene, self.room.active, self.room.joint)
-        robot.move(self.base, self.joints)
-        robot.show_force(self.force)
+        self.show_robot(robot)
         room.move(self.object_q)
         if self.T_world_object is not None:
             room.carry(self.T_world_object)
+
+    def show_robot(self, robot: RobotView) -> None:
+        """Draw the robot at this moment."""
+        robot.move(self.base, self.joints)
+        robot.show_force(self.force)
 
 
 @dataclass(frozen=True)

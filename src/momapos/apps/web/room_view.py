@@ -53,18 +53,15 @@ def enlarged(surface: Surface, by: float) -> Surface:
 class RoomView:
     """Draws a scene, and sends only changes."""
 
-    def __init__(
-        self, api: SceneApi, picked: Callable[[str], None] | None = None, *, name: str = ROOT
-    ) -> None:
+    def __init__(self, api: SceneApi, picked: Callable[[str], None] | None = None) -> None:
         """Draw nothing yet.
 
         Args:
             api: Where to draw.
             picked: Called with the name of an object that a user clicks.
-            name: Name of the parent node.
         """
-        self._api, self._picked, self.name = api, picked, name
-        self._batches = ObjectBatches(api, f"{name}/batch", picked)
+        self._api, self._picked = api, picked
+        self._batches = ObjectBatches(api, f"{ROOT}/batch", picked)
         self._batched: dict[str, list[ColoredSurface]] = {}
         """In a large room, the surfaces of each object in the batches."""
         self._nodes: dict[str, list[Any]] = {}
@@ -88,7 +85,7 @@ class RoomView:
     def set_visible(self, visible: bool) -> None:
         """Show or hide the room."""
         if self._root is None:
-            self._root = self._api.add_frame(self.name, show_axes=False)
+            self._root = self._api.add_frame(ROOT, show_axes=False)
         self._root.visible = visible
 
     def set_look(self, look: Look) -> None:
@@ -207,7 +204,7 @@ class RoomView:
                 if own.link == link or link not in poses:
                     surface = joined((own.body, own.handle)).moved(poses[own.link])
                     self._marks.append(self._mesh(
-                        f"{self.name}/mark{len(self._marks)}", enlarged(surface, MARK_MARGIN),
+                        f"{ROOT}/mark{len(self._marks)}", enlarged(surface, MARK_MARGIN),
                         rgb(colors.INFEASIBLE), opacity=0.75,
                     ))  # fmt: skip
 
@@ -225,15 +222,13 @@ class RoomView:
             polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
         surface = Surface(corners, triangulated(polygon))
-        floor = self._mesh(
-            f"{self.name}/floor", surface, rgb(self._look.floor), shaded=not large(scene)
-        )
+        floor = self._mesh(f"{ROOT}/floor", surface, rgb(self._look.floor), shaded=not large(scene))
         self._nodes[_FLOOR] = [floor]
 
     def _draw(self, item: SceneObject) -> None:
         assert self.scene is not None
         self._drawn += 1
-        root, active = f"{self.name}/o{self._drawn}", item.name == self.active
+        root, active = f"{ROOT}/o{self._drawn}", item.name == self.active
         self._nodes[item.name] = []
         if large(self.scene):
             self._batched[item.name] = self._simple_parts(item)
