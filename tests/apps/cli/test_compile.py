@@ -12,7 +12,6 @@ from momapos.apps.cli import compile as compiling
 from momapos.apps.cli.compile import (
     ANSWER,
     CHECK,
-    ON_FIRST_USE,
     RANK,
     VERIFY,
     WALKS,
@@ -22,6 +21,16 @@ from momapos.apps.cli.main import main
 from momapos.core.compiled.code_store import Store
 from momapos.core.compiled.entries import ENTRIES
 from momapos.core.compiled.pack import every_entry
+
+ON_FIRST_USE = {
+    "momapos.planning.reachability": "a map is built once per robot, and shows its progress",
+    "momapos.model.collision.arm_collision": "exact reach, compact tours and drawings",
+    "momapos.model.collision.base_collision._hit_moving": "other kernels call it; Python in tests",
+    "momapos.model.kinematics.base_fit._fit": "only where the hand may turn freely",
+    "momapos.model.kinematics.ik._solve_all": "inverse kinematics on its own",
+    "momapos.planning.navigation.dynamic_window": "a run drives after it has planned",
+}
+"""Kernels that compile when they are first needed, by module or name, with the reason."""
 
 
 def test_kernels_are_compiled_once_with_one_line_of_output(

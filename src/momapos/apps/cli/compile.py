@@ -82,17 +82,6 @@ def rank_kernels(config: ImportanceConfig) -> tuple[str, ...]:
     return (graph, *near, *(WALKS if config.scorer in WALKERS else ()))
 
 
-ON_FIRST_USE = {
-    "momapos.planning.reachability": "a map is built once per robot, and shows its progress",
-    "momapos.model.collision.arm_collision": "exact reach, compact tours and drawings",
-    "momapos.model.collision.base_collision._hit_moving": "other kernels call it; Python in tests",
-    "momapos.model.kinematics.base_fit._fit": "only where the hand may turn freely",
-    "momapos.model.kinematics.ik._solve_all": "inverse kinematics on its own",
-    "momapos.planning.navigation.dynamic_window": "a run drives after it has planned",
-}
-"""Kernels that compile when they are first needed, by module or name, with the reason."""
-
-
 def compile_once(names: tuple[str, ...] = ANSWER) -> None:
     """Compile the kernels that are not cached, so that this time doesn't count for a timeout.
 

@@ -127,15 +127,6 @@ MIN_FIT = UNKNOWN[1]
 """Boxes that no rule fits at least this well are an "object" [-]."""
 
 
-def label_of(features: BoxFeatures) -> tuple[str, float]:
-    """Label a box.
-
-    Returns:
-        The label of the best rule and its score in [0, 1], or ("object", 0.2).
-    """
-    return next(iter(guesses_of(features)), UNKNOWN)
-
-
 def guesses_of(features: BoxFeatures) -> tuple[tuple[str, float], ...]:
     """Return all labels whose rules fit a box well enough, with scores in [0, 1], best first."""
     values = {**asdict(features), "slender": features.slender}
