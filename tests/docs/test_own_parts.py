@@ -19,6 +19,7 @@ from momapos.model.kinematics.ik import solve_ik
 from momapos.model.records.scans import ImageDetection, Scan
 from momapos.model.scene.scene_files import load_scene
 from momapos.perception.pipeline import default_tools
+from momapos.planning.placement.config import PlaceConfig
 
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "own_parts.md"
 MAX_LINES = 10
@@ -150,6 +151,9 @@ def test_states_without_a_solution_or_beyond_limits_are_left_out() -> None:
     scene, robot = momapos.load_scene("kitchen_small"), momapos.load_robot("segway_ur5e")
     task = momapos.make_task(scene, "open", "fridge", "door_hinge")
     nothing = robot.with_inverse_kinematics(lambda Ts: np.full((len(Ts), 0, 6), np.nan))
-    answer = momapos.plan_base_placement(scene, nothing, task, clock=time.process_time)
+    config = momapos.PipelineConfig(place=PlaceConfig(rounds=1, grid=False), base="fixed")
+    answer = momapos.plan_base_placement(
+        scene, nothing, task, config=config, clock=time.process_time
+    )
     assert answer.plan.status == "infeasible"  # the time limit does not end it on a loaded machine
     assert momapos.plan_base_placement(scene, robot, task).plan.status == "solved"

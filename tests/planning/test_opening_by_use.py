@@ -40,8 +40,15 @@ def refused(scene: Scene, item: str, base: BaseUse) -> PlacementPlan:
     return with_max_opening(answer, clock=time.process_time).plan
 
 
-def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(kitchen: Scene) -> None:
-    plan = refused(kitchen, FREEZER, "auto")
+@pytest.fixture(scope="module")
+def plan(kitchen: Scene) -> PlacementPlan:
+    """Return the plan for a freezer whose door no use of the base opens."""
+    return refused(kitchen, FREEZER, "auto")
+
+
+def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(
+    kitchen: Scene, plan: PlacementPlan
+) -> None:
     assert [words.startswith(use) for words, use in zip(plan.notes, USES, strict=True)] == [
         True
     ] * 3
@@ -58,10 +65,12 @@ def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(kitch
     assert again.plan.base_pose == plan.feasible_from
 
 
-def test_what_a_refusal_states_is_what_direct_questions_find(kitchen: Scene) -> None:
+def test_what_a_refusal_states_is_what_direct_questions_find(
+    kitchen: Scene, plan: PlacementPlan
+) -> None:
     """Each stated value that is reached has a plan, and each other one has none."""
     robot, count = load_robot("stretch"), 0
-    for note in refused(kitchen, FREEZER, "auto").notes:
+    for note in plan.notes:
         use = dict(zip(USES, ("fixed", "stops", "moving"), strict=True))[f"{note.split(', ')[0]}, "]
         for words, number in re.findall(r"(at least|even|no motion) to ([\d.]+) deg", note):
             task = make_task(kitchen, "open", *FREEZER.split("/"), f"{number}deg")
