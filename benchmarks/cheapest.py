@@ -35,11 +35,11 @@ from rows import keep_rows
 VARIANTS = {
     "usual": PlaceConfig(),
     "margin 2 cm": PlaceConfig(margin=0.02),
-    "robustness weight 0.4": PlaceConfig(weight_room=0.4),
-    "robustness weight 0.15": PlaceConfig(weight_room=0.15),
-    "no robustness weight": PlaceConfig(weight_room=0.0),
-    "grid with robustness": PlaceConfig(method="exhaustive", weight_room=100.0),
-    "grid": PlaceConfig(method="exhaustive", weight_room=0.0),
+    "robustness weight 0.4": PlaceConfig(weight_robustness=0.4),
+    "robustness weight 0.15": PlaceConfig(weight_robustness=0.15),
+    "no robustness weight": PlaceConfig(weight_robustness=0.0),
+    "grid with robustness": PlaceConfig(method="exhaustive", weight_robustness=100.0),
+    "grid": PlaceConfig(method="exhaustive", weight_robustness=0.0),
 }
 NEIGHBORS = 4
 """Number of base poses near each answer, at 2 cm and at 5 cm [-]."""

@@ -97,7 +97,7 @@ def test_a_start_near_the_open_door_is_not_the_goal_of_the_departure(
 
 
 @pytest.mark.parametrize(
-    ("method", "way_on", "checked"),
+    ("method", "departure", "checked"),
     [
         ("ours", True, True),
         ("ours", False, False),
@@ -106,10 +106,10 @@ def test_a_start_near_the_open_door_is_not_the_goal_of_the_departure(
     ],
 )
 def test_only_our_method_checks_the_departure_from_a_base_pose(
-    corridor: Scene, segway: Robot, method: Method, way_on: bool, checked: bool
+    corridor: Scene, segway: Robot, method: Method, departure: bool, checked: bool
 ) -> None:
     """The grid returns the cheapest pose, and other methods follow their papers."""
-    config = PipelineConfig(place=PlaceConfig(method=method, way_on=way_on))
+    config = PipelineConfig(place=PlaceConfig(method=method, departure=departure))
     task = make_task(corridor, "open", "cabinet", to=1.2)
     query = PlacementQuery(
         corridor, segway, task, Everywhere(), START, config, watch=Stopwatch(lambda: 0.0)

@@ -66,9 +66,7 @@ def fetch() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def refused_file(
-    lid: list[str], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, str]:
+def refused_file(lid: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Ask for the whole opening of the lid; return the file and the output of the answer."""
     path, out = tmp_path_factory.mktemp("refused") / "plan.json", io.StringIO()
     with redirect_stdout(out):
@@ -105,9 +103,7 @@ def test_the_output_states_the_feasible_opening_and_its_base_pose(
     x, y, yaw = refused.feasible_from
     to = f"{math.degrees(refused.feasible_to):.0f} deg"
     pose = f"({x:.3f}, {y:.3f}, {math.degrees(yaw):.1f} deg)"
-    assert (
-        f"infeasible  not to 90 deg, but at least to {to} from {pose}\n" in refused_file[1]
-    )
+    assert f"infeasible  not to 90 deg, but at least to {to} from {pose}\n" in refused_file[1]
 
 
 def test_a_stated_opening_is_sure_only_where_the_part_itself_is_blocked(

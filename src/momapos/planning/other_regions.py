@@ -102,4 +102,4 @@ def poses_in_other_regions(
 
 def without_departure_check(config: PipelineConfig) -> PipelineConfig:
     """Return the configuration for base poses that are known to lead to other regions."""
-    return replace(config, place=replace(config.place, way_on=False))
+    return replace(config, place=replace(config.place, departure=False))

@@ -203,7 +203,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
 
 def _checks_departure(place: PlaceConfig) -> bool:
     """Return whether base poses must let the robot drive on; other methods ignore that."""
-    return place.way_on and place.method == "ours"
+    return place.departure and place.method == "ours"
 
 
 def _home_is_free(query: PlacementQuery, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

@@ -53,7 +53,11 @@ def task(kitchen: Scene) -> Task:
 
 def total(plan: PlacementPlan, place: PlaceConfig) -> float:
     """Return a plan's cost under the given weights, which may differ from its own."""
-    terms = ((term.value, getattr(place, f"weight_{name}")) for name, term in plan.cost.items())
+    weights = {"room": "robustness"}
+    terms = (
+        (term.value, getattr(place, f"weight_{weights.get(name, name)}"))
+        for name, term in plan.cost.items()
+    )
     return sum(value * weight for value, weight in terms if weight and value is not None)
 
 
@@ -89,7 +93,7 @@ def test_a_plan_names_each_term_with_its_value_and_weight(tmp_path: Path) -> Non
 def test_no_grid_pose_costs_less_than_the_solution(
     kitchen: Scene, segway: Robot, task: Task
 ) -> None:
-    grid = PlaceConfig(method="exhaustive", grid_cell=0.2, grid_turn=30.0, weight_room=0.0)
+    grid = PlaceConfig(method="exhaustive", grid_cell=0.2, grid_turn=30.0, weight_robustness=0.0)
     weighed = replace(grid, weight_effort=0.2, weight_manipulability=0.5, weight_clearance=1.0)
     config = PipelineConfig(place=weighed, timeout=300.0)
     query = PlacementQuery(
@@ -110,7 +114,7 @@ def test_no_grid_pose_costs_less_than_the_solution(
 
 def test_without_weight_on_robustness_the_drive_is_shorter(kitchen: Scene, segway: Robot) -> None:
     reach = load_reach(segway, None)
-    cheapest = PipelineConfig(place=PlaceConfig(weight_room=0.0))
+    cheapest = PipelineConfig(place=PlaceConfig(weight_robustness=0.0))
     driven = []
     for name, joint in [("fridge", "door_hinge"), ("cabinet_left", "drawer_slide")]:
         asked = make_task(kitchen, "open", name, joint)
@@ -125,7 +129,7 @@ def test_without_weight_on_robustness_the_drive_is_shorter(kitchen: Scene, segwa
 
 
 def test_further_solutions_come_in_order_of_cost(kitchen: Scene, segway: Robot, task: Task) -> None:
-    place = PlaceConfig(count=1024, rounds=1, grid=False, weight_room=0.0, weight_effort=1.0)
+    place = PlaceConfig(count=1024, rounds=1, grid=False, weight_robustness=0.0, weight_effort=1.0)
     config = PipelineConfig(place=place, timeout=300.0)
     given = iter_placements(kitchen, segway, task, Everywhere(), config=config)
     plans = [answer.plan for answer in islice(given, 12)][1:]
@@ -140,8 +144,8 @@ def test_further_solutions_come_in_order_of_cost(kitchen: Scene, segway: Robot, 
 @pytest.mark.parametrize(
     "setting",
     [
-        "place.weight_room=-1", "place.weight_driving=inf", "place.weight_effort=nan",
-        "place.weight_room=nan",
+        "place.weight_robustness=-1", "place.weight_driving=inf", "place.weight_effort=nan",
+        "place.weight_robustness=nan",
     ],
 )  # fmt: skip
 def test_an_invalid_weight_is_reported_in_one_line(

@@ -201,16 +201,16 @@ def test_the_chosen_pose_tolerates_position_errors(geometry: PlacementGeometry) 
 
     seeds = range(8)
     asked = {"count": 64, "margin": 0.02}
-    some = [find(geometry, stripes, always, seed=seed, looks=0, **asked) for seed in seeds]
+    some = [find(geometry, stripes, always, seed=seed, compared=0, **asked) for seed in seeds]
     assert not all(inside(found) for found in some)
-    all_of_it = [find(geometry, stripes, always, seed=seed, looks=64, **asked) for seed in seeds]
+    all_of_it = [find(geometry, stripes, always, seed=seed, compared=64, **asked) for seed in seeds]
     assert all(inside(found) for found in all_of_it)
 
 
 def test_robustness_costs_little_more_driving_than_the_margin(geometry: PlacementGeometry) -> None:
     grid = find(geometry, left, always, method="exhaustive", grid_cell=0.05, grid_turn=15.0)
     for seed in range(8):
-        found = find(geometry, left, always, seed=seed, sweep_room=0.0, margin=0.02)
+        found = find(geometry, left, always, seed=seed, sweep_clearance=0.0, margin=0.02)
         assert found.robustness == 1.0
         assert found.cost < grid.cost + 0.1
 
@@ -220,7 +220,7 @@ def test_the_search_steps_to_equally_robust_poses_where_none_is_fully_robust(
 ) -> None:
     everything = 3.0  # wider than the scene: no pose is fully robust
     costs = [
-        find(geometry, always, always, sweep_room=everything, improve=n, count=64).cost
+        find(geometry, always, always, sweep_clearance=everything, improve=n, count=64).cost
         for n in (0, 16)
     ]
     assert costs[1] < costs[0] - 0.05
@@ -232,7 +232,7 @@ def test_a_pose_is_found_where_none_is_robust(
     def narrow_stripes(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         return poses[:, 0] % 0.03 < 0.01
 
-    found = find(geometry, narrow_stripes, always, looks=2, count=64)
+    found = find(geometry, narrow_stripes, always, compared=2, count=64)
     assert found.base is not None
     assert found.base[0] % 0.03 < 0.01
 
@@ -243,7 +243,7 @@ def test_checking_more_candidates_never_costs_more(
     costs = [find(geometry, always, always, together=n, improve=0).cost for n in (1, 2, 8, 32)]
     assert costs == sorted(costs, reverse=True)
     steps = [
-        find(geometry, always, always, together=1, improve=n, count=32).cost for n in (0, 1, 2, 4)
+        find(geometry, always, always, batch=1, improve=n, count=32).cost for n in (0, 1, 2, 4)
     ]
     assert steps == sorted(steps, reverse=True)
     assert steps[-1] < steps[0] - 0.05
@@ -254,9 +254,11 @@ def test_the_base_keeps_clear_of_the_moving_part_where_possible(
 ) -> None:
     clearance = 0.5
 
-    def close_passes(sweep_room: float) -> int:
+    def close_passes(sweep_clearance: float) -> int:
         answers = [
-            find(geometry, always, always, seed=seed, count=64, sweep_room=sweep_room).base
+            find(
+                geometry, always, always, seed=seed, count=64, sweep_clearance=sweep_clearance
+            ).base
             for seed in range(8)
         ]
         return sum(

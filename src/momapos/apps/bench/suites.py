@@ -48,7 +48,7 @@ ABLATIONS = (
     "ours:place.rounds=0",
     "ours:place.grid=false",
     "ours:place.improve=0",
-    "ours:place.miss=0.0",
+    "ours:place.miss_cost=0.0",
     "exhaustive",
 )
 """Variants of `paper`: its options T (1: no tours), M, k1 with k1', z, alpha (0 models everything)

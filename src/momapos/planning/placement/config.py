@@ -33,7 +33,7 @@ class PlaceConfig:
     """Rounds of samples before the grid [-]."""
     grasps: int = 24
     """Maximum number of grasps tried at one base pose, best reached first [-]."""
-    together: int = 2
+    batch: int = 2
     """Number of base poses whose arm paths are planned together (ours); the cheapest wins [-]."""
     improve: int = 16
     """Maximum number of improvement steps to cheaper base poses nearby (ours) [-]."""
@@ -41,7 +41,7 @@ class PlaceConfig:
     """Base position error in x and y from which an arm path should still exist (ours) [m]."""
     margin_turn: float = 1.0
     """Base yaw error from which an arm path should still exist (ours) [deg]."""
-    looks: int = 3
+    compared: int = 3
     """Maximum number of base poses whose robustness is tested; the most robust is taken (ours).
     0: the first that works [-]."""
     robust_radius: float = 0.0
@@ -50,21 +50,21 @@ class PlaceConfig:
     """Maximum yaw error in that disc, to either side [deg]."""
     weight_driving: float = 1.0
     """Cost of one meter of driving (ours, exhaustive) [1/m]."""
-    weight_room: float = math.inf
+    weight_robustness: float = math.inf
     """Cost of a base pose of no robustness; scales with the missing share. inf: the search compares
-    the robustness of `looks` poses first, then the cost [-]."""
+    the robustness of `compared` poses first, then the cost [-]."""
     weight_clearance: float = 0.0
     """Cost of each meter that the base's clearance falls short of 20 cm [1/m]."""
     weight_manipulability: float = 0.0
     """Cost of a singular arm configuration; others in proportion [-]."""
     weight_effort: float = 0.0
     """Cost of each radian of total joint travel [1/rad]."""
-    way_on: bool = True
+    departure: bool = True
     """Prefer base poses from which the robot can drive on after the task (ours)."""
-    sweep_room: float = 0.1
+    sweep_clearance: float = 0.1
     """Preferred clearance between the moving part and the base, for errors of the modeled joint
     (ours) [m]."""
-    miss: float = 2.0
+    miss_cost: float = 2.0
     """Cost of a certain miss, as a driving length [m]."""
     grid_cell: float = 0.05
     """Cell size of the exhaustive grid [m]."""
@@ -78,16 +78,18 @@ class PlaceConfig:
     """Minimum distance of the base to everything [m]."""
 
     def __post_init__(self) -> None:
-        refuse_below(self, 1, "count", "grasps", "together")
+        refuse_below(self, 1, "count", "grasps", "batch")
         refuse_above(self, MAX_SAMPLES, "count", "grasps")
-        refuse_above(self, MAX_STEPS, "together", "improve", "looks")
+        refuse_above(self, MAX_STEPS, "batch", "improve", "compared")
         refuse_above(self, MAX_ROUNDS, "rounds")
         refuse_values_below(
-            self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin", "margin_turn",
-            "sweep_room", "robust_radius", "robust_turn", "weight_driving", "weight_clearance",
-            "weight_manipulability", "weight_effort",
+            self, 0, "rounds", "improve", "miss_cost", "clearance", "compared", "margin",
+            "margin_turn", "sweep_clearance", "robust_radius", "robust_turn", "weight_driving",
+            "weight_clearance", "weight_manipulability", "weight_effort",
         )  # fmt: skip
-        if not self.weight_room >= 0:
-            raise InputError(f"weight_room must be at least 0, or inf, not {self.weight_room:g}")
+        if not self.weight_robustness >= 0:
+            raise InputError(
+                f"weight_robustness must be at least 0, or inf, not {self.weight_robustness:g}"
+            )
         refuse_values_below(self, 0.01, "grid_cell")
         refuse_values_below(self, 1.0, "grid_turn")

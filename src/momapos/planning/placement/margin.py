@@ -55,7 +55,7 @@ def can_be_robust(
     status, _ = base_pose_status(problem.geometry, neighbors)
     clear = status == BaseStatus.CLEAR
     clear[clear] = score(problem.reach, neighbors[clear]).scores.max(1, initial=0.0) > 0
-    roomy = clears_sweep(problem.geometry, neighbors, config.sweep_room)
+    roomy = clears_sweep(problem.geometry, neighbors, config.sweep_clearance)
     most = clear * np.where(roomy, 1.0, _CLOSE_PASS_SHARE)
     return most.reshape(len(poses), len(_CORNERS)).mean(1) >= least
 
@@ -76,7 +76,7 @@ def robustness_of(problem: Problem, score: GraspModeScorer, config: PlaceConfig)
         if screened is None:
             return 0.0
         works = np.array([one.q is not None for one in screened])
-        roomy = clears_sweep(problem.geometry, poses, config.sweep_room)
+        roomy = clears_sweep(problem.geometry, poses, config.sweep_clearance)
         return float((works * np.where(roomy, 1.0, _CLOSE_PASS_SHARE)).mean())
 
     return robustness

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _LEVELS = np.arange(1, 11) * 0.02
 """Clearances that are tested; more than the last one costs nothing [m]."""
+_WEIGHTS = {"room": "robustness"}
+"""Names of weights that differ from those of their terms in plan files."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class PoseCosts:
     @property
     def robustness_first(self) -> bool:
         """Whether robustness is compared before all terms of finite weight."""
-        return math.isinf(self.config.weight_room)
+        return math.isinf(self.config.weight_robustness)
 
     def before_path(
         self, poses: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"]
@@ -67,7 +69,7 @@ class PoseCosts:
 
     def of_robustness(self, robustness: float) -> float:
         """Return the cost of missing robustness; 0 where robustness is compared first."""
-        return 0.0 if self.robustness_first else self.config.weight_room * (1.0 - robustness)
+        return 0.0 if self.robustness_first else self.config.weight_robustness * (1.0 - robustness)
 
 
 def cost_terms(
@@ -99,7 +101,7 @@ def cost_terms(
         "manipulability": 1.0 - least_dexterity(robot.chain, q, robot.reach),
         "effort": travel_of_arm(robot.chain, q, robot.reach),
     }
-    weights = {name: getattr(config, f"weight_{name}") for name in values}
+    weights = {name: getattr(config, f"weight_{_WEIGHTS.get(name, name)}") for name in values}
     terms = {
         name: CostTerm(value, None if math.isinf(weights[name]) else weights[name])
         for name, value in values.items()

@@ -286,7 +286,7 @@ def _check_samples(
     known = costs.before_path(left.poses, left.travel)
     rest = _order(problem, left, known, config)
     while len(rest) and found.motion is None:
-        block = rest[known[rest] < waiting.bound][: config.together]
+        block = rest[known[rest] < waiting.bound][: config.batch]
         rest = rest[~np.isin(rest, block)]
         waiting.take(screen(problem, left, block, config.grasps, found), left.poses, known)
         last = not (known[rest] < waiting.bound).any()
@@ -335,5 +335,5 @@ def _order(
     assert left.mode_scores is not None
     share = np.clip((left.scores > 0).sum(1) / left.mode_scores.scored * 4, 0.0, 1.0)
     odds = np.clip(0.4 * best + 0.4 * share + 0.2 * np.sqrt(field_value), 0.0, 1.0)
-    odds[~clears_sweep(geometry, left.poses, config.sweep_room)] *= _CLOSE_PASS_ODDS
-    return by_expected_cost(known, odds, miss=config.miss)
+    odds[~clears_sweep(geometry, left.poses, config.sweep_clearance)] *= _CLOSE_PASS_ODDS
+    return by_expected_cost(known, odds, miss=config.miss_cost)

@@ -49,9 +49,9 @@ class Waiting:
         if problem.fit is not None:  # an arm of few joints has no path next to a fitted pose
             looks = 0.0
         elif costs.robustness_first:
-            looks = float(config.looks) if config.method == "ours" else 0.0
+            looks = float(config.compared) if config.method == "ours" else 0.0
         else:
-            looks = math.inf if config.weight_room > 0.0 else 0.0
+            looks = math.inf if config.weight_robustness > 0.0 else 0.0
         return cls(costs, robustness_of(problem, score, config), looks)
 
     def take(
